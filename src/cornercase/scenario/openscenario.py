@@ -1,0 +1,256 @@
+"""OpenSCENARIO XML files: what stands in one, and concrete copies of it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from shutil import copyfile
+
+from lxml import etree
+
+from cornercase.errors import InputError, suggestion
+from cornercase.files import written_whole
+from cornercase.scenario.expressions import names_in
+from cornercase.scenario.space import Value
+from cornercase.scenario.xml import read_xml
+
+DRIVER_PROPERTY = "cornercase.driver"
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """An OpenSCENARIO scenario file.
+
+    Attributes
+    ----------
+    path : Path
+    root : lxml element
+        ``OpenSCENARIO``.
+    """
+
+    path: Path
+    root: etree._Element
+
+    @classmethod
+    def read(cls, path: Path | str) -> Scenario:
+        """Read a scenario file.
+
+        Raises
+        ------
+        InputError
+            The file is missing, is not XML, or is not a scenario.
+        """
+        path = Path(path)
+        root = read_xml(path)
+        if root.tag != "OpenSCENARIO":
+            raise InputError(f"{path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>.")
+        if root.find("ParameterValueDistribution") is not None:
+            raise InputError(f"{path}: is a parameter value distribution, not a scenario; give it as --space.")
+        for needed in ("Entities", "Storyboard"):
+            if root.find(needed) is None:
+                raise InputError(f"{path}: has no <{needed}>, so there is nothing to run.")
+        return cls(path, root)
+
+    @cached_property
+    def entities(self) -> tuple[str, ...]:
+        """Names of all entities, in the file's order."""
+        names = tuple(e.get("name", "") for e in self.root.iterfind("Entities/ScenarioObject"))
+        if len(set(names)) < len(names) or "" in names:
+            raise InputError(f"{self.path}: every <ScenarioObject> needs a name of its own.")
+        return names
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all declared parameters."""
+        return tuple(
+            e.get("name", "") for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration")
+        )
+
+    def require_entity(self, name: str, role: str) -> None:
+        """Raise an `InputError` when there is no entity called `name`, which is to be the `role`."""
+        if name not in self.entities:
+            raise InputError(
+                f"{self.path}: has no entity '{name}' to be the {role}; {suggestion(name, self.entities)}"
+            )
+
+    def require_parameters(self, names: tuple[str, ...] | list[str]) -> None:
+        """Raise an `InputError` when a parameter is varied that the file does not declare."""
+        for name in names:
+            if name not in self.parameters:
+                raise InputError(
+                    f"{self.path}: declares no parameter '{name}'; {suggestion(name, self.parameters)}"
+                )
+
+    def beside(self, reference: str, what: str) -> Path:
+        """Path of a file or folder that the scenario refers to.
+
+        Raises
+        ------
+        InputError
+            It is a network address.
+        """
+        if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", reference) or reference.startswith(("//", "\\\\")):
+            raise InputError(f"{self.path}: the {what} '{reference}' is a network address; name a local file.")
+        return self.path.parent / reference.replace("\\", "/")
+
+    def catalog_entry(self, catalog: str, entry: str) -> etree._Element:
+        """Element that a catalog holds under the name `entry`.
+
+        Raises
+        ------
+        InputError
+            No catalog of that name lies in the catalog locations, or it lacks the entry.
+        """
+        if catalog not in self._catalogs:
+            raise InputError(f"{self.path}: there is no catalog '{catalog}'; {suggestion(catalog, self._catalogs)}")
+        entries = {e.get("name", ""): e for e in self._catalogs[catalog].iterchildren("*")}
+        if entry not in entries:
+            raise InputError(
+                f"{self.path}: the catalog '{catalog}' has no entry '{entry}'; {suggestion(entry, entries)}"
+            )
+        return entries[entry]
+
+    @cached_property
+    def _catalogs(self) -> dict[str, etree._Element]:
+        found: dict[str, etree._Element] = {}
+        for file in self.catalog_files():
+            catalog = read_xml(file).find("Catalog")
+            if catalog is not None:
+                found.setdefault(catalog.get("name", ""), catalog)
+        return found
+
+    def catalog_files(self) -> list[Path]:
+        """All files in the catalog locations, in the order of the locations and then of their names."""
+        files: list[Path] = []
+        for directory in self.root.iterfind("CatalogLocations//Directory"):
+            folder = self.beside(directory.get("path", ""), "catalog location")
+            found = sorted(folder.glob("*.xosc")) if folder.is_dir() else [folder]
+            files += [file for file in found if file.is_file() and file not in files]
+        return files
+
+    def logic_file(self) -> str:
+        """Return the road file as it is named, possibly by a parameter; empty when there is none."""
+        file = self.root.find("RoadNetwork/LogicFile")
+        return "" if file is None else file.get("filepath", "")
+
+    def fingerprint(self) -> str:
+        """SHA-256 over the scenario and all files that it is known to read."""
+        files = [self.path, *self.catalog_files()]
+        reference = self._parameter_text(self.logic_file())
+        if reference:
+            files.append(self.beside(reference, "road file"))
+        digest = hashlib.sha256()
+        for file in files:
+            if file.is_file():
+                digest.update(hashlib.sha256(file.read_bytes()).digest())
+        return digest.hexdigest()
+
+    def _parameter_text(self, text: str) -> str:
+        for name in names_in(text):
+            for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+                if e.get("name") == name:
+                    return e.get("value", "")
+        return text
+
+
+def controllers(scenario_object: etree._Element) -> Iterator[etree._Element]:
+    """Give the controllers of a ``ScenarioObject`` that stand in the file itself."""
+    yield from scenario_object.iterfind("ObjectController/Controller")
+
+
+def driver_property(scenario_object: etree._Element) -> str | None:
+    """Name of the driver that a controller property of a ``ScenarioObject`` asks for."""
+    for controller in controllers(scenario_object):
+        for item in controller.iterfind("Properties/Property"):
+            if item.get("name") == DRIVER_PROPERTY:
+                return item.get("value")
+    return None
+
+
+def write_concrete(
+    scenario: Scenario,
+    values: Mapping[str, Value],
+    target: Path,
+    drivers: Mapping[str, str] | None = None,
+    description: str | None = None,
+) -> None:
+    """Write a concrete scenario that runs by itself.
+
+    The road file and the catalogs are copied beside it, unless they are there already.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The logical scenario's file.
+    values : mapping of str to float or str
+        Values of parameters, written into their declarations.
+    target : Path
+    drivers : mapping of str to str, optional
+        Driver presets by entity, written as controller properties.
+    description : str, optional
+        Replaces the description in the file's header.
+
+    Raises
+    ------
+    InputError
+        A parameter or entity does not exist, or the target cannot be written.
+    """
+    scenario.require_parameters(list(values))
+    tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
+    root = tree.getroot()
+    header = root.find("FileHeader")
+    if description is not None and header is not None:
+        header.set("description", description)
+    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+        name = declaration.get("name", "")
+        if name in values:
+            declaration.set("value", value_text(values[name]))
+    for name, driver in (drivers or {}).items():
+        scenario.require_entity(name, "driven entity")
+        for element in root.iterfind("Entities/ScenarioObject"):
+            if element.get("name") == name:
+                _set_driver(element, driver)
+
+    road = scenario._parameter_text(scenario.logic_file())
+    logic_file = root.find("RoadNetwork/LogicFile")
+    if road and logic_file is not None and not scenario.logic_file().startswith("$"):
+        source = scenario.beside(road, "road file")
+        _copy(source, target.parent / source.name)
+        logic_file.set("filepath", source.name)
+    for directory in root.iterfind("CatalogLocations//Directory"):
+        folder = scenario.beside(directory.get("path", ""), "catalog location")
+        for file in sorted(folder.glob("*.xosc")):
+            _copy(file, target.parent / "catalogs" / folder.name / file.name)
+        directory.set("path", f"catalogs/{folder.name}")
+
+    with written_whole(target) as temporary:
+        tree.write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
+
+
+def value_text(value: Value) -> str:
+    """Write a parameter value so that reading gives the same number."""
+    return value if isinstance(value, str) else repr(float(value))
+
+
+def _set_driver(scenario_object: etree._Element, driver: str) -> None:
+    for controller in controllers(scenario_object):
+        for item in controller.iterfind("Properties/Property"):
+            if item.get("name") == DRIVER_PROPERTY:
+                item.set("value", driver)
+                return
+    holder = etree.SubElement(scenario_object, "ObjectController")
+    controller = etree.SubElement(holder, "Controller", name=f"driver of {scenario_object.get('name')}")
+    etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver)
+
+
+def _copy(source: Path, target: Path) -> None:
+    if not source.is_file():
+        raise InputError(f"{source}: is needed by the scenario but is not there.")
+    if target.exists() and target.read_bytes() == source.read_bytes():
+        return
+    with written_whole(target) as temporary:
+        copyfile(source, temporary)

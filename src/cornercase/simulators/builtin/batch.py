@@ -1,0 +1,183 @@
+"""Running one batch: concrete scenarios of one file, stepped in lock-step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from lxml import etree
+
+from cornercase.drivers import DRIVERS, Driver
+from cornercase.errors import InputError, SimulationError
+from cornercase.recording import Collision, Recording
+from cornercase.scenario.opendrive import RoadNetwork
+from cornercase.scenario.openscenario import Scenario, driver_property
+from cornercase.scenario.space import Value
+from cornercase.simulators.builtin.driving import Driving
+from cornercase.simulators.builtin.scope import Scope
+from cornercase.simulators.builtin.storyboard import Storyboard
+from cornercase.simulators.builtin.world import Entity, World
+from cornercase.typing import BoolArray, FloatArray
+
+
+class Batch:
+    """All concrete scenarios that share a file and everything that shapes its storyboard.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    values : sequence of mapping of str to float or str, length N
+        Parameters of each concrete scenario.
+    time_step : float
+        s.
+    duration : float
+        s after which a scenario ends at the latest.
+    stop_at_collision : bool
+    drivers : mapping of str to Driver or str
+        Who drives which entity; a name is one of `DRIVERS`. Beats the file's own controller properties.
+
+    Raises
+    ------
+    InputError
+        The file cannot be used.
+    VariesError
+        The scenarios have to be split further.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        values: Sequence[Mapping[str, Value]],
+        time_step: float,
+        duration: float,
+        stop_at_collision: bool,
+        drivers: Mapping[str, Driver | str],
+    ) -> None:
+        scope = Scope.of_file(str(scenario.path), scenario.root, values)
+        file = scenario.root.find("RoadNetwork/LogicFile")
+        road_file = "" if file is None else scope.text(file, "filepath", "")
+        network = RoadNetwork.read(scenario.beside(road_file, "road file")) if road_file else None
+        objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
+        self._world = World(tuple(_entity(e, scenario, scope) for e in objects), len(values), network)
+        self._time_step, self._duration = time_step, duration
+        self._stop_at_collision = stop_at_collision
+        asked = {e.get("name", ""): driver_property(e) for e in objects}
+        chosen = {name: drivers.get(name, own) for name, own in asked.items()}
+        self._driving = [
+            Driving(self._world, self._world.names.index(name), _driver(driver, scenario))
+            for name, driver in chosen.items()
+            if driver is not None
+        ]
+        self._storyboard = Storyboard(scenario, scope, self._world)
+
+    def run(self) -> list[Recording | SimulationError]:
+        """Step until every scenario has ended.
+
+        Returns
+        -------
+        list of Recording or SimulationError, length N
+        """
+        world, rows = self._world, list[FloatArray]()
+        instants = np.zeros(world.scenarios, dtype=np.int64)
+        contacts: list[list[Collision]] = [[] for _ in range(world.scenarios)]
+        dt = 0.0
+        while world.running.any() and len(rows) * self._time_step < self._duration + self._time_step * 1.5:
+            before = world.speed.copy()
+            self._storyboard.step(dt)
+            for driving in self._driving:
+                driving.step(dt)
+            world.move(dt)
+            # Counting steps rather than adding them up keeps 0.05 s steps on the instants one expects.
+            world.time = len(rows) * self._time_step
+            if dt > 0:
+                world.acceleration = (world.speed - before) / dt
+            rows.append(self._row())
+            instants[world.running] += 1
+            self._find_collisions(contacts)
+            world.running &= ~self._storyboard.over()
+            dt = self._time_step
+        history = np.stack(rows) if rows else np.zeros((0, 5, len(world.entities), world.scenarios))
+        return [self._result(i, history, int(instants[i]), contacts[i]) for i in range(world.scenarios)]
+
+    def _row(self) -> FloatArray:
+        world = self._world
+        state = np.stack([world.x, world.y, world.heading, world.speed, world.acceleration])
+        return np.where(world.present, state, np.nan)
+
+    def _find_collisions(self, contacts: list[list[Collision]]) -> None:
+        world = self._world
+        before = world.touching.copy()
+        world.find_contacts()
+        begun: BoolArray = world.touching & ~before & world.running
+        for a, b, i in np.argwhere(begun):
+            if a < b:
+                pair = (world.names[a], world.names[b])
+                if all(collision.entities != pair for collision in contacts[i]):
+                    contacts[i].append(Collision(world.time, pair))
+        if self._stop_at_collision:
+            world.running &= ~begun.any(axis=(0, 1))
+
+    def _result(
+        self, i: int, history: FloatArray, instants: int, contacts: list[Collision]
+    ) -> Recording | SimulationError:
+        world = self._world
+        if i in world.errors:
+            return SimulationError(world.errors[i])
+        motion = history[:instants, :, :, i].transpose(1, 2, 0).copy()
+        if not np.isfinite(motion[0]).any():
+            return SimulationError("no entity is ever placed on the map")
+        return Recording(
+            np.arange(instants) * self._time_step,
+            tuple(world.names),
+            tuple(entity.kind for entity in world.entities),
+            *motion,
+            length=np.array([entity.length for entity in world.entities]),
+            width=np.array([entity.width for entity in world.entities]),
+            center_x=np.array([entity.center_x for entity in world.entities]),
+            collisions=tuple(contacts),
+        )
+
+
+def _driver(driver: Driver | str, scenario: Scenario) -> Driver:
+    if not isinstance(driver, str):
+        return driver
+    if driver not in DRIVERS.names():
+        raise InputError(
+            f"{scenario.path}: asks for the driver '{driver}', which does not exist; known are {', '.join(DRIVERS.names())}."
+        )
+    return DRIVERS.create(driver)
+
+
+def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity:
+    name = element.get("name", "")
+    body = next(
+        (e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None
+    )
+    if body is not None and body.tag == "CatalogReference":
+        reference = body
+        body = scenario.catalog_entry(scope.text(reference, "catalogName"), scope.text(reference, "entryName"))
+        scope = scope.within(body, reference.find("ParameterAssignments"))
+    elif body is not None:
+        scope = scope.within(body)
+    if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
+        raise InputError(
+            f"{scenario.path}: the entity '{name}' is no vehicle, pedestrian or misc object, which the builtin"
+            " simulator can move."
+        )
+    dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
+    if dimensions is None or center is None:
+        raise InputError(f"{scenario.path}: the entity '{name}' has no <BoundingBox> with <Center> and <Dimensions>.")
+    kind = {"Pedestrian": "pedestrian", "MiscObject": "misc"}.get(body.tag) or scope.text(
+        body, "vehicleCategory", "car"
+    )
+    limits = [np.inf] * 3
+    performance = body.find("Performance")
+    if performance is not None:
+        limits = [
+            scope.one_number(performance, a, np.inf)
+            for a in ("maxSpeed", "maxAcceleration", "maxDeceleration")
+        ]
+    length, width = scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width")
+    if not (length > 0 and width > 0):
+        raise InputError(f"{scenario.path}: the bounding box of '{name}' needs a positive length and width.")
+    return Entity(name, kind, length, width, scope.one_number(center, "x"), *limits)
