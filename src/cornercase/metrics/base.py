@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from cornercase.geometry import box_corners
 from cornercase.recording import Recording
 from cornercase.registry import Registry
 from cornercase.typing import FloatArray
@@ -40,7 +41,7 @@ class Metric(Protocol):
         ...
 
     def score(self, course: FloatArray) -> float:
-        """Value of the whole scenario, finite: the most critical one of the course, the cap if there is none."""
+        """Value of the scenario, finite: the most critical one of the course, the cap if there is none."""
         ...
 
 
@@ -67,3 +68,20 @@ def worst(metric: Metric, course: FloatArray) -> float:
     """Return the most critical value of the capped course."""
     values = capped(metric, course)
     return float(values.min() if metric.lower_is_critical else values.max())
+
+
+def boxes(recording: Recording, name: str) -> FloatArray:
+    """Corners of an entity's bounding box in m, shape (T, 4, 2), NaN where it does not exist."""
+    i = recording.index(name)
+    center = recording.center(name)
+    return box_corners(
+        center[:, 0], center[:, 1], recording.heading[i], recording.length[i], recording.width[i]
+    )
+
+
+def velocity(recording: Recording, name: str) -> FloatArray:
+    """Speed along the heading as a vector in m/s, shape (T, 2), NaN where the entity does not exist."""
+    i = recording.index(name)
+    heading = recording.heading[i]
+    forward: FloatArray = recording.speed[i][:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+    return forward

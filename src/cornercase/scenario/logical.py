@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from cornercase.errors import InputError
+from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.space import ParameterSpace, Value
 
 
@@ -35,10 +37,46 @@ class LogicalScenario:
         OpenSCENARIO file.
     space : ParameterSpace
         What is varied, and in which bounds.
+    fingerprint : str
+        SHA-256 over the scenario file, its road file and its catalogs.
     """
 
     path: Path
     space: ParameterSpace
+    fingerprint: str
+
+    @classmethod
+    def read(
+        cls, scenario: Path | str | None, space: Path | str | None = None, ranges: Sequence[str] = ()
+    ) -> LogicalScenario:
+        """Read a logical scenario.
+
+        Parameters
+        ----------
+        scenario : path, optional
+            OpenSCENARIO file; without one it is the file that `space` names.
+        space : path, optional
+            ParameterValueDistribution file.
+        ranges : sequence of str
+            ``NAME=LOW:HIGH[:STEP]``; they add to the space or replace what it says.
+
+        Raises
+        ------
+        InputError
+            A file cannot be used, nothing is varied, or a varied parameter is not declared in the scenario.
+        """
+        varied = ParameterSpace.from_file(space) if space is not None else None
+        if scenario is None:
+            if space is None:
+                raise InputError("There is no scenario; name an OpenSCENARIO file, or a --space file that names one.")
+            scenario = ParameterSpace.scenario_file(space)
+        if ranges:
+            varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
+        if varied is None:
+            raise InputError(f"{scenario}: nothing is varied; give a --space file or a --range NAME=LOW:HIGH.")
+        file = Scenario.read(scenario)
+        file.require_parameters(list(varied.names))
+        return cls(Path(scenario), varied, file.fingerprint())
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:
         """Return the concrete scenario of the given values."""

@@ -1,0 +1,412 @@
+"""The command line: parses, calls the API, prints."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from cornercase import __version__
+from cornercase.errors import InputError
+
+app = typer.Typer(
+    name="cornercase",
+    help="Find, cluster and reduce the critical concrete scenarios of a logical scenario.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+_out = Console(soft_wrap=True, highlight=False)
+
+ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
+Ego = Annotated[str, typer.Option(help="Entity under test.")]
+Other = Annotated[str, typer.Option(help="Entity it is measured against.")]
+Metrics = Annotated[
+    list[str], typer.Option("--metric", metavar="NAME", help="Criticality metric; the first is searched.")
+]
+Seed = Annotated[int, typer.Option(help="Same seed, same result.", min=0)]
+TimeStep = Annotated[float, typer.Option(metavar="S", help="Time step in s.")]
+Duration = Annotated[float, typer.Option(metavar="S", help="Longest duration of a scenario in s.")]
+OnCollision = Annotated[str, typer.Option(metavar="stop|continue", help="What a collision does to the run.")]
+Drivers = Annotated[
+    list[str] | None,
+    typer.Option("--driver", metavar="ENTITY=NAME", help="Driver preset, or package.module:Class of your own."),
+]
+By = Annotated[
+    list[str] | None,
+    typer.Option("--by", metavar="ego-trajectory|METRIC", help="What to cluster by; default: all there is."),
+]
+Gamma = Annotated[str, typer.Option(metavar="X|auto", help="Kernel width parameter.")]
+Eps = Annotated[str, typer.Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
+MinSamples = Annotated[str, typer.Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
+Workers = Annotated[int, typer.Option(metavar="N", help="Simulators that run side by side.", min=1)]
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False,
+) -> None:
+    if version:
+        _out.print(f"cornercase {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def explore(
+    scenario: Annotated[
+        Path | None, typer.Argument(metavar="[SCENARIO.xosc]", help="OpenSCENARIO file; may be left to --space.")
+    ] = None,
+    *,
+    ego: Ego,
+    other: Other,
+    metric: Metrics,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")],
+    space: Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")] = None,
+    ranges: Annotated[
+        list[str] | None,
+        typer.Option("--range", metavar="NAME=LOW:HIGH[:STEP]", help="Adds or replaces a parameter."),
+    ] = None,
+    optimizer: Annotated[str, typer.Option(metavar="NAME", help="bayes, sobol, grid or random.")] = "bayes",
+    budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=1)] = 200,
+    batch: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios per round.", min=1)] = 10,
+    patience: Annotated[
+        int | None, typer.Option(metavar="N", help="Stop after N rounds without anything new.", min=1)
+    ] = None,
+    max_seconds: Annotated[float | None, typer.Option(metavar="S", help="Stop after this time.")] = None,
+    seed: Seed = 0,
+    simulator: Annotated[str, typer.Option(metavar="NAME", help="What runs the scenarios.")] = "builtin",
+    workers: Workers = 1,
+    time_step: TimeStep = 0.05,
+    duration: Duration = 60.0,
+    on_collision: OnCollision = "continue",
+    driver: Drivers = None,
+) -> None:
+    """Search a logical scenario for its critical concrete scenarios.
+
+    The same command again goes on where it stopped.
+
+    \b
+    Example:
+      cornercase explore examples/x_intersection/x_intersection.xosc \\
+          --space examples/x_intersection/x_intersection.space.xosc \\
+          --ego Ego --other Pedestrian --metric wttc --budget 100 -o study.db
+    """
+    from cornercase.pipeline import Exploration, explore_scenario
+    from cornercase.scenario.logical import LogicalScenario
+
+    _explore(
+        explore_scenario,
+        Exploration(
+            LogicalScenario.read(scenario, space, ranges or ()),
+            ego=ego,
+            other=other,
+            metrics=tuple(metric),
+            optimizer=optimizer,
+            budget=budget,
+            batch=batch,
+            seed=seed,
+            patience=patience,
+            max_seconds=max_seconds,
+            simulator=simulator,
+            workers=workers,
+            time_step=time_step,
+            duration=duration,
+            on_collision=on_collision,
+            drivers=_pairs(driver or (), "--driver"),
+        ),
+        output,
+    )
+
+
+@app.command()
+def simulate(
+    scenario: ScenarioFile,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.csv", help="Recording to write.")],
+    values: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")
+    ] = None,
+    time_step: TimeStep = 0.05,
+    duration: Duration = 60.0,
+    on_collision: OnCollision = "continue",
+    driver: Drivers = None,
+) -> None:
+    """Run one concrete scenario and write its recording.
+
+    \b
+    Example:
+      cornercase simulate examples/x_intersection/x_intersection.xosc \\
+          --set ego_start=40 -o recording.csv
+    """
+    from cornercase.drivers import named_driver
+    from cornercase.scenario.logical import ConcreteScenario
+    from cornercase.scenario.openscenario import Scenario
+    from cornercase.simulators.builtin import BuiltinSimulator
+
+    pairs = _pairs(values or (), "--set")
+    Scenario.read(scenario).require_parameters(list(pairs))
+    simulator = BuiltinSimulator(
+        time_step=time_step,
+        duration=duration,
+        on_collision=on_collision,
+        drivers={entity: named_driver(name) for entity, name in _pairs(driver or (), "--driver").items()},
+    )
+    (recording,) = simulator.run([ConcreteScenario(scenario, pairs)])
+    if isinstance(recording, Exception):
+        raise InputError(f"{scenario}: {recording}.")
+    recording.to_csv(output)
+    _out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
+    for collision in recording.collisions:
+        _out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
+
+
+@app.command()
+def measure(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING.csv", help="Recording to measure.")],
+    *,
+    ego: Ego,
+    other: Other,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.csv", help="Courses to write.")],
+    metric: Annotated[
+        list[str] | None, typer.Option("--metric", metavar="NAME", help="Criticality metric; default: all.")
+    ] = None,
+) -> None:
+    """Measure a recording, of this or any other simulator, and print the scores.
+
+    \b
+    Example:
+      cornercase measure recording.csv --ego Ego --other Pedestrian --metric wttc -o courses.csv
+    """
+    from cornercase.metrics import METRICS
+    from cornercase.metrics.courses import write_courses
+    from cornercase.recording import read_recording
+
+    read = read_recording(recording)
+    metrics = [METRICS.create(name) for name in metric or METRICS.names()]
+    courses = {one.name: one.course(read, ego, other) for one in metrics}
+    write_courses(output, read.time, courses)
+    table = Table("metric", "score", "unit", "critical is", box=None)
+    for one in metrics:
+        critical = "low" if one.lower_is_critical else "high"
+        table.add_row(one.name, f"{one.score(courses[one.name]):.4g}", one.unit, critical)
+    _out.print(table)
+    _out.print(f"{read.time.size} instants written to {output}")
+
+
+@app.command()
+def analyze(
+    study: StudyFile,
+    *,
+    by: By = None,
+    gamma: Gamma = "auto",
+    eps: Eps = "auto",
+    min_samples: MinSamples = "auto",
+) -> None:
+    """Cluster what was run, by behaviour and by criticality.
+
+    \b
+    Example:
+      cornercase analyze study.db --by ego-trajectory --by wttc
+    """
+    from cornercase.analysis import analyze_study
+    from cornercase.study import Study
+
+    with Study.open(study) as opened:
+        results = analyze_study(
+            opened,
+            by,
+            gamma=_number_or_auto(gamma, "--gamma"),
+            eps=_number_or_auto(eps, "--eps"),
+            min_samples=_count_or_auto(min_samples, "--min-samples"),
+            progress=True,
+        )
+    table = Table("by", "clusters", "sizes", "noise", "gamma", "eps", "min samples", box=None)
+    for name, one in results.items():
+        sizes = " ".join(map(str, one.sizes()))
+        table.add_row(
+            name, str(len(one.sizes())), sizes, str(one.noise()), f"{one.gamma:.4g}", f"{one.eps:.4g}", str(one.min_samples)
+        )  # fmt: skip
+    _out.print(table)
+
+
+@app.command()
+def reduce(
+    study: StudyFile,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
+    by: Annotated[
+        str | None,
+        typer.Option("--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."),
+    ] = None,
+    archetypes: Annotated[str, typer.Option(metavar="N|auto", help="Archetypes a cluster.")] = "auto",
+) -> None:
+    """Keep the few concrete scenarios that matter, as files that run by themselves.
+
+    \b
+    Example:
+      cornercase reduce study.db -o reduced
+    """
+    from cornercase.reduction import reduce_study
+    from cornercase.study import Study
+
+    with Study.open(study) as opened:
+        manifest = reduce_study(opened, output, by=by, archetypes=_count_or_auto(archetypes, "--archetypes"))
+    _out.print(f"{manifest['kept']} of {manifest['run']} scenarios kept, in {output}")
+
+
+@app.command()
+def report(
+    study: StudyFile,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write.")],
+) -> None:
+    """Write one self-contained page, and its figures as PNG beside it.
+
+    \b
+    Example:
+      cornercase report study.db -o report.html
+    """
+    from cornercase.report import write_report
+    from cornercase.study import Study
+
+    with Study.open(study, readonly=True) as opened:
+        write_report(opened, output)
+    _out.print(f"The report is {output.resolve()}")
+
+
+@app.command()
+def demo(
+    name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")],
+    *,
+    budget: Annotated[
+        int | None, typer.Option(metavar="N", help="Concrete scenarios to run; default: as in the paper.", min=1)
+    ] = None,
+    seed: Seed = 0,
+    driver: Annotated[str | None, typer.Option(metavar="NAME", help="Who drives the ego.")] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
+) -> None:
+    """Explore, cluster, reduce and report one of the examples.
+
+    \b
+    Example:
+      cornercase demo x-intersection --budget 100 -o demo
+    """
+    from cornercase.pipeline import demonstration, explore_scenario, finish
+
+    folder = output or Path("demo") / name
+    exploration = demonstration(name, budget=budget, seed=seed, driver=driver)
+    study = folder / "study.db"
+    _explore(explore_scenario, exploration, study)
+    finish(study, folder)
+    _out.print(f"The report is {(folder / 'report.html').resolve()}")
+
+
+@app.command()
+def show(
+    study: StudyFile,
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Tell what was run and what was found.
+
+    \b
+    Example:
+      cornercase show study.db
+    """
+    from cornercase.summary import summarize
+    from cornercase.study import Study
+
+    with Study.open(study, readonly=True) as opened:
+        summary = summarize(opened)
+    if as_json:
+        sys.stdout.write(json.dumps(summary, indent=2) + "\n")
+        return
+    for key, value in summary.items():
+        _show(key, value)
+
+
+@app.command()
+def export(
+    study: StudyFile,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the tables.")],
+) -> None:
+    """Write everything in a study as tables.
+
+    \b
+    Example:
+      cornercase export study.db -o tables
+    """
+    from cornercase.study import Study
+
+    with Study.open(study, readonly=True) as opened:
+        opened.export(output)
+    _out.print(f"Written to {output}")
+
+
+def main() -> None:
+    """Run the command line; what a user can mend becomes one sentence and exit code 2."""
+    try:
+        app(standalone_mode=True)
+    except InputError as error:
+        Console(stderr=True, soft_wrap=True, highlight=False).print(f"cornercase: {error}", markup=False)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _explore(run: Any, exploration: Any, study: Path) -> None:
+    result = run(exploration, study, progress=True)
+    if result.interrupted:
+        _out.print(f"Interrupted; the same command goes on from the {result.done} scenarios in {study}.")
+        raise typer.Exit(130)
+    _out.print(f"{result.done} scenarios in {study}; ended because {result.reason}.")
+
+
+def _show(key: str, value: Any, indent: str = "") -> None:
+    if isinstance(value, dict):
+        _out.print(f"{indent}{key}", markup=False)
+        for inner, one in value.items():
+            _show(inner, one, indent + "  ")
+    else:
+        text = ", ".join(map(str, value)) if isinstance(value, list) else value
+        _out.print(f"{indent}{key}: {text}", markup=False)
+
+
+def _pairs(texts: list[str] | tuple[str, ...], option: str) -> dict[str, str]:
+    pairs = {}
+    for text in texts:
+        name, sign, value = text.partition("=")
+        if not sign or not name or not value:
+            raise InputError(f"{option} {text}: write it as NAME=VALUE.")
+        pairs[name] = value
+    return pairs
+
+
+def _number_or_auto(text: str, option: str) -> float | str:
+    if text == "auto":
+        return text
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if not 0 < number < float("inf"):
+        raise InputError(f"{option} {text}: give a positive number or auto.")
+    return number
+
+
+def _count_or_auto(text: str, option: str) -> int | str:
+    if text == "auto":
+        return text
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"{option} {text}: give a positive whole number or auto.")
+    return int(text)

@@ -1,0 +1,97 @@
+"""How much of what was run is unlike everything that is kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase.errors import InputError
+from cornercase.typing import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Distances from every scenario to the nearest kept one, in the unit of the distance matrix.
+
+    Attributes
+    ----------
+    kept : int
+        Number of scenarios kept.
+    largest, mean : float
+        Of these distances.
+    worst : int
+        The scenario at the largest distance: the one that the kept ones represent worst.
+    largest_relative, mean_relative : float
+        The same as shares of the largest distance of any two scenarios; 0 where all are alike.
+    random_largest, random_mean : float
+        Medians of the same figures over random subsets of the same size: what a choice without thought would
+        reach.
+    """
+
+    kept: int
+    largest: float
+    mean: float
+    worst: int
+    largest_relative: float
+    mean_relative: float
+    random_largest: float
+    random_mean: float
+
+
+def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100, seed: int = 0) -> Coverage:
+    """Measure how well some scenarios represent all.
+
+    Parameters
+    ----------
+    distances : array_like, shape (n, n)
+        Dynamic time warping distances of all scenarios.
+    kept : array_like of int, shape (m,)
+        Indices of those kept, at least one; the same index twice counts once.
+    draws : int
+        Number of random subsets to compare with.
+    seed : int
+        Of the random subsets.
+
+    Returns
+    -------
+    Coverage
+
+    Raises
+    ------
+    InputError
+        Nothing is kept, an index is out of range, the matrix is not square, or `draws` is not positive.
+    """
+    matrix = np.asarray(distances, dtype=np.float64)
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+        raise InputError(f"A distance matrix of shape {matrix.shape} is not square; give shape (n, n).")
+    chosen = np.unique(np.asarray(kept, dtype=np.int64))
+    n = len(matrix)
+    if not len(chosen):
+        raise InputError("No scenario is kept, so nothing is covered; keep at least one.")
+    if chosen[0] < 0 or chosen[-1] >= n:
+        raise InputError(f"A kept scenario is not among the {n} of the distance matrix; give indices from 0.")
+    if draws < 1:
+        raise InputError(f"draws is {draws}; give at least 1.")
+    gaps = _gaps(matrix, chosen)
+    extent = float(matrix.max())
+    rng = np.random.default_rng(seed)
+    random = [
+        _gaps(matrix, rng.choice(n, size=len(chosen), replace=False).astype(np.int64)) for _ in range(draws)
+    ]
+    return Coverage(
+        kept=len(chosen),
+        largest=float(gaps.max()),
+        mean=float(gaps.mean()),
+        worst=int(gaps.argmax()),
+        largest_relative=float(gaps.max()) / extent if extent else 0.0,
+        mean_relative=float(gaps.mean()) / extent if extent else 0.0,
+        random_largest=float(np.median([one.max() for one in random])),
+        random_mean=float(np.median([one.mean() for one in random])),
+    )
+
+
+def _gaps(matrix: FloatArray, chosen: IntArray) -> FloatArray:
+    nearest: FloatArray = matrix[:, chosen].min(axis=1)
+    return nearest

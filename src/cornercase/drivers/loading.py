@@ -1,0 +1,82 @@
+"""A driver by the name that a person gives on the command line."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+from cornercase.drivers.base import DRIVERS, Driver
+from cornercase.errors import InputError
+
+
+def load_driver(name: str) -> Driver:
+    """Build a user's own driver.
+
+    This runs the module, so the name must come from the person at the command line, never from a file.
+
+    Parameters
+    ----------
+    name : str
+        ``"package.module:Class"``; the module is looked for in the current folder and among what is
+        installed. The class is called without arguments.
+
+    Returns
+    -------
+    Driver
+
+    Raises
+    ------
+    InputError
+        The name has no such form, the module or the class is not there or fails, or it makes no driver.
+    """
+    module_name, _, class_name = name.partition(":")
+    if not all(part.isidentifier() for part in module_name.split(".")) or not class_name.isidentifier():
+        raise InputError(f"The driver '{name}' is not of the form package.module:Class.")
+    here = str(Path.cwd())
+    sys.path.insert(0, here)
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
+            " install it or start in its folder."
+        ) from error
+    except Exception as error:
+        raise InputError(
+            f"The driver '{name}' cannot be loaded since its module fails: {_one_line(error)}."
+        ) from error
+    finally:
+        if here in sys.path:
+            sys.path.remove(here)
+    made = getattr(module, class_name, None)
+    if not isinstance(made, type):
+        raise InputError(
+            f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'."
+        )
+    try:
+        driver = made()
+    except Exception as error:
+        raise InputError(
+            f"The driver '{name}' cannot be made without arguments: {_one_line(error)}."
+        ) from error
+    if not isinstance(driver, Driver) or not isinstance(driver.settings, dict):
+        raise InputError(
+            f"The class '{name}' is no driver, which has start(), acceleration() and a dict called settings."
+        )
+    return driver
+
+
+def named_driver(name: str) -> Driver:
+    """Build a driver named on the command line: a registered one, or a user's own with a colon in its name.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    return load_driver(name) if ":" in name else DRIVERS.create(name)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")

@@ -1,0 +1,189 @@
+"""What a driver sees, and what it remembers of it."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg, no-any-return"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from cornercase.drivers.base import Situation
+from cornercase.typing import BoolArray
+
+# The eye is behind the windscreen: this part of the box's length ahead of the box's centre.
+EYE_AHEAD = 0.25
+
+# Time constant in s of the rate of turn as perceived.
+TURN_MEAN = 0.2
+
+
+def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) -> BoolArray:
+    """Find which other entities the driven one sees.
+
+    The eye is in the middle of the box's width, a quarter of its length ahead of its centre. An entity is
+    seen when at least one of five points of its box, the centre and the corners, is within range and field
+    of view and the line to it meets no third entity's box. Boxes have no height: every entity hides what is
+    behind it.
+
+    Parameters
+    ----------
+    situation : Situation
+    field_of_view : float
+        Full angle in rad, symmetric about the heading.
+    sight_range : float
+        m.
+
+    Returns
+    -------
+    ndarray of bool, shape (N, A)
+    """
+    s = situation
+    seen: BoolArray = _in_sight(
+        _dense(s.x), _dense(s.y), _dense(s.heading), s.center_x + EYE_AHEAD * s.length,
+        0.5 * field_of_view, sight_range,
+        _dense(s.others_x), _dense(s.others_y), _dense(s.others_heading),
+        _dense(s.others_length), _dense(s.others_width), _dense(s.others_center_x),
+    )  # fmt: skip
+    return seen
+
+
+class Perception:
+    """What a driver is aware of, for N scenarios and A others.
+
+    An entity is known once it has been seen for the reaction time. When it gets out of sight it is taken to
+    go on straight at its last speed for as long as the memory lasts, and is then forgotten; a shorter loss of
+    sight does not start the reaction time again.
+
+    Parameters
+    ----------
+    scenarios, others : int
+    reaction_time, memory : float
+        s.
+
+    Attributes
+    ----------
+    noticed : ndarray of bool, shape (N, A)
+        Seen now, or not yet forgotten.
+    known : ndarray of bool, shape (N, A)
+        Noticed, and seen for the reaction time.
+    x, y, heading, speed, turn : ndarray of float64, shape (N, A)
+        Perceived motion of the reference points in m, rad, m/s and rad/s; meaningful where noticed. The rate
+        of turn is a running mean.
+    """
+
+    def __init__(self, scenarios: int, others: int, reaction_time: float, memory: float) -> None:
+        shape = (scenarios, others)
+        self._reaction_time, self._memory = reaction_time, memory
+        self._first_seen = np.full(shape, np.inf)
+        self._last_seen = np.full(shape, -np.inf)
+        self.noticed, self.known = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
+        self.x, self.y, self.heading, self.speed = (np.full(shape, np.nan) for _ in range(4))
+        self.turn = np.zeros(shape)
+
+    def update(self, situation: Situation, seen: BoolArray) -> None:
+        """Take in what is seen, (N, A), in the active scenarios."""
+        s = situation
+        _perceive(
+            s.time, s.time_step, self._reaction_time, self._memory, _dense(s.active), _dense(seen),
+            _dense(s.others_x), _dense(s.others_y), _dense(s.others_heading), _dense(s.others_speed),
+            self._first_seen, self._last_seen, self.noticed, self.known,
+             self.x, self.y, self.heading, self.speed, self.turn,
+        )  # fmt: skip
+
+
+def _dense(values):
+    return np.ascontiguousarray(values)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _in_sight(
+    x, y, heading, eye_ahead, half_view, sight_range,
+    others_x, others_y, others_heading, length, width, center_x,
+):  # fmt: skip
+    scenarios, others = others_x.shape
+    seen = np.zeros((scenarios, others), dtype=np.bool_)
+    box = np.empty((others, 4))
+    for n in range(scenarios):
+        cos, sin = math.cos(heading[n]), math.sin(heading[n])
+        eye_x, eye_y = x[n] + eye_ahead * cos, y[n] + eye_ahead * sin
+        for a in range(others):
+            box[a, 2], box[a, 3] = math.cos(others_heading[n, a]), math.sin(others_heading[n, a])
+            box[a, 0] = others_x[n, a] + center_x[a] * box[a, 2]
+            box[a, 1] = others_y[n, a] + center_x[a] * box[a, 3]
+        for a in range(others):
+            for point in range(5):
+                along, across = 0.0, 0.0
+                if point < 4:
+                    along = 0.5 * length[a] * (1.0 if point < 2 else -1.0)
+                    across = 0.5 * width[a] * (1.0 if point % 2 == 0 else -1.0)
+                to_x = box[a, 0] + along * box[a, 2] - across * box[a, 3] - eye_x
+                to_y = box[a, 1] + along * box[a, 3] + across * box[a, 2] - eye_y
+                if not math.hypot(to_x, to_y) <= sight_range:
+                    continue
+                if abs(math.atan2(cos * to_y - sin * to_x, cos * to_x + sin * to_y)) > half_view:
+                    continue
+                hidden = False
+                for b in range(others):
+                    if b != a and _meets(eye_x, eye_y, to_x, to_y, box[b], 0.5 * length[b], 0.5 * width[b]):
+                        hidden = True
+                        break
+                if not hidden:
+                    seen[n, a] = True
+                    break
+    return seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meets(eye_x, eye_y, to_x, to_y, box, half_length, half_width):
+    """Whether the line from the eye meets a box (slabs); a box around the eye itself hides nothing."""
+    if math.isnan(box[0]):
+        return False
+    from_x, from_y = eye_x - box[0], eye_y - box[1]
+    enters, leaves = 0.0, 1.0
+    inside = True
+    for axis in range(2):
+        if axis == 0:
+            start, step, half = from_x * box[2] + from_y * box[3], to_x * box[2] + to_y * box[3], half_length
+        else:
+            start, step, half = from_y * box[2] - from_x * box[3], to_y * box[2] - to_x * box[3], half_width
+        if step == 0.0 and abs(start) > half:
+            return False
+        inside = inside and abs(start) <= half
+        if step != 0.0:
+            first, last = (-half - start) / step, (half - start) / step
+            enters, leaves = max(enters, min(first, last)), min(leaves, max(first, last))
+    return enters < leaves and not inside
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _perceive(
+    time, time_step, reaction_time, memory, active, seen,
+    true_x, true_y, true_heading, true_speed,
+    first_seen, last_seen, noticed, known, x, y, heading, speed, turn,
+):  # fmt: skip
+    scenarios, others = seen.shape
+    for n in range(scenarios):
+        if not active[n]:
+            continue
+        for a in range(others):
+            if seen[n, a]:
+                if not time - last_seen[n, a] <= memory + 1e-9:
+                    first_seen[n, a] = time
+                    turn[n, a] = 0.0
+                else:
+                    since = max(time - last_seen[n, a], time_step)
+                    change = (true_heading[n, a] - heading[n, a] + math.pi) % (2.0 * math.pi) - math.pi
+                    turn[n, a] += (change / since - turn[n, a]) * min(since / TURN_MEAN, 1.0)
+                last_seen[n, a] = time
+                x[n, a], y[n, a] = true_x[n, a], true_y[n, a]
+                heading[n, a], speed[n, a] = true_heading[n, a], true_speed[n, a]
+            else:
+                way = speed[n, a] * time_step
+                x[n, a] += way * math.cos(heading[n, a])
+                y[n, a] += way * math.sin(heading[n, a])
+            # Instants are sums of time steps, which rounding must not push over the limit.
+            noticed[n, a] = time - last_seen[n, a] <= memory + 1e-9 and not math.isnan(true_x[n, a])
+            known[n, a] = noticed[n, a] and last_seen[n, a] - first_seen[n, a] >= reaction_time - 1e-9

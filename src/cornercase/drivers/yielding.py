@@ -1,0 +1,465 @@
+"""The driver model's decisions: how fast to go, whom to follow, to whom to give way.
+
+Everything is asked of the driven entity's own box at places along its route: where, and when, would it
+touch another's box? So distances are those that the driven entity can still travel, bumper to bumper, in
+curves too.
+"""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+STANDING: Final = 0.2
+"""Below this speed in m/s an entity stands."""
+
+ALIGNED: Final = 0.7
+"""Cosine of the angle to the route up to which an entity moves along it (45°)."""
+
+CUT_IN: Final = 2.0
+"""Time in s for which the motion of entities that move along the route is foreseen across it.
+
+One of the same direction that will cut in ahead within it is followed already. An oncoming one matters only
+if it is in the corridor or will be within it: seen from a bend, all oncoming traffic seems to come across.
+"""
+
+LANE: Final = 2.0
+"""How far beside the corridor, in m, such an entity may be."""
+
+ROADSIDE: Final = 1.5
+"""Up to this distance from the corridor, in m, a standing pedestrian or cyclist is passed with caution."""
+
+LAST_METRE: Final = 0.5
+"""Distance to the conflict in m that remains when the driver brakes as hard as it can."""
+
+COMMITTED: Final = 0.5
+"""Share of the safety time that is enough to go first when it is too late to stop comfortably."""
+
+NARROW: Final = 0.25
+"""Gap in s that is enough to go first when it is too late to stop at all."""
+
+RELEASE: Final = 1.25
+"""Multiple of the safety time that ends giving way, so that the decision does not flutter."""
+
+TURNING: Final = 2.0
+"""Time in s for which an entity that turns is expected to go on turning."""
+
+TURN_LEGS: Final = 8
+"""Straight legs into which that is divided."""
+
+STRAIGHT: Final = 0.05
+"""Rate of turn in rad/s up to which an entity is taken to go straight."""
+
+LOOKAHEAD: Final = 150.0
+"""m."""
+
+_kernel = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_kernel
+def decide(
+    behaviour, route, time, time_step, active, distance, x, y, heading, speed, target_speed,
+    half_length, half_width, center_x,
+    noticed, known, others_x, others_y, others_heading, others_speed, others_turn,
+    others_half_length, others_half_width, others_center_x, vulnerable, conflict_since, yielding,
+):  # fmt: skip
+    """Acceleration for each scenario.
+
+    Parameters
+    ----------
+    behaviour : Behaviour
+    route : Route
+    time, time_step : float
+        s.
+    active : ndarray of bool, shape (N,)
+    distance, x, y, heading, speed, target_speed : ndarray of float64, shape (N,)
+        Of the driven entity's reference point.
+    half_length, half_width, center_x : float
+        Its box.
+    noticed, known : ndarray of bool, shape (N, A)
+        The driver sees the other entity or remembers it; and has seen it for the reaction time.
+    others_x, others_y, others_heading, others_speed, others_turn : ndarray of float64, shape (N, A)
+        Reference points of the others as perceived; the last is the rate of turn in rad/s.
+    others_half_length, others_half_width, others_center_x : ndarray of float64, shape (A,)
+    vulnerable : ndarray of bool, shape (A,)
+        Pedestrians and cyclists.
+    conflict_since : ndarray of float64, shape (N, A)
+        Time in s since when the other's way conflicts with the driven entity's, infinite where it does not;
+        updated.
+    yielding : ndarray of bool, shape (N, A)
+        To whom the driver gives way; updated.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m/s².
+    """
+    scenarios, others = known.shape
+    result = np.zeros(scenarios)
+    samples = route.x.size
+    # Row 0 is the place where the driven entity is, the others are the route's samples ahead of it:
+    # distance from here, centre of the box, cosine and sine of its heading, time of arrival.
+    ahead = np.empty((samples + 1, 6))
+    legs = np.empty((TURN_LEGS + 1, 6))
+    for n in range(scenarios):
+        if not active[n]:
+            continue
+        v = max(speed[n], 0.0)
+        wanted = target_speed[n] * behaviour.target_share
+        if not wanted < math.inf:
+            wanted = behaviour.max_speed
+        count = _look_ahead(
+            behaviour, route, distance[n], x[n], y[n], heading[n], v, wanted, center_x, half_length, ahead
+        )
+        a = _keep_speed(behaviour, route, time_step, distance[n], v, wanted)
+        for o in range(others):
+            if not noticed[n, o]:
+                conflict_since[n, o], yielding[n, o] = math.inf, False
+                continue
+            count_legs = _foresee(
+                others_x[n, o], others_y[n, o], others_heading[n, o], others_speed[n, o], others_turn[n, o],
+                others_center_x[o], behaviour.horizon, legs,
+            )  # fmt: skip
+            other = (legs[:count_legs], others_half_length[o], others_half_width[o], others_speed[n, o])
+            ego = (half_length, half_width)
+            limit, conflict = _react(
+                behaviour, time_step, ahead[:count], ego, v, wanted, other, vulnerable[o], yielding[n, o]
+            )
+            if conflict:
+                conflict_since[n, o] = min(conflict_since[n, o], time)
+                # Instants are sums of time steps, which rounding must not push over the limit.
+                if time - conflict_since[n, o] >= behaviour.reaction_time - 1e-9:
+                    yielding[n, o] = True
+            else:
+                conflict_since[n, o], yielding[n, o] = math.inf, False
+            if known[n, o] and (yielding[n, o] or not conflict):
+                a = min(a, limit)
+        a = min(max(a, -behaviour.max_deceleration), behaviour.acceleration)
+        result[n] = max(a, -speed[n] / time_step)
+    return result
+
+
+@_kernel
+def _look_ahead(behaviour, route, distance, x, y, heading, v, wanted, center_x, half_length, ahead):
+    """Fill the table of places ahead, and return how many there are."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    ahead[0, 0] = 0.0
+    ahead[0, 1], ahead[0, 2] = x + center_x * cos, y + center_x * sin
+    ahead[0, 3], ahead[0, 4], ahead[0, 5] = cos, sin, 0.0
+    at = min(max(distance / route.step, 0.0), route.x.size - 1.0)
+    first = int(at)
+    part = at - first
+    after = min(first + 1, route.x.size - 1)
+    # The driven entity may be beside its path, and is taken to stay so.
+    path_x = route.x[first] + part * (route.x[after] - route.x[first])
+    path_y = route.y[first] + part * (route.y[after] - route.y[first])
+    offset = (y - path_y) * route.cos[first] - (x - path_x) * route.sin[first]
+    braking = v * v / (2.0 * behaviour.comfortable_deceleration)
+    reach = min(max(v * behaviour.horizon, braking) + behaviour.braking_distance + 30.0, LOOKAHEAD)
+    count = 1
+    squared, top = v * v, wanted * wanted
+    for k in range(first + 1, route.x.size):
+        way = k * route.step - distance
+        if way <= 1e-6:
+            continue
+        if way > reach:
+            break
+        leg = way - ahead[count - 1, 0]
+        limit = min(top, route.squared_speed[k])
+        slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
+        then = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
+        both = math.sqrt(squared) + math.sqrt(then)
+        ahead[count, 0] = way
+        ahead[count, 1] = route.x[k] + center_x * route.cos[k] - offset * route.sin[k]
+        ahead[count, 2] = route.y[k] + center_x * route.sin[k] + offset * route.cos[k]
+        ahead[count, 3], ahead[count, 4] = route.cos[k], route.sin[k]
+        ahead[count, 5] = ahead[count - 1, 5] + (2.0 * leg / both if both > 0.0 else math.inf)
+        squared = then
+        count += 1
+    return count
+
+
+@_kernel
+def _foresee(x, y, heading, speed, turn, center_x, horizon, legs):
+    """Fill the table of straight legs that the other is expected to go, and return how many there are.
+
+    It keeps its rate of turn for some time, then goes straight on. A leg is the centre of the box where it
+    begins, cosine and sine of the heading, and the times at which it begins and ends.
+    """
+    count = 1
+    if abs(turn) > STRAIGHT and abs(speed) >= STANDING:
+        count = TURN_LEGS + 1
+    for k in range(count):
+        duration = TURNING / TURN_LEGS
+        towards = heading + 0.5 * turn * duration
+        if k == 0:
+            # Where it is now, its box has the heading that it has now.
+            towards = heading
+        if k == count - 1:
+            duration = horizon - k * duration
+            towards = heading
+        cos, sin = math.cos(towards), math.sin(towards)
+        legs[k, 0], legs[k, 1] = x + center_x * cos, y + center_x * sin
+        legs[k, 2], legs[k, 3] = cos, sin
+        legs[k, 4] = legs[k - 1, 5] if k > 0 else 0.0
+        legs[k, 5] = legs[k, 4] + duration
+        x, y = x + speed * duration * cos, y + speed * duration * sin
+        heading += turn * duration
+    return count
+
+
+@_kernel
+def _keep_speed(behaviour, route, time_step, distance, v, wanted):
+    """Acceleration towards the speed that is wanted and that the curves ahead allow."""
+    next_place = distance + (v + behaviour.acceleration * time_step) * time_step
+    at = min(max(next_place / route.step, 0.0), route.x.size - 1.0)
+    k = min(int(at), route.x.size - 2)
+    squared = route.squared_speed[k] + (at - k) * (route.squared_speed[k + 1] - route.squared_speed[k])
+    # Who is late for a curve brakes harder than is comfortable, but this is no emergency.
+    in_curve = max((math.sqrt(squared) - v) / time_step, -2.0 * behaviour.comfortable_deceleration)
+    free = max((wanted - v) / time_step, -behaviour.comfortable_deceleration)
+    return min(in_curve, free)
+
+
+@_kernel
+def _react(behaviour, time_step, ahead, ego, v, wanted, other, vulnerable, yielding):
+    """Acceleration that one other entity leaves to the driver, and whether their ways conflict.
+
+    Returns ``(inf, False)`` where the other does not matter.
+    """
+    legs, half_length, half_width, speed = other
+    dx, dy = legs[0, 0] - ahead[0, 1], legs[0, 1] - ahead[0, 2]
+    way = ahead[-1, 0] + abs(speed) * behaviour.horizon
+    if math.hypot(dx, dy) > way + ego[0] + ego[1] + half_length + half_width + LANE:
+        return math.inf, False
+    if meeting(ahead, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
+        in_front = dx * ahead[0, 3] + dy * ahead[0, 4] > 0.0
+        return (-behaviour.max_deceleration if in_front else math.inf), False
+    # Alongside an entity that is nearer than the margin, it is too late for the margin.
+    margin = behaviour.lateral_margin
+    if meeting(ahead, 0, ego, margin, other, 0.0)[0] <= 0.0:
+        margin = 0.0
+
+    standing = abs(speed) < STANDING
+    k = _first_contact(ahead, ego, margin, other)
+    if k > 0 and (standing or _along(ahead, k, other, 0) >= ALIGNED):
+        gap = _refine(ahead, k, ego, margin, other, 0.0)
+        return _follow(behaviour, v, gap, 0.0 if standing else _speed_along(ahead, k, other)), False
+    if standing:
+        if vulnerable and behaviour.standing_caution < 1.0:
+            return _pass_with_caution(behaviour, time_step, ahead, ego, v, wanted, other), False
+        return math.inf, False
+    return _give_way(behaviour, time_step, ahead, ego, margin, v, other, k > 0, yielding)
+
+
+@_kernel
+def _give_way(behaviour, time_step, ahead, ego, margin, v, other, in_corridor, yielding):
+    """Acceleration that gives way to another who crosses, and whether that is needed."""
+    enters, _, leg = meeting(ahead, 0, ego, margin, other, behaviour.horizon)
+    in_its_way = enters < math.inf
+    inside = in_its_way and _along(ahead, 0, other, leg) > -ALIGNED
+    gap = behaviour.safety_time * (RELEASE if yielding else 1.0)
+    start, conflict = _find_conflict(behaviour, ahead, ego, margin, other, gap, gap, inside)
+    if conflict < 0:
+        return math.inf, False
+    since, _, leg = meeting(ahead, start, ego, margin, other, behaviour.horizon)
+    along = _along(ahead, start, other, leg)
+    if along <= -ALIGNED and since > CUT_IN and not in_corridor:
+        return math.inf, False
+    if along >= ALIGNED and since <= CUT_IN:
+        beside = behaviour.lateral_margin + LANE
+        if meeting(ahead, 0, ego, beside, other, 0.0)[0] > 0.0:
+            k = _first_contact(ahead, ego, beside, other)
+            if k > 0:
+                way = _refine(ahead, k, ego, beside, other, 0.0)
+                return _follow(behaviour, v, way, _speed_along(ahead, k, other)), False
+
+    if inside:
+        room = 0.0
+    elif in_its_way and start == 1:
+        room = ahead[conflict, 0]
+    else:
+        room = _refine(ahead, start, ego, margin, other, behaviour.horizon)
+    soft = _needed(v, room - behaviour.braking_distance)
+    hard = _needed(v, room - LAST_METRE)
+    comfortable = behaviour.comfortable_deceleration
+    if inside:
+        if _find_conflict(behaviour, ahead, ego, 0.0, other, 0.0, 0.0, True)[1] < 0:
+            return math.inf, False
+    elif hard > comfortable and not yielding:
+        first = NARROW if hard > behaviour.max_deceleration else COMMITTED * behaviour.safety_time
+        if _find_conflict(behaviour, ahead, ego, margin, other, min(first, gap), gap, True)[1] < 0:
+            return math.inf, False
+    if soft <= comfortable:
+        left = max(room - behaviour.braking_distance - v * time_step, 0.0)
+        return max((math.sqrt(2.0 * comfortable * left) - v) / time_step, -comfortable), True
+    return -max(comfortable, hard), True
+
+
+@_kernel
+def _find_conflict(behaviour, ahead, ego, margin, other, gap_first, gap_after, past_choice):
+    """First place that both want within the gaps.
+
+    A driver who is past the choice leaves it to those who come up behind it in the same direction to brake.
+    Returns the row where the stretch that holds the place begins, and its own row (-1: there is none).
+    """
+    start = -1
+    for k in range(1, ahead.shape[0]):
+        enters, leaves, leg = meeting(ahead, k, ego, margin, other, behaviour.horizon)
+        if enters == math.inf:
+            start = -1
+            continue
+        if start < 0:
+            start = k
+        if past_choice and ahead[k, 5] < enters and _along(ahead, k, other, leg) >= ALIGNED:
+            continue
+        if enters - gap_first < ahead[k, 5] < leaves + gap_after:
+            return start, k
+    return -1, -1
+
+
+@_kernel
+def _pass_with_caution(behaviour, time_step, ahead, ego, v, wanted, other):
+    slow = behaviour.standing_caution * wanted
+    if meeting(ahead, 0, ego, ROADSIDE, other, 0.0)[0] <= 0.0:
+        room = 0.0
+    else:
+        k = _first_contact(ahead, ego, ROADSIDE, other)
+        if k < 0:
+            return math.inf
+        room = max(ahead[k, 0] - v * time_step, 0.0)
+    allowed = math.sqrt(slow * slow + 2.0 * behaviour.comfortable_deceleration * room)
+    return max((allowed - v) / time_step, -behaviour.comfortable_deceleration)
+
+
+@_kernel
+def _follow(behaviour, v, gap, leader_speed):
+    """Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4), its interaction part."""
+    best = math.sqrt(behaviour.acceleration * behaviour.comfortable_deceleration)
+    dynamic = v * behaviour.time_headway + v * (v - leader_speed) / (2.0 * best)
+    wanted = behaviour.min_gap + max(dynamic, 0.0)
+    return behaviour.acceleration * (1.0 - (wanted / max(gap, 0.01)) ** 2)
+
+
+@_kernel
+def _needed(v, room):
+    """Deceleration that stops within `room`."""
+    if v <= 0.0:
+        return 0.0
+    return v * v / (2.0 * room) if room > 0.0 else math.inf
+
+
+@_kernel
+def _along(places, row, other, leg):
+    """Cosine between the route and the other's direction of motion on a leg."""
+    cosine = places[row, 3] * other[0][leg, 2] + places[row, 4] * other[0][leg, 3]
+    return cosine if other[3] >= 0.0 else -cosine
+
+
+@_kernel
+def _speed_along(places, row, other):
+    """Speed of the other along the route now."""
+    return abs(other[3]) * _along(places, row, other, 0)
+
+
+@_kernel
+def _first_contact(ahead, ego, margin, other):
+    """First row ahead at which the driven entity would touch the other where that is now; -1 for none."""
+    for k in range(1, ahead.shape[0]):
+        if meeting(ahead, k, ego, margin, other, 0.0)[0] <= 0.0:
+            return k
+    return -1
+
+
+@_kernel
+def _refine(ahead, k, ego, margin, other, horizon):
+    """Distance from here at which contact begins, between row `k`, where it is, and the row before."""
+    place = np.empty((1, 6))
+    low, high = 0.0, 1.0
+    for _ in range(6):
+        middle = 0.5 * (low + high)
+        for i in range(5):
+            place[0, i] = ahead[k - 1, i] + middle * (ahead[k, i] - ahead[k - 1, i])
+        if meeting(place, 0, ego, margin, other, horizon)[0] <= horizon:
+            high = middle
+        else:
+            low = middle
+    return ahead[k - 1, 0] + low * (ahead[k, 0] - ahead[k - 1, 0])
+
+
+@_kernel
+def meeting(places, row, ego, margin, other, horizon):
+    """When the other touches the driven entity if this were at a place.
+
+    Separating axes: on each of the four, the projections overlap during one interval; the boxes do in what
+    is common to all.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (K, 6)
+        Distance, centre x and y, cosine and sine of the heading, time of arrival.
+    row : int
+    ego : tuple of float
+        Half length and half width of the driven entity, in m.
+    margin : float
+        m on either side by which the driven entity counts as wider.
+    other : tuple
+        Legs (L, 6) as of `_foresee`, half length, half width, speed.
+    horizon : float
+        s; 0 for the other where it is now.
+
+    Returns
+    -------
+    tuple of (float, float, int)
+        First and last instant of contact within the horizon in s, and the leg of the first; (inf, -inf, 0)
+        for never.
+    """
+    legs, half_length, half_width, speed = other
+    own_length, own_width = ego[0], ego[1] + margin
+    enters, leaves, at = math.inf, -math.inf, 0
+    for leg in range(legs.shape[0]):
+        if leg > 0 and legs[leg, 4] >= horizon:
+            break
+        first, last = 0.0, max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
+        dx, dy = legs[leg, 0] - places[row, 1], legs[leg, 1] - places[row, 2]
+        reach = own_length + own_width + half_length + half_width + abs(speed) * last
+        if abs(dx) > reach or abs(dy) > reach:
+            continue
+        cos = places[row, 3] * legs[leg, 2] + places[row, 4] * legs[leg, 3]
+        sin = places[row, 3] * legs[leg, 3] - places[row, 4] * legs[leg, 2]
+        for axis in range(4):
+            if axis == 0:
+                apart = dx * places[row, 3] + dy * places[row, 4]
+                radius = own_length + half_length * abs(cos) + half_width * abs(sin)
+                rate = speed * cos
+            elif axis == 1:
+                apart = dy * places[row, 3] - dx * places[row, 4]
+                radius = own_width + half_length * abs(sin) + half_width * abs(cos)
+                rate = speed * sin
+            elif axis == 2:
+                apart = dx * legs[leg, 2] + dy * legs[leg, 3]
+                radius = half_length + own_length * abs(cos) + own_width * abs(sin)
+                rate = speed
+            else:
+                apart = dy * legs[leg, 2] - dx * legs[leg, 3]
+                radius = half_width + own_length * abs(sin) + own_width * abs(cos)
+                rate = 0.0
+            if abs(rate) < 1e-9:
+                if abs(apart) > radius:
+                    last = -1.0
+            else:
+                one, two = (-radius - apart) / rate, (radius - apart) / rate
+                first, last = max(first, min(one, two)), min(last, max(one, two))
+            if first > last:
+                break
+        if first <= last:
+            if enters == math.inf:
+                enters, at = legs[leg, 4] + first, leg
+            leaves = legs[leg, 4] + last
+    return enters, leaves, at

@@ -1,0 +1,160 @@
+"""Traffic quality."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+
+from cornercase.errors import InputError, suggestion
+from cornercase.geometry import box_distance
+from cornercase.metrics.base import boxes, worst
+from cornercase.recording import Recording
+from cornercase.typing import BoolArray, FloatArray, IntArray
+
+Term = Literal["all", "macro", "micro", "nano", "individual", "penalty"]
+
+_WINDOW = 2.0
+_STANDS = 1e-5
+
+
+class TrafficQuality:
+    r"""How demanding the traffic of the whole scene is for the ego; higher is more critical.
+
+    ``penalty * sqrt(macro² + micro² + nano² + individual²)``, without unit, of all n entities that exist:
+
+    - *macro*, the traffic as a whole: standard deviation over mean of all speeds (of the population);
+    - *micro*, how crowded it is around the ego: the number of entities whose centre lies within the radius
+      r = (0.36 v)² + L + v of the ego's, with the ego's speed v in m/s and length L in m, over n;
+    - *nano*, the traffic around the ego: standard deviation over mean of the speeds of these entities, the
+      ego left out; 0 if there are none;
+    - *individual*, how the ego drives: (\|mean a\| / 1.5 m/s² + mean v / 13.89 m/s) / 2, means over the
+      samples of the last 2 s, fewer at the beginning;
+    - *penalty*, the distance: exp(-d / 5 m), with the smallest gap d between the boxes of any two entities: 1
+      when two overlap, 0 for a scene of one.
+
+    Speeds count without their sign. Where the mean speed is below 1e-5 m/s, macro or nano is 0; so a scene in
+    which all stand has only the micro term. Not defined where the ego does not exist. Cap: 0, the smallest
+    possible value. The second entity of a course plays no part.
+
+    Parameters
+    ----------
+    term : {"all", "macro", "micro", "nano", "individual", "penalty"}, default "all"
+        Which term to give by itself.
+
+    Notes
+    -----
+    Source: B. Schütt, M. Zipfl, J. M. Zöllner, E. Sax, "Inverse universal traffic quality: a criticality
+    metric for crowded urban traffic scenes", IEEE Intelligent Vehicles Symposium (2023). The window of the
+    individual term ends at each instant, and overlapping boxes have the gap 0.
+    """
+
+    name = "traffic-quality"
+    unit = "1"
+    lower_is_critical = False
+    cap = 0.0
+    source = "Schütt, Zipfl et al. 2023"
+
+    def __init__(self, term: Term = "all") -> None:
+        if term not in get_args(Term):
+            raise InputError(f"Traffic quality has no term '{term}'; {suggestion(term, get_args(Term))}")
+        self.term = term
+
+    def course(self, recording: Recording, ego: str, other: str = "") -> FloatArray:
+        """Traffic quality, or the chosen term of it, at each instant.
+
+        Parameters
+        ----------
+        recording : Recording
+        ego : str
+            Name of an entity.
+        other : str, optional
+            Not used; the metric is one of the scene.
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            NaN where the ego does not exist.
+
+        Raises
+        ------
+        InputError
+            There is no entity of that name.
+        """
+        scene = _Scene(recording, ego)
+        if self.term != "all":
+            term: FloatArray = getattr(scene, self.term)()
+            return np.where(scene.exists[scene.ego], term, np.nan)
+        squares = scene.macro() ** 2 + scene.micro() ** 2 + scene.nano() ** 2 + scene.individual() ** 2
+        return np.where(scene.exists[scene.ego], scene.penalty() * np.sqrt(squares), np.nan)
+
+    def score(self, course: FloatArray) -> float:
+        """Greatest value of the course, 0 if it is nowhere defined."""
+        return worst(self, course)
+
+
+class _Scene:
+    """All entities of a recording, seen by one of them; each term has shape (T,)."""
+
+    def __init__(self, recording: Recording, ego: str) -> None:
+        self.recording = recording
+        self.ego = recording.index(ego)
+        self.centers = np.stack([recording.center(name) for name in recording.names])
+        self.speed = np.abs(recording.speed)
+        self.exists: BoolArray = np.isfinite(self.centers).all(-1) & np.isfinite(self.speed)
+        apart = self.centers - self.centers[self.ego]
+        speed = self.speed[self.ego]
+        radius = (0.36 * speed) ** 2 + recording.length[self.ego] + speed
+        self.near: BoolArray = self.exists & (np.hypot(apart[..., 0], apart[..., 1]) <= radius)
+        self.near[self.ego] = False
+
+    def macro(self) -> FloatArray:
+        return _variation(self.speed, self.exists)
+
+    def micro(self) -> FloatArray:
+        share: FloatArray = self.near.sum(0) / np.maximum(self.exists.sum(0), 1)
+        return share
+
+    def nano(self) -> FloatArray:
+        return _variation(self.speed, self.near)
+
+    def individual(self) -> FloatArray:
+        time = self.recording.time
+        # Written times are rounded: a sample that is 2 s old up to a part of the step belongs to the window.
+        first = np.searchsorted(time, time - _WINDOW - 1e-6)
+        acceleration = _mean_since(first, self.recording.acceleration[self.ego])
+        speed = _mean_since(first, self.speed[self.ego])
+        return 0.5 * (np.abs(acceleration) / 1.5 + speed / 13.89)
+
+    def penalty(self) -> FloatArray:
+        a, b = np.triu_indices(len(self.centers), 1)
+        apart = self.centers[a] - self.centers[b]
+        widest = np.where(self.exists[a] & self.exists[b], np.hypot(apart[..., 0], apart[..., 1]), np.inf)
+        reach = 0.5 * np.hypot(self.recording.length, self.recording.width)
+        # Two boxes are at most as far apart as their centres, at least that less both half diagonals.
+        least = widest - (reach[a] + reach[b])[:, None]
+        pair, instant = np.nonzero(np.isfinite(widest) & (least <= widest.min(0, initial=np.inf)))
+        corners = np.stack([boxes(self.recording, name) for name in self.recording.names])
+        smallest = np.full(len(self.recording.time), np.inf)
+        np.minimum.at(smallest, instant, box_distance(corners[a[pair], instant], corners[b[pair], instant]))
+        penalty: FloatArray = np.exp(-smallest / 5.0)
+        return penalty
+
+
+def _variation(speed: FloatArray, counted: BoolArray) -> FloatArray:
+    """Divide standard deviation by mean of the counted speeds, 0 where these stand or there are none."""
+    number = np.maximum(counted.sum(0), 1)
+    mean = np.where(counted, speed, 0.0).sum(0) / number
+    spread = np.sqrt((np.where(counted, speed - mean, 0.0) ** 2).sum(0) / number)
+    moves = mean >= _STANDS
+    return np.where(moves, spread / np.where(moves, mean, 1.0), 0.0)
+
+
+def _mean_since(first: IntArray, values: FloatArray) -> FloatArray:
+    """Mean of the finite values from `first` up to each instant, 0 where there are none."""
+    known = np.isfinite(values)
+    total = np.append(0.0, np.cumsum(np.where(known, values, 0.0)))
+    number = np.append(0, np.cumsum(known))
+    end = np.arange(1, len(values) + 1)
+    mean: FloatArray = (total[end] - total[first]) / np.maximum(number[end] - number[first], 1)
+    return mean

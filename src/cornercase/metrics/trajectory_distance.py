@@ -1,0 +1,136 @@
+"""Distance along both trajectories to their crossing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase.errors import InputError
+from cornercase.metrics.base import worst
+from cornercase.recording import Recording
+from cornercase.typing import FloatArray
+
+_REACH = 1e-6
+"""How far in m a track may end short of the other and still meet it: rounding opens no gap at a vertex."""
+
+_PARALLEL = 1e-6
+"""Sine of the angle below which two pieces of track run beside each other and do not cross."""
+
+
+_BLOCK = 256
+"""Pieces of track that are set against the whole other track at once, to keep the arrays small."""
+
+
+class TrajectoryDistance:
+    """Sum of the ways that both entities have still to go along their tracks to where these cross.
+
+    ``d_ego + d_other`` in m. A track joins the recorded centres of the bounding box and goes straight on from
+    the last of them, along the last heading, for `ahead`; so an entity that stands, or stops before the
+    crossing, has a path too. At each instant the crossing that lies ahead of both counts, of several the one
+    with the smallest sum. Only the shape of the tracks counts, not the speeds.
+
+    Not defined where one of the two does not exist, where no crossing lies ahead of both (one has passed it),
+    and for tracks that do not cross: parallel ones, one behind the other, and those that merge without
+    touching. A track that joins the other and then follows it exactly meets it where it joins. Cap: 200 m.
+
+    Parameters
+    ----------
+    ahead : float, default 100.0
+        How far each track goes straight on after the recording, in m; 0 for recorded tracks only.
+
+    Notes
+    -----
+    Source: trajectory distance, first objective of scenario 1 in Schütt, Otten and Sax, "Clustering-based
+    criticality analysis for testing of automated driving systems" (2023).
+    """
+
+    name = "trajectory-distance"
+    unit = "m"
+    lower_is_critical = True
+    cap = 200.0
+    source = "Schütt, Otten and Sax 2023"
+
+    def __init__(self, ahead: float = 100.0) -> None:
+        if not 0.0 <= ahead < np.inf:
+            raise InputError(
+                f"trajectory-distance cannot look {ahead} m ahead; give a finite length of 0 or more."
+            )
+        self.ahead = ahead
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Trajectory distance at each instant.
+
+        Parameters
+        ----------
+        recording : Recording
+        ego, other : str
+            Names of two entities; their order does not matter.
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            m; NaN where not defined.
+
+        Raises
+        ------
+        InputError
+            There is no entity of that name.
+        """
+        mine = _Track(recording, ego, self.ahead)
+        others = _Track(recording, other, self.ahead)
+        on_mine, on_other = _crossings(mine, others)
+        left_mine = on_mine[:, None] - mine.driven
+        left_other = on_other[:, None] - others.driven
+        ahead = (left_mine >= -_REACH) & (left_other >= -_REACH)
+        both = np.where(ahead, np.maximum(left_mine, 0.0) + np.maximum(left_other, 0.0), np.inf)
+        nearest = both.min(0, initial=np.inf)
+        return np.where(np.isfinite(nearest), nearest, np.nan)
+
+    def score(self, course: FloatArray) -> float:
+        """Smallest trajectory distance of the course in m, the cap if there is none below it."""
+        return worst(self, course)
+
+
+class _Track:
+    """Polyline of an entity's centre, and how far along it the entity is at each instant."""
+
+    def __init__(self, recording: Recording, name: str, ahead: float) -> None:
+        center, heading = recording.center(name), recording.heading[recording.index(name)]
+        exists = np.flatnonzero(np.isfinite(center).all(-1))
+        points = center[exists]
+        along = np.concatenate([np.zeros(min(len(exists), 1)), _lengths(points).cumsum()])
+        self.driven = np.full(len(center), np.nan)
+        self.driven[exists] = along
+        if len(exists):
+            last = heading[exists[-1]]
+            tip = points[-1] + ahead * np.array([np.cos(last), np.sin(last)])
+            points, along = np.vstack([points, tip]), np.append(along, along[-1] + ahead)
+        moves = np.flatnonzero(_lengths(points) > 0.0)
+        self.start, self.step, self.along = points[moves], points[moves + 1] - points[moves], along[moves]
+
+
+def _lengths(points: FloatArray) -> FloatArray:
+    steps = np.diff(points, axis=0)
+    return np.hypot(steps[:, 0], steps[:, 1])
+
+
+def _crossings(a: _Track, b: _Track) -> tuple[FloatArray, FloatArray]:
+    """Where the tracks cross, as lengths along each, shape (K,)."""
+    length_a, length_b = np.hypot(*a.step.T), np.hypot(*b.step.T)
+    unit_a, unit_b = a.step / length_a[:, None], b.step / length_b[:, None]
+    found_a, found_b = [np.empty(0)], [np.empty(0)]
+    for first in range(0, len(length_a), _BLOCK):
+        some = slice(first, first + _BLOCK)
+        apart_x = b.start[None, :, 0] - a.start[some, None, 0]
+        apart_y = b.start[None, :, 1] - a.start[some, None, 1]
+        ahead_x, ahead_y = unit_a[some, None, 0], unit_a[some, None, 1]
+        sine = ahead_x * unit_b[:, 1] - ahead_y * unit_b[:, 0]
+        crosses = np.abs(sine) > _PARALLEL
+        sine = np.where(crosses, sine, 1.0)
+        on_a = (apart_x * unit_b[:, 1] - apart_y * unit_b[:, 0]) / sine
+        on_b = (apart_x * ahead_y - apart_y * ahead_x) / sine
+        crosses &= (on_a >= -_REACH) & (on_a <= length_a[some, None] + _REACH)
+        crosses &= (on_b >= -_REACH) & (on_b <= length_b + _REACH)
+        i, j = np.nonzero(crosses)
+        found_a.append(a.along[some][i] + on_a[i, j])
+        found_b.append(b.along[j] + on_b[i, j])
+    return np.concatenate(found_a), np.concatenate(found_b)

@@ -1,0 +1,118 @@
+"""Time to collision."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from cornercase.geometry import first_contact
+from cornercase.metrics.base import boxes, velocity, worst
+from cornercase.recording import Recording
+from cornercase.typing import FloatArray
+
+
+class Ttc:
+    """Time until the two bounding boxes first touch if both go straight on.
+
+    Each box keeps its heading and its speed along it; the value is the smallest t >= 0 in s at which the
+    boxes share a point, found exactly with separating axes in the plane. For an entity that follows another
+    on one lane this is gap / Δv; crossing and oncoming paths need no case of their own.
+
+    0 when the boxes touch now, inf when they never do (equal speeds, moving apart, passing by). Two standing
+    entities give inf unless they touch; one standing entity is an obstacle. Not defined where one of the two
+    does not exist. Cap: 10 s.
+
+    Parameters
+    ----------
+    accelerating : bool, default False
+        Let both keep their present acceleration along the heading instead, until they stand; nobody starts to
+        reverse by braking.
+
+    Notes
+    -----
+    Source: J. C. Hayward, "Near-miss determination through use of a scale of danger", Highway Research Record
+    384 (1972), with the contact of the boxes in two dimensions instead of the gap on one lane.
+    """
+
+    name = "ttc"
+    unit = "s"
+    lower_is_critical = True
+    cap = 10.0
+    source = "Hayward 1972, boxes in the plane"
+
+    def __init__(self, accelerating: bool = False) -> None:
+        self.accelerating = accelerating
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Time to collision at each instant.
+
+        Parameters
+        ----------
+        recording : Recording
+        ego, other : str
+            Names of two entities; their order does not matter.
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            s; inf for never, NaN where one does not exist.
+
+        Raises
+        ------
+        InputError
+            There is no entity of that name.
+        """
+        a, b = boxes(recording, ego), boxes(recording, other)
+        if not self.accelerating:
+            return first_contact(a, b, velocity(recording, other) - velocity(recording, ego))
+        one, two = _Braking(recording, ego), _Braking(recording, other)
+        first = np.full(len(recording.time), np.nan)
+        # From one stop to the next both accelerations are constant.
+        bounds = np.sort(
+            np.stack([np.zeros_like(one.stop), one.stop, two.stop, np.full_like(one.stop, np.inf)]), 0
+        )
+        for begin, end in pairwise(bounds):
+            reached = np.where(np.isfinite(begin), begin, 0.0)
+            contact = first_contact(
+                a + one.way(reached)[:, None, :],
+                b + two.way(reached)[:, None, :],
+                two.velocity(reached) - one.velocity(reached),
+                two.acceleration(reached) - one.acceleration(reached),
+                np.where(np.isfinite(begin), end - reached, -1.0),
+            )
+            first = np.fmin(first, begin + contact)
+        unknown = np.isnan(a + b).any((1, 2)) | np.isnan(one.speed + two.speed + one.rate + two.rate)
+        return np.where(unknown, np.nan, first)
+
+    def score(self, course: FloatArray) -> float:
+        """Smallest time to collision of the course in s, the cap if there is none below it."""
+        return worst(self, course)
+
+
+class _Braking:
+    """Straight motion from each instant on, with constant acceleration up to the stop."""
+
+    def __init__(self, recording: Recording, name: str) -> None:
+        i = recording.index(name)
+        heading = recording.heading[i]
+        self.direction = np.stack([np.cos(heading), np.sin(heading)], -1)
+        self.speed = recording.speed[i]
+        acceleration = recording.acceleration[i]
+        self.rate = np.where((self.speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
+        slows = self.speed * self.rate < 0.0
+        self.stop = np.where(slows, -self.speed / np.where(slows, self.rate, 1.0), np.inf)
+
+    def way(self, time: FloatArray) -> FloatArray:
+        driven = np.minimum(time, self.stop)
+        return self._ahead(self.speed * driven + 0.5 * self.rate * driven**2)
+
+    def velocity(self, time: FloatArray) -> FloatArray:
+        return self._ahead(np.where(time < self.stop, self.speed + self.rate * time, 0.0))
+
+    def acceleration(self, time: FloatArray) -> FloatArray:
+        return self._ahead(np.where(time < self.stop, self.rate, 0.0))
+
+    def _ahead(self, size: FloatArray) -> FloatArray:
+        vector: FloatArray = size[:, None] * self.direction
+        return vector
