@@ -392,17 +392,18 @@ def test_reacts_to_a_waiting_pedestrian_the_reaction_time_after_it_steps_out():
 
 @dataclass
 class Circling:
-    """Drives at constant speed on a circle about (0, radius of the ego's path), clockwise."""
+    """Drives at constant speed on a circle about `middle`, clockwise from the angle `begin`."""
 
     kind: str
-    middle: float
+    middle: tuple[float, float]
     radius: float
     speed: float
     begin: float
 
     def at(self, time):
         angle = self.begin - self.speed * time / self.radius
-        x, y = self.radius * math.cos(angle), self.middle + self.radius * math.sin(angle)
+        x = self.middle[0] + self.radius * math.cos(angle)
+        y = self.middle[1] + self.radius * math.sin(angle)
         return x, y, angle - math.pi / 2, self.speed
 
 
@@ -413,11 +414,22 @@ def test_expects_oncoming_traffic_in_a_bend_to_stay_in_its_lane():
         s, radius * np.sin(s / radius), radius - radius * np.cos(s / radius), s / radius, 0 * s + 1 / radius
     )
     for lane in (-3.5, 3.5):
-        car = Circling("car", radius, radius + lane, 8.0, math.pi / 2)
-        run = Run(BehaviourDriver(NORMAL), path, [car], speed=9.0, target=9.0, duration=9.0)
+        car = Circling("car", (0.0, radius), radius + lane, 8.0, math.pi / 2)
+        run = Run(BehaviourDriver(NORMAL), path, [car], speed=9.0, target=9.0, duration=12.0)
         angle_of_car = math.pi / 2 - car.speed * run.time[-1] / car.radius
         assert run.distance[-1, 0] / radius - math.pi / 2 > angle_of_car
         assert run.speed == pytest.approx(9.0)
+
+
+def test_expects_who_turns_to_go_on_turning():
+    # Comes from a side road towards the ego's lane, but is turning into the lane beside it, against the ego.
+    turning = Circling("car", (52.0, 11.8), 8.0, 5.0, 0.0)
+    ahead = Other("car", *turning.at(0.6)[:2], heading=turning.at(0.6)[2], speed=5.0)
+    for car, brakes in ((turning, False), (ahead, True)):
+        run = Run(
+            BehaviourDriver(NORMAL), straight(300.0), [car], speed=9.0, target=9.0, start=27.0, duration=6.0
+        )
+        assert (run.speed.min() < 8.5) == brakes
 
 
 def line_is_free(eye, others, k, time):

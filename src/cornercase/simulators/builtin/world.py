@@ -133,8 +133,8 @@ class World:
         pose = Pose(self.x[entity].copy(), self.y[entity].copy(), self.heading[entity].copy())
         if self.network is None:
             return pose
-        road, lane, s, t = self.network.locate(self.x[entity], self.y[entity])
-        pose = Pose(pose.x, pose.y, pose.heading, road, lane, s, t)
+        place = self.network.locate(self.x[entity], self.y[entity])
+        pose = Pose(pose.x, pose.y, pose.heading, place.road, place.lane, place.s, place.offset)
         for k, track in enumerate(self.tracks[entity]):
             rows = np.flatnonzero(self.track[entity] == k)
             if isinstance(track, LaneTrack) and rows.size:

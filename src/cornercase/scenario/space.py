@@ -1,0 +1,304 @@
+"""Parameter spaces: what is varied, and the unit cube that optimizers see."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cornercase.errors import InputError
+from cornercase.scenario.distributions import Distribution, from_json, read_distribution
+from cornercase.scenario.xml import read_xml
+from cornercase.typing import FloatArray
+
+Value = float | str
+
+_RANGE = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::(?P<step>[^:]+))?")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One varied parameter.
+
+    Attributes
+    ----------
+    name : str
+    low, high : float
+        Bounds; for a set of choices 0 and their number minus one.
+    step : float or None
+        Values lie on low, low + step, …, none above `high`; None for a continuous range.
+    choices : tuple of str
+        Values of a set; empty for a range.
+    unit : str
+        As it stands in tables and on axes; empty where unknown.
+    distribution : Distribution or None
+        Turns the unit interval into values by its inverse distribution function; None means uniform.
+    """
+
+    name: str
+    low: float
+    high: float
+    step: float | None = None
+    choices: tuple[str, ...] = ()
+    unit: str = ""
+    distribution: Distribution | None = None
+
+    @property
+    def size(self) -> int | None:
+        """Number of different values; None where there are infinitely many."""
+        if self.choices:
+            return len(self.choices)
+        return None if self.step is None else int(np.floor((self.high - self.low) / self.step + 1e-9)) + 1
+
+    def value(self, u: float) -> Value:
+        """Value at a place of the unit interval."""
+        size = self.size
+        if size is None:
+            x = self.low + u * (self.high - self.low)
+            return float(x if self.distribution is None else self.distribution.quantile(u))
+        k = min(int(u * size), size - 1)
+        if self.choices:
+            return self.choices[k]
+        return _clean(self.low + k * float(self.step or 0.0))
+
+    def unit_place(self, value: Value) -> float:
+        """Place on the unit interval of a value: the middle of its step or choice."""
+        size = self.size
+        if self.choices:
+            if str(value) not in self.choices:
+                raise InputError(f"The parameter {self.name} has no value '{value}'.")
+            return (self.choices.index(str(value)) + 0.5) / len(self.choices)
+        x = float(value)
+        if size is not None:
+            k = round((x - self.low) / float(self.step or 1.0))
+            return (min(max(k, 0), size - 1) + 0.5) / size
+        if self.distribution is not None:
+            return self.distribution.place(x)
+        return float(np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0))
+
+
+class ParameterSpace:
+    """A named box of parameters.
+
+    Parameters
+    ----------
+    parameters : sequence of Parameter
+        At least one; no name twice.
+    """
+
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        self.parameters = tuple(parameters)
+        if not self.parameters:
+            raise InputError("The parameter space is empty; vary at least one parameter.")
+        for name in self.names:
+            if self.names.count(name) > 1:
+                raise InputError(f"The parameter {name} is varied twice.")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def dimension(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    @property
+    def size(self) -> int | None:
+        """Number of concrete scenarios; None where there are infinitely many."""
+        product = 1
+        for parameter in self.parameters:
+            if parameter.size is None:
+                return None
+            product *= parameter.size
+        return product
+
+    @classmethod
+    def from_ranges(cls, ranges: Sequence[str]) -> ParameterSpace:
+        """Space of ``NAME=LOW:HIGH[:STEP]`` texts.
+
+        Raises
+        ------
+        InputError
+            A text is malformed, a bound is not finite, or LOW is not below HIGH.
+        """
+        return cls([_parse_range(text) for text in ranges])
+
+    @classmethod
+    def from_file(cls, path: Path | str) -> ParameterSpace:
+        """Space of an OpenSCENARIO ParameterValueDistribution file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be used; the message names the parameter.
+        """
+        distribution = _distribution_element(path)
+        parameters = []
+        if distribution.find(".//DeterministicMultiParameterDistribution") is not None:
+            raise InputError(
+                f"{path}: <DeterministicMultiParameterDistribution> is not read yet; vary the parameters one by one."
+            )
+        for element in distribution.iterfind(".//DeterministicSingleParameterDistribution"):
+            parameters.append(_deterministic(element, str(path)))
+        for element in distribution.iterfind(".//StochasticDistribution"):
+            name = element.get("parameterName", "")
+            continuous, choices = read_distribution(element, str(path))
+            if choices:
+                parameters.append(Parameter(name, 0.0, len(choices) - 1.0, None, choices))
+            else:
+                assert continuous is not None
+                parameters.append(Parameter(name, continuous.low, continuous.high, distribution=continuous))
+        if not parameters:
+            raise InputError(f"{path}: varies no parameter.")
+        return cls([_with_unit(parameter, distribution) for parameter in parameters])
+
+    @staticmethod
+    def scenario_file(path: Path | str) -> Path:
+        """Scenario that a ParameterValueDistribution file belongs to."""
+        file = _distribution_element(path).find("ScenarioFile")
+        name = "" if file is None else file.get("filepath", "")
+        if not name or re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", name):
+            raise InputError(f"{path}: <ScenarioFile> must name a local file.")
+        return Path(path).parent / name
+
+    def with_ranges(self, ranges: Sequence[str]) -> ParameterSpace:
+        """Space with parameters added, or replaced where the name is the same."""
+        merged = {parameter.name: parameter for parameter in self.parameters}
+        for parameter in ParameterSpace.from_ranges(ranges).parameters:
+            merged[parameter.name] = parameter
+        return ParameterSpace(list(merged.values()))
+
+    def values(self, points: FloatArray) -> list[dict[str, Value]]:
+        """Values at points of the unit cube, shape (n, d)."""
+        return [
+            {parameter.name: parameter.value(float(u)) for parameter, u in zip(self.parameters, point, strict=True)}
+            for point in np.clip(points, 0.0, 1.0)
+        ]
+
+    def points(self, values: Sequence[Mapping[str, Value]]) -> FloatArray:
+        """Points of the unit cube of values, shape (n, d)."""
+        return np.array(
+            [[parameter.unit_place(one[parameter.name]) for parameter in self.parameters] for one in values]
+        ).reshape(-1, self.dimension)
+
+    def snap(self, points: FloatArray) -> FloatArray:
+        """Points of what is really run, shape (n, d): the middle of each step or choice."""
+        snapped = np.clip(np.asarray(points, dtype=np.float64), 0.0, 1.0).copy()
+        for j, parameter in enumerate(self.parameters):
+            size = parameter.size
+            if size is not None:
+                snapped[:, j] = (np.minimum(np.floor(snapped[:, j] * size), size - 1) + 0.5) / size
+        return snapped
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Plain values from which `from_json` makes the same space."""
+        return [
+            {
+                "name": p.name,
+                "low": p.low,
+                "high": p.high,
+                "step": p.step,
+                "choices": list(p.choices),
+                "unit": p.unit,
+                "distribution": None if p.distribution is None else p.distribution.to_json(),
+            }
+            for p in self.parameters
+        ]
+
+    @classmethod
+    def from_json(cls, plain: Sequence[Mapping[str, Any]]) -> ParameterSpace:
+        """Space from `to_json`."""
+        return cls(
+            [
+                Parameter(
+                    p["name"],
+                    p["low"],
+                    p["high"],
+                    p["step"],
+                    tuple(p["choices"]),
+                    p["unit"],
+                    None if p["distribution"] is None else from_json(p["distribution"]),
+                )
+                for p in plain
+            ]
+        )
+
+
+def _parse_range(text: str) -> Parameter:
+    match = _RANGE.fullmatch(text.strip())
+    if match is None:
+        raise InputError(f"--range {text}: write it as NAME=LOW:HIGH or NAME=LOW:HIGH:STEP.")
+    numbers = {}
+    for key in ("low", "high", "step"):
+        if match[key] is not None:
+            try:
+                numbers[key] = float(match[key])
+            except ValueError:
+                raise InputError(f"--range {text}: '{match[key]}' is not a number.") from None
+    return _ranged(match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), f"--range {text}")
+
+
+def _ranged(name: str, low: float, high: float, step: float | None, where: str) -> Parameter:
+    if not (np.isfinite(low) and np.isfinite(high)):
+        raise InputError(f"{where}: the bounds of {name} must be finite.")
+    if low >= high:
+        raise InputError(f"{where}: the range of {name} is {low:g} to {high:g}; the lower bound must be below the upper.")
+    if step is not None and not 0 < step <= high - low:
+        raise InputError(f"{where}: the step of {name} must be above 0 and at most {high - low:g}.")
+    return Parameter(name, low, high, step)
+
+
+def _distribution_element(path: Path | str) -> Any:
+    element = read_xml(path).find("ParameterValueDistribution")
+    if element is None:
+        raise InputError(f"{path}: has no <ParameterValueDistribution>; --space takes such a file.")
+    return element
+
+
+def _deterministic(element: Any, path: str) -> Parameter:
+    name = element.get("parameterName", "")
+    where = f"{path}, parameter {name}"
+    span, some = element.find("DistributionRange"), element.find("DistributionSet")
+    if span is not None:
+        bounds = span.find("Range")
+        if bounds is None:
+            raise InputError(f"{where}: <DistributionRange> has no <Range>.")
+        low, high, step = (
+            _number(text, where)
+            for text in (bounds.get("lowerLimit"), bounds.get("upperLimit"), span.get("stepWidth"))
+        )
+        return _ranged(name, low, high, step, where)
+    if some is not None:
+        choices = tuple(e.get("value", "") for e in some.iterfind("Element"))
+        if not choices:
+            raise InputError(f"{where}: <DistributionSet> is empty.")
+        return Parameter(name, 0.0, len(choices) - 1.0, None, choices)
+    raise InputError(f"{where}: only ranges and sets are read; a user-defined distribution is not.")
+
+
+def _with_unit(parameter: Parameter, distribution: Any) -> Parameter:
+    """Take the unit from a property of the file named ``unit of NAME``."""
+    from dataclasses import replace
+
+    for item in distribution.getroottree().iterfind("FileHeader/Properties/Property"):
+        if item.get("name") == f"unit of {parameter.name}":
+            return replace(parameter, unit=item.get("value", ""))
+    return parameter
+
+
+def _number(text: str | None, where: str) -> float:
+    try:
+        return float(text or "")
+    except ValueError:
+        raise InputError(f"{where}: '{text}' is not a number.") from None
+
+
+def _clean(x: float) -> float:
+    """Round away what adding steps leaves behind, so that 3 × 0.1 is 0.3."""
+    return float(f"{x:.12g}")
