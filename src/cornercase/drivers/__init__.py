@@ -4,11 +4,13 @@ from functools import partial
 
 from cornercase.drivers.base import DRIVERS, Driver, Path, Situation
 from cornercase.drivers.behaviour import AGGRESSIVE, CAUTIOUS, NORMAL, Behaviour, BehaviourDriver
+from cornercase.drivers.simple import SimpleDriver
 from cornercase.drivers.loading import load_driver, named_driver
 
 DRIVERS.register("cautious", partial(BehaviourDriver, CAUTIOUS))
 DRIVERS.register("normal", partial(BehaviourDriver, NORMAL))
 DRIVERS.register("aggressive", partial(BehaviourDriver, AGGRESSIVE))
+DRIVERS.register("simple", SimpleDriver)
 
 __all__ = [
     "AGGRESSIVE",
@@ -19,6 +21,7 @@ __all__ = [
     "BehaviourDriver",
     "Driver",
     "Path",
+    "SimpleDriver",
     "Situation",
     "load_driver",
     "named_driver",

@@ -1,0 +1,13 @@
+"""Optimizers by name."""
+
+from cornercase.optimizers.base import OPTIMIZERS, Optimizer
+from cornercase.optimizers.bayes import BayesOptimizer
+from cornercase.optimizers.grid import GridOptimizer
+from cornercase.optimizers.sobol import SequenceOptimizer, random, sobol
+
+OPTIMIZERS.register("bayes", BayesOptimizer)
+OPTIMIZERS.register("grid", GridOptimizer)
+OPTIMIZERS.register("random", random)
+OPTIMIZERS.register("sobol", sobol)
+
+__all__ = ["OPTIMIZERS", "BayesOptimizer", "GridOptimizer", "Optimizer", "SequenceOptimizer"]

@@ -1,0 +1,95 @@
+"""Bayesian optimization as in the paper: PHYSBO's Gaussian process with Thompson sampling."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from typing import Any
+
+import numpy as np
+
+from cornercase.optimizers.sobol import SequenceOptimizer
+from cornercase.scenario.space import ParameterSpace
+from cornercase.typing import FloatArray
+
+_INITIAL = 20
+
+
+class BayesOptimizer:
+    """Gaussian process over the unit cube, whose samples say where to look next.
+
+    The setting is that of Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic
+    hyperparameters, Thompson sampling, random feature maps; PHYSBO is the maintained successor of their COMBO. The
+    first 20 points are a Sobol' sequence. Each round learns the process anew from all that was told, so the next
+    round depends on nothing else.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+    candidates : int, default 2000
+        Points among which a round chooses; drawn anew for each.
+    features : int, default 500
+        Random features that stand for the kernel.
+    """
+
+    name = "bayes"
+
+    def __init__(self, space: ParameterSpace, seed: int, candidates: int = 2000, features: int = 500) -> None:
+        self._space, self._seed = space, seed
+        self._candidates, self._features = candidates, features
+        self._start = SequenceOptimizer(space, seed, "sobol")
+        self._points = np.zeros((0, space.dimension))
+        self._scores = np.zeros(0)
+
+    def ask(self, n: int) -> FloatArray:
+        """Return at most `n` points, shape (m, d), none of which was told before."""
+        told = len(self._points)
+        known = np.isfinite(self._scores)
+        if told < _INITIAL:
+            return self._start.ask(min(n, _INITIAL - told))
+        if known.sum() < 3 or np.ptp(self._scores[known]) == 0.0:
+            return self._start.ask(n)
+        rest = SequenceOptimizer(self._space, _seed(self._seed, told), "sobol")
+        rest.tell(self._points, self._scores)
+        candidates = rest.ask(self._candidates)
+        if len(candidates) <= n:
+            return candidates
+        chosen = self._thompson(candidates, self._points[known], self._scores[known], n, _seed(self._seed, told))
+        return candidates[chosen]
+
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Take scores, lower being more critical; NaN for a scenario that failed."""
+        self._points = np.concatenate([self._points, points])
+        self._scores = np.concatenate([self._scores, scores])
+        self._start.tell(points, scores)
+
+    def _thompson(
+        self, candidates: FloatArray, points: FloatArray, scores: FloatArray, n: int, seed: int
+    ) -> list[int]:
+        import physbo
+
+        # PHYSBO maximises, and takes its random numbers from NumPy's global generator.
+        target = -(scores - scores.mean()) / scores.std()
+        state: Any = np.random.get_state()  # noqa: NPY002
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):
+                policy = physbo.search.discrete.Policy(test_X=2.0 * candidates - 1.0)
+                policy.set_seed(seed)
+                training = physbo.Variable(X=2.0 * points - 1.0, t=target)
+                chosen = policy.bayes_search(
+                    training=training,
+                    max_num_probes=1,
+                    num_search_each_probe=n,
+                    is_disp=False,
+                    score="TS",
+                    interval=0,
+                    num_rand_basis=self._features,
+                )
+        finally:
+            np.random.set_state(state)  # noqa: NPY002
+        return list(dict.fromkeys(int(i) for i in chosen))
+
+
+def _seed(seed: int, told: int) -> int:
+    return int(np.random.SeedSequence([seed, told]).generate_state(1)[0])

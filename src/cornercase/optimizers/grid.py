@@ -1,0 +1,55 @@
+"""A regular grid, the baseline of every search."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import qmc
+
+from cornercase.scenario.space import ParameterSpace
+from cornercase.typing import FloatArray
+
+
+class GridOptimizer:
+    """Full factorial design.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+        Not used; a grid has no chance in it.
+    budget : int, default 3375
+        The grid has as many steps per parameter as fit into this number of scenarios, and one at least.
+    """
+
+    name = "grid"
+
+    def __init__(self, space: ParameterSpace, seed: int, budget: int = 3375) -> None:
+        self._space = space
+        self._told = 0
+        steps = [1] * space.dimension
+        sizes = [parameter.size or budget for parameter in space.parameters]
+        while True:
+            # The parameter with the fewest steps gets the next one, as long as the grid stays in the budget.
+            order = sorted((steps[j], j) for j in range(len(steps)) if steps[j] < sizes[j])
+            grown = next((j for count, j in order if np.prod(steps) // count * (count + 1) <= budget), None)
+            if grown is None:
+                break
+            steps[grown] += 1
+        axes = [(np.arange(count) + 0.5) / count for count in steps]
+        grid = space.snap(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, space.dimension))
+        self._points = grid[_spread_out(grid)]
+
+    def ask(self, n: int) -> FloatArray:
+        """Return the next at most `n` points of the grid, shape (m, d)."""
+        return self._points[self._told : self._told + n].copy()
+
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Go on after these points."""
+        self._told += len(points)
+
+
+def _spread_out(grid: FloatArray) -> list[int]:
+    """Order in which any first part of the grid covers the space: that of the nearest Halton points."""
+    halton = qmc.Halton(grid.shape[1], scramble=False).random(len(grid))
+    keys = np.argsort(np.argsort(halton[:, 0], kind="stable"), kind="stable")
+    return [int(i) for i in keys]
