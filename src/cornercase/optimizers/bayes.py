@@ -77,18 +77,22 @@ class BayesOptimizer:
                 policy = physbo.search.discrete.Policy(test_X=2.0 * candidates - 1.0)
                 policy.set_seed(seed)
                 training = physbo.Variable(X=2.0 * points - 1.0, t=target)
-                chosen = policy.bayes_search(
-                    training=training,
-                    max_num_probes=1,
-                    num_search_each_probe=n,
-                    is_disp=False,
-                    score="TS",
-                    interval=0,
-                    num_rand_basis=self._features,
-                )
+                # A round is that many samples of one posterior: the process is learned for the first only.
+                chosen = [
+                    int(action)
+                    for k in range(n)
+                    for action in policy.bayes_search(
+                        training=training if k == 0 else None,
+                        max_num_probes=1,
+                        is_disp=False,
+                        score="TS",
+                        interval=0 if k == 0 else -1,
+                        num_rand_basis=self._features,
+                    )
+                ]
         finally:
             np.random.set_state(state)  # noqa: NPY002
-        return list(dict.fromkeys(int(i) for i in chosen))
+        return list(dict.fromkeys(chosen))
 
 
 def _seed(seed: int, told: int) -> int:
