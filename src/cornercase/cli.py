@@ -39,7 +39,9 @@ Duration = Annotated[float, typer.Option(metavar="S", help="Longest duration of 
 OnCollision = Annotated[str, typer.Option(metavar="stop|continue", help="What a collision does to the run.")]
 Drivers = Annotated[
     list[str] | None,
-    typer.Option("--driver", metavar="ENTITY=NAME", help="Driver preset, or package.module:Class of your own."),
+    typer.Option(
+        "--driver", metavar="ENTITY=NAME", help="Driver preset, or package.module:Class of your own."
+    ),
 ]
 By = Annotated[
     list[str] | None,
@@ -63,13 +65,16 @@ def _main(
 @app.command()
 def explore(
     scenario: Annotated[
-        Path | None, typer.Argument(metavar="[SCENARIO.xosc]", help="OpenSCENARIO file; may be left to --space.")
+        Path | None,
+        typer.Argument(metavar="[SCENARIO.xosc]", help="OpenSCENARIO file; may be left to --space."),
     ] = None,
     *,
     ego: Ego,
     other: Other,
     metric: Metrics,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")
+    ],
     space: Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")] = None,
     ranges: Annotated[
         list[str] | None,
@@ -231,10 +236,18 @@ def analyze(
         )
     table = Table("by", "clusters", "sizes", "noise", "gamma", "eps", "min samples", box=None)
     for name, one in results.items():
-        sizes = " ".join(map(str, one.sizes()))
+        found = one.clustering
+        sizes = " ".join(map(str, one.sizes))
+        noise = str(int((found.labels < 0).sum()))
         table.add_row(
-            name, str(len(one.sizes())), sizes, str(one.noise()), f"{one.gamma:.4g}", f"{one.eps:.4g}", str(one.min_samples)
-        )  # fmt: skip
+            name,
+            str(len(one.sizes)),
+            sizes,
+            noise,
+            f"{found.gamma:.4g}",
+            f"{found.eps:.4g}",
+            str(found.min_samples),
+        )
     _out.print(table)
 
 
@@ -242,10 +255,14 @@ def analyze(
 def reduce(
     study: StudyFile,
     *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")
+    ],
     by: Annotated[
         str | None,
-        typer.Option("--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."),
+        typer.Option(
+            "--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."
+        ),
     ] = None,
     archetypes: Annotated[str, typer.Option(metavar="N|auto", help="Archetypes a cluster.")] = "auto",
 ) -> None:
@@ -285,14 +302,19 @@ def report(
 
 @app.command()
 def demo(
-    name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")],
+    name: Annotated[
+        str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")
+    ],
     *,
     budget: Annotated[
-        int | None, typer.Option(metavar="N", help="Concrete scenarios to run; default: as in the paper.", min=1)
+        int | None,
+        typer.Option(metavar="N", help="Concrete scenarios to run; default: as in the paper.", min=1),
     ] = None,
     seed: Seed = 0,
     driver: Annotated[str | None, typer.Option(metavar="NAME", help="Who drives the ego.")] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")
+    ] = None,
 ) -> None:
     """Explore, cluster, reduce and report one of the examples.
 

@@ -152,7 +152,9 @@ def read_recording(path: Path | str) -> Recording:
     if not rows:
         raise InputError(f"{path}: has a header but no rows.")
 
-    numbers = np.array([[_number(path, line, row, c) for c in ("time", *_MOTION, *_BOX)] for line, row in rows])
+    numbers = np.array(
+        [[_number(path, line, row, c) for c in ("time", *_MOTION, *_BOX)] for line, row in rows]
+    )
     if not np.isfinite(numbers[:, 0]).all():
         raise InputError(f"{path}: every row needs a finite time.")
     time, instant = np.unique(numbers[:, 0], return_inverse=True)

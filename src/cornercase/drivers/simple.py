@@ -75,7 +75,8 @@ class SimpleDriver:
         speed = s.speed[:, None]
         kept = self._min_gap + np.maximum(
             0.0,
-            speed * self._headway + speed * closing / (2.0 * np.sqrt(self._acceleration * self._deceleration)),
+            speed * self._headway
+            + speed * closing / (2.0 * np.sqrt(self._acceleration * self._deceleration)),
         )
         with np.errstate(divide="ignore", invalid="ignore"):
             share = speed / np.maximum(wanted, 0.1)[:, None]

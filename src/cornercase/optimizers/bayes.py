@@ -55,7 +55,9 @@ class BayesOptimizer:
         candidates = rest.ask(self._candidates)
         if len(candidates) <= n:
             return candidates
-        chosen = self._thompson(candidates, self._points[known], self._scores[known], n, _seed(self._seed, told))
+        chosen = self._thompson(
+            candidates, self._points[known], self._scores[known], n, _seed(self._seed, told)
+        )
         return candidates[chosen]
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:

@@ -108,7 +108,10 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution 
         mean = _number(inner.get("expectedValue"), where)
         bounds = (0.0, mean + 10.0 * np.sqrt(mean) + 1.0) if span is None else _bounds(span, where)
         return Distribution("poisson", *bounds, (mean,)), ()
-    mean, deviation = _number(inner.get("expectedValue"), where), np.sqrt(_number(inner.get("variance"), where))
+    mean, deviation = (
+        _number(inner.get("expectedValue"), where),
+        np.sqrt(_number(inner.get("variance"), where)),
+    )
     kind = _KINDS[tag]
     if not deviation > 0:
         raise InputError(f"{where}: the variance must be above 0.")
@@ -123,7 +126,9 @@ def _bounds(element: etree._Element | None, where: str) -> tuple[float, float]:
         raise InputError(f"{where}: the distribution has no <Range>.")
     low, high = _number(element.get("lowerLimit"), where), _number(element.get("upperLimit"), where)
     if not low < high:
-        raise InputError(f"{where}: the range is {low:g} to {high:g}; the lower limit must be below the upper.")
+        raise InputError(
+            f"{where}: the range is {low:g} to {high:g}; the lower limit must be below the upper."
+        )
     return low, high
 
 

@@ -88,5 +88,8 @@ class LanePath:
 
 def join(pieces: Sequence[LanePath]) -> LanePath:
     """Path along several pieces, each of which starts where the one before ends."""
-    arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in ("x", "y", "s", "road", "lane", "along")]
+    arrays = [
+        np.concatenate([getattr(p, name) for p in pieces])
+        for name in ("x", "y", "s", "road", "lane", "along")
+    ]
     return LanePath.of_points(*arrays)

@@ -158,7 +158,9 @@ class RoadNetwork:
             if isinstance(element.tag, str) and "}" in element.tag:
                 element.tag = element.tag.split("}", 1)[1]
         if root.tag != "OpenDRIVE":
-            raise InputError(f"{path}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
+            raise InputError(
+                f"{path}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>."
+            )
         roads = tuple(_road(e, f"{path}, road {e.get('id')}") for e in root.iterfind("road"))
         if not roads:
             raise InputError(f"{path}: has no <road>.")
@@ -168,7 +170,9 @@ class RoadNetwork:
         for road in roads:
             for link in (road.predecessor, road.successor):
                 if link is not None and link.kind == "road" and link.element not in names:
-                    raise InputError(f"{path}, road {road.name}: is linked to the road {link.element}, which does not exist.")
+                    raise InputError(
+                        f"{path}, road {road.name}: is linked to the road {link.element}, which does not exist."
+                    )
         return cls(path, roads, {e.get("id", ""): tuple(_connections(e)) for e in root.iterfind("junction")})
 
     @cached_property
@@ -200,7 +204,9 @@ class RoadNetwork:
         """Whether traffic on a lane runs along the road's s."""
         return self.roads[road].along(lane)
 
-    def road_world(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def road_world(
+        self, road: int, s: FloatArray, t: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return x, y and heading of the road's direction at road coordinates, each (N,)."""
         return self.roads[road].at(s, t)
 
@@ -223,7 +229,11 @@ class RoadNetwork:
         points = np.stack([np.where(known, x, 0.0), np.where(known, y, 0.0)], axis=1)
         gap, near = tree.query(points, k=min(24, len(road)))
         gap, near = gap.reshape(len(x), -1), near.reshape(len(x), -1)
-        cost = np.maximum(gap - half[near], 0.0) + 1e-3 * gap + np.where(gap <= half[near], 0.01, 0.0) * bad[near]
+        cost = (
+            np.maximum(gap - half[near], 0.0)
+            + 1e-3 * gap
+            + np.where(gap <= half[near], 0.01, 0.0) * bad[near]
+        )
         best = near[np.arange(len(x)), cost.argmin(axis=1)]
         place = Place(road[best], lane[best], s[best].copy(), np.zeros(len(x)))
         for r, ln in sorted({*zip(place.road.tolist(), place.lane.tolist(), strict=True)}):
@@ -237,7 +247,9 @@ class RoadNetwork:
                 place.offset[rows] = dy * np.cos(heading) - dx * np.sin(heading)
         return place
 
-    def path_of_lane(self, road: int, lane: int, via: tuple[tuple[int, int, float], ...] = ()) -> LanePath | None:
+    def path_of_lane(
+        self, road: int, lane: int, via: tuple[tuple[int, int, float], ...] = ()
+    ) -> LanePath | None:
         """Centre line from the beginning of a lane through all that follow it.
 
         Parameters
@@ -399,7 +411,9 @@ def _lanes(section: etree._Element, where: str) -> list[tuple[int, Lane]]:
 def _link(element: etree._Element | None) -> Link | None:
     if element is None:
         return None
-    return Link(element.get("elementType", "road"), element.get("elementId", ""), element.get("contactPoint", ""))
+    return Link(
+        element.get("elementType", "road"), element.get("elementId", ""), element.get("contactPoint", "")
+    )
 
 
 def _connections(junction: etree._Element) -> list[tuple[str, str, str, dict[int, int]]]:

@@ -47,9 +47,13 @@ class Scenario:
         path = Path(path)
         root = read_xml(path)
         if root.tag != "OpenSCENARIO":
-            raise InputError(f"{path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>.")
+            raise InputError(
+                f"{path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>."
+            )
         if root.find("ParameterValueDistribution") is not None:
-            raise InputError(f"{path}: is a parameter value distribution, not a scenario; give it as --space.")
+            raise InputError(
+                f"{path}: is a parameter value distribution, not a scenario; give it as --space."
+            )
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
                 raise InputError(f"{path}: has no <{needed}>, so there is nothing to run.")
@@ -94,7 +98,9 @@ class Scenario:
             It is a network address.
         """
         if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", reference) or reference.startswith(("//", "\\\\")):
-            raise InputError(f"{self.path}: the {what} '{reference}' is a network address; name a local file.")
+            raise InputError(
+                f"{self.path}: the {what} '{reference}' is a network address; name a local file."
+            )
         return self.path.parent / reference.replace("\\", "/")
 
     def catalog_entry(self, catalog: str, entry: str) -> etree._Element:
@@ -106,7 +112,9 @@ class Scenario:
             No catalog of that name lies in the catalog locations, or it lacks the entry.
         """
         if catalog not in self._catalogs:
-            raise InputError(f"{self.path}: there is no catalog '{catalog}'; {suggestion(catalog, self._catalogs)}")
+            raise InputError(
+                f"{self.path}: there is no catalog '{catalog}'; {suggestion(catalog, self._catalogs)}"
+            )
         entries = {e.get("name", ""): e for e in self._catalogs[catalog].iterchildren("*")}
         if entry not in entries:
             raise InputError(
@@ -244,7 +252,9 @@ def _set_driver(scenario_object: etree._Element, driver: str) -> None:
                 return
     holder = etree.SubElement(scenario_object, "ObjectController")
     controller = etree.SubElement(holder, "Controller", name=f"driver of {scenario_object.get('name')}")
-    etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver)
+    etree.SubElement(
+        etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver
+    )
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -85,7 +85,12 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
     if shape is None:
         raise InputError(f"{where}: a <geometry> is no line, arc, spiral, poly3 or paramPoly3.")
     kind = str(shape.tag)
-    names = {"line": (), "arc": ("curvature",), "spiral": ("curvStart", "curvEnd"), "poly3": ("a", "b", "c", "d")}
+    names = {
+        "line": (),
+        "arc": ("curvature",),
+        "spiral": ("curvStart", "curvEnd"),
+        "poly3": ("a", "b", "c", "d"),
+    }
     if kind != "paramPoly3":
         return Geometry(*start, kind, tuple(_number(shape, name, where) for name in names[kind]))
     top = start[4] if shape.get("pRange", "normalized") == "arcLength" else 1.0

@@ -177,7 +177,10 @@ class ParameterSpace:
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
         """Values at points of the unit cube, shape (n, d)."""
         return [
-            {parameter.name: parameter.value(float(u)) for parameter, u in zip(self.parameters, point, strict=True)}
+            {
+                parameter.name: parameter.value(float(u))
+                for parameter, u in zip(self.parameters, point, strict=True)
+            }
             for point in np.clip(points, 0.0, 1.0)
         ]
 
@@ -241,14 +244,18 @@ def _parse_range(text: str) -> Parameter:
                 numbers[key] = float(match[key])
             except ValueError:
                 raise InputError(f"--range {text}: '{match[key]}' is not a number.") from None
-    return _ranged(match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), f"--range {text}")
+    return _ranged(
+        match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), f"--range {text}"
+    )
 
 
 def _ranged(name: str, low: float, high: float, step: float | None, where: str) -> Parameter:
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError(f"{where}: the bounds of {name} must be finite.")
     if low >= high:
-        raise InputError(f"{where}: the range of {name} is {low:g} to {high:g}; the lower bound must be below the upper.")
+        raise InputError(
+            f"{where}: the range of {name} is {low:g} to {high:g}; the lower bound must be below the upper."
+        )
     if step is not None and not 0 < step <= high - low:
         raise InputError(f"{where}: the step of {name} must be above 0 and at most {high - low:g}.")
     return Parameter(name, low, high, step)

@@ -145,7 +145,9 @@ class SpeedAction:
                     " by the builtin simulator."
                 )
         else:
-            raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedActionTarget> holds no target.")
+            raise InputError(
+                f"{scope.source}, line {element.sourceline}: <SpeedActionTarget> holds no target."
+            )
         n = scope.scenarios
         self._from, self._to, self._elapsed, self._duration = (np.zeros(n) for _ in range(4))
 

@@ -155,7 +155,9 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
     )
     if body is not None and body.tag == "CatalogReference":
         reference = body
-        body = scenario.catalog_entry(scope.text(reference, "catalogName"), scope.text(reference, "entryName"))
+        body = scenario.catalog_entry(
+            scope.text(reference, "catalogName"), scope.text(reference, "entryName")
+        )
         scope = scope.within(body, reference.find("ParameterAssignments"))
     elif body is not None:
         scope = scope.within(body)
@@ -166,7 +168,9 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
         )
     dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
     if dimensions is None or center is None:
-        raise InputError(f"{scenario.path}: the entity '{name}' has no <BoundingBox> with <Center> and <Dimensions>.")
+        raise InputError(
+            f"{scenario.path}: the entity '{name}' has no <BoundingBox> with <Center> and <Dimensions>."
+        )
     kind = {"Pedestrian": "pedestrian", "MiscObject": "misc"}.get(body.tag) or scope.text(
         body, "vehicleCategory", "car"
     )

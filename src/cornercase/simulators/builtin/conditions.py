@@ -171,7 +171,9 @@ EntityTest = Callable[[World, int], BoolArray]
 def _of_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
     holder = element.find("TriggeringEntities")
     if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>.")
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>."
+        )
     every = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
     entities = [entity_index(e, scope, world) for e in holder.iterfind("EntityRef")]
 
@@ -185,7 +187,9 @@ def _of_triggering_entities(element: etree._Element, scope: Scope, world: World,
 def _rule(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
     rule = scope.text(element, "rule", "equalTo")
     if rule not in _RULES:
-        raise InputError(f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}")
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}"
+        )
     return _RULES[rule]
 
 
@@ -232,7 +236,9 @@ def _traveled(element: etree._Element, scope: Scope, world: World) -> EntityTest
 def _reach_position(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     holder = element.find("Position")
     if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>.")
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>."
+        )
     position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
 
     def reached(world: World, e: int) -> BoolArray:
@@ -248,7 +254,11 @@ def _speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
 
 
 def _relative_speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    rule, value, other = _rule(element, scope), scope.number(element, "value"), entity_index(element, scope, world)
+    rule, value, other = (
+        _rule(element, scope),
+        scope.number(element, "value"),
+        entity_index(element, scope, world),
+    )
     return lambda world, e: np.asarray(rule(world.speed[e] - world.speed[other], value))
 
 
@@ -266,7 +276,9 @@ def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTes
     if element.find("EntityRef") is None:
         by_type = element.find("ByType")
         if by_type is None:
-            raise InputError(f"{scope.source}, line {element.sourceline}: <CollisionCondition> names no entity.")
+            raise InputError(
+                f"{scope.source}, line {element.sourceline}: <CollisionCondition> names no entity."
+            )
         raise InputError(
             f"{scope.source}, line {element.sourceline}: <CollisionCondition> by type is not supported by the builtin"
             " simulator; name an entity with <EntityRef>."
@@ -288,7 +300,7 @@ def _relative_distance(element: etree._Element, scope: Scope, world: World) -> E
     free = scope.flag(element, "freespace", False)
     if free:
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: <RelativeDistanceCondition> with freespace=\"true\" is not"
+            f'{scope.source}, line {element.sourceline}: <RelativeDistanceCondition> with freespace="true" is not'
             " supported by the builtin simulator."
         )
     measure = _ALONG[kind]

@@ -326,7 +326,9 @@ class Storyboard:
             name = action.get("name", "")
             for element in action.iterchildren("*"):
                 for actor in actors if element.tag == "PrivateAction" else [None]:
-                    running = RunningAction(name, scope.scenarios, read_action(element, scope, self._world, actor))
+                    running = RunningAction(
+                        name, scope.scenarios, read_action(element, scope, self._world, actor)
+                    )
                     actions.append(running)
                     self._known(running)
         start = event.find("StartTrigger")

@@ -203,7 +203,9 @@ class Polyline:
         return np.where(np.isnan(given0 + given1), heading, given0 + part * turn)
 
 
-def _nearest(px: FloatArray, py: FloatArray, distance: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+def _nearest(
+    px: FloatArray, py: FloatArray, distance: FloatArray, x: FloatArray, y: FloatArray
+) -> FloatArray:
     dx, dy = np.diff(px), np.diff(py)
     squared = np.maximum(dx * dx + dy * dy, 1e-30)
     part = np.clip(((x[:, None] - px[:, :-1]) * dx + (y[:, None] - py[:, :-1]) * dy) / squared, 0.0, 1.0)

@@ -105,14 +105,19 @@ class World:
 
     def place(self, entity: int, pose: Pose, where: BoolArray) -> None:
         """Put an entity somewhere; from there it follows its lane, or its heading where there is none."""
-        self.fail(where & ~np.isfinite(pose.x + pose.y + pose.heading), f"{self.names[entity]} is placed off the map")
+        self.fail(
+            where & ~np.isfinite(pose.x + pose.y + pose.heading),
+            f"{self.names[entity]} is placed off the map",
+        )
         where = where & self.running
         for state, value in ((self.x, pose.x), (self.y, pose.y), (self.heading, pose.heading)):
             state[entity][where] = value[where]
         self.present[entity] |= where
         self.track[entity][where] = FREE
         if self.network is not None and pose.lane is not None and pose.road is not None:
-            for road, lane in sorted({*zip(pose.road[where].tolist(), pose.lane[where].tolist(), strict=True)}):
+            for road, lane in sorted(
+                {*zip(pose.road[where].tolist(), pose.lane[where].tolist(), strict=True)}
+            ):
                 rows = where & (pose.road == road) & (pose.lane == lane)
                 self._follow_lane(entity, road, lane, pose, rows)
 

@@ -1,0 +1,137 @@
+"""How alike the scenarios of a study are: by behaviour and by criticality."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from cornercase.clustering import Clustering, cluster
+from cornercase.dtw import distance_matrix
+from cornercase.errors import InputError, suggestion
+from cornercase.metrics import METRICS
+from cornercase.metrics.base import capped
+from cornercase.study import Study
+from cornercase.typing import FloatArray, IntArray
+
+EGO_TRAJECTORY: Final = "ego-trajectory"
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Clusters of a study's scenarios.
+
+    Attributes
+    ----------
+    by : str
+        ``"ego-trajectory"`` or the name of a metric.
+    ids : ndarray of int64, shape (n,)
+        Scenarios.
+    distances : ndarray of float64, shape (n, n)
+        Dynamic Time Warping.
+    clustering : Clustering
+    """
+
+    by: str
+    ids: IntArray
+    distances: FloatArray
+    clustering: Clustering
+
+    @property
+    def sizes(self) -> list[int]:
+        """Number of scenarios in each cluster."""
+        labels = self.clustering.labels
+        return np.bincount(labels[labels >= 0]).tolist() if (labels >= 0).any() else []
+
+
+def series_of(study: Study, by: str) -> list[FloatArray]:
+    """Time series by which the scenarios are compared, one for each that was run.
+
+    Parameters
+    ----------
+    study : Study
+    by : str
+        ``"ego-trajectory"``: centre of the ego's box, each (T_i, 2) in m. A metric: its capped course, each (T_i,).
+
+    Raises
+    ------
+    InputError
+        The study holds no such metric.
+    """
+    rows = study.done()
+    if by == EGO_TRAJECTORY:
+        return [study.recording(row.id).center(study.meta["ego"]) for row in rows]
+    if by not in study.meta["metrics"]:
+        known = (EGO_TRAJECTORY, *study.meta["metrics"])
+        raise InputError(f"{study.path}: cannot be clustered by '{by}'; {suggestion(by, known)}")
+    metric = METRICS.create(by)
+    return [capped(metric, study.course(row.id, by)) for row in rows]
+
+
+def analyze_study(
+    study: Study,
+    by: Sequence[str] | None = None,
+    *,
+    gamma: float | Literal["auto"] = "auto",
+    eps: float | Literal["auto"] = "auto",
+    min_samples: int | Literal["auto"] = "auto",
+    progress: bool = False,
+) -> dict[str, Analysis]:
+    """Cluster the scenarios of a study, and store the result in it.
+
+    The paper's section "Scenario Clustering": DTW distance matrix, RBF kernel PCA to three dimensions, DBSCAN.
+
+    Parameters
+    ----------
+    study : Study
+        Open for writing.
+    by : sequence of str, optional
+        ``"ego-trajectory"`` and metrics; all by default.
+    gamma, eps : float or "auto"
+    min_samples : int or "auto"
+        As of `cornercase.clustering.cluster`.
+    progress : bool, default False
+
+    Returns
+    -------
+    dict of str to Analysis
+
+    Raises
+    ------
+    InputError
+        Fewer than two scenarios were run, or the study holds no such metric.
+    """
+    ids = np.array([row.id for row in study.done()], dtype=np.int64)
+    if len(ids) < 2:
+        raise InputError(
+            f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered."
+        )
+    results = {}
+    for name in by or (EGO_TRAJECTORY, *study.meta["metrics"]):
+        begun = time.monotonic()
+        distances = distance_matrix(series_of(study, name), progress=progress)
+        measured = time.monotonic()
+        found = cluster(distances, gamma=gamma, eps=eps, min_samples=min_samples)
+        results[name] = Analysis(name, ids, distances, found)
+        study.save_analysis(
+            name,
+            {"ids": ids, "distances": distances, "labels": found.labels, "embedding": found.embedding},
+            _info(found),
+        )
+        study.add_elapsed("compare", measured - begun)
+        study.add_elapsed("cluster", time.monotonic() - measured)
+    return results
+
+
+def _info(found: Clustering) -> dict[str, Any]:
+    return {
+        "gamma": found.gamma,
+        "eps": found.eps,
+        "min_samples": found.min_samples,
+        "scale": found.scale,
+        "explained": found.explained,
+        "candidates": [asdict(candidate) for candidate in found.candidates],
+    }

@@ -1,0 +1,221 @@
+"""From a logical scenario to a report, as the command line does it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase import __version__
+from cornercase.errors import InputError, suggestion
+from cornercase.explorer import ExplorationResult, ScenarioExplorer
+from cornercase.metrics import METRICS
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.scenario.logical import LogicalScenario
+from cornercase.scenario.openscenario import Scenario
+from cornercase.simulators import SIMULATORS
+from cornercase.simulators.base import Simulator
+from cornercase.simulators.parallel import ParallelSimulator
+from cornercase.study import Study
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """Everything that an exploration depends on.
+
+    Attributes
+    ----------
+    logical : LogicalScenario
+    ego, other : str
+    metrics : tuple of str
+        The first is searched.
+    optimizer : str
+    budget, batch, seed : int
+    patience : int or None
+    max_seconds : float or None
+    simulator : str
+    workers : int
+    time_step, duration : float
+        s.
+    on_collision : {"continue", "stop"}
+    drivers : mapping of str to str
+        Driver by entity.
+    """
+
+    logical: LogicalScenario
+    ego: str
+    other: str
+    metrics: tuple[str, ...]
+    optimizer: str = "bayes"
+    budget: int = 200
+    batch: int = 10
+    seed: int = 0
+    patience: int | None = None
+    max_seconds: float | None = None
+    simulator: str = "builtin"
+    workers: int = 1
+    time_step: float = 0.05
+    duration: float = 60.0
+    on_collision: str = "continue"
+    drivers: Mapping[str, str] = field(default_factory=dict)
+
+
+def explore_scenario(exploration: Exploration, path: Path, progress: bool = False) -> ExplorationResult:
+    """Explore into a study, or go on with the one that is there.
+
+    Raises
+    ------
+    InputError
+        Something about the exploration cannot be used, or the study is of another one; it is left as it is.
+    """
+    one = exploration
+    file = Scenario.read(one.logical.path)
+    file.require_entity(one.ego, "ego")
+    file.require_entity(one.other, "other")
+    if one.ego == one.other:
+        raise InputError(f"--other {one.other}: is the ego itself; name the entity that it meets.")
+    metrics = [METRICS.create(name) for name in dict.fromkeys(one.metrics)]
+    if one.optimizer == "grid":
+        optimizer = OPTIMIZERS.create("grid", space=one.logical.space, seed=one.seed, budget=one.budget)
+    else:
+        optimizer = OPTIMIZERS.create(one.optimizer, space=one.logical.space, seed=one.seed)
+    simulator = _simulator(one)
+    meta = {
+        "scenario": str(one.logical.path.resolve()),
+        "fingerprint": one.logical.fingerprint,
+        "space": one.logical.space.to_json(),
+        "ego": one.ego,
+        "other": one.other,
+        "metrics": [metric.name for metric in metrics],
+        "optimizer": one.optimizer,
+        "seed": one.seed,
+        "budget": one.budget,
+        "batch": one.batch,
+        "simulator": one.simulator,
+        "settings": simulator.settings,
+        "version": __version__,
+    }
+    if path.exists():
+        study = Study.open(path)
+        _require_same(study, meta)
+    else:
+        study = Study.create(path, meta)
+    with study:
+        explorer = ScenarioExplorer(
+            one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
+            budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,
+        )  # fmt: skip
+        return explorer.run(progress)
+
+
+def finish(path: Path, folder: Path) -> None:
+    """Cluster, reduce and report a study into a folder."""
+    from cornercase.analysis import analyze_study
+    from cornercase.reduction import reduce_study
+    from cornercase.report import write_report
+
+    with Study.open(path) as study:
+        analyze_study(study, progress=True)
+        reduce_study(study, folder / "reduced")
+        write_report(study, folder / "report.html")
+
+
+_DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
+    "x-intersection": {
+        "other": "Pedestrian",
+        "metrics": ("wttc", "trajectory-distance"),
+        "budget": 400,
+        "on_collision": "continue",
+    },
+    "t-intersection": {
+        "other": "C",
+        "metrics": ("distance", "traffic-quality", "wttc"),
+        "budget": 300,
+        "on_collision": "stop",
+    },
+}
+
+
+def demonstration(
+    name: str, *, budget: int | None = None, seed: int = 0, driver: str | None = None
+) -> Exploration:
+    """Exploration of one of the paper's experiments, at its size.
+
+    Parameters
+    ----------
+    name : {"x-intersection", "t-intersection"}
+    budget : int, optional
+    seed : int
+    driver : str, optional
+        Who drives the ego, instead of the file's own choice.
+
+    Raises
+    ------
+    InputError
+        There is no such example.
+    """
+    if name not in _DEMONSTRATIONS:
+        raise InputError(f"There is no example '{name}'; {suggestion(name, _DEMONSTRATIONS)}")
+    stem = name.replace("-", "_")
+    folder = examples() / stem
+    exploration = Exploration(
+        LogicalScenario.read(folder / f"{stem}.xosc", folder / f"{stem}.space.xosc"),
+        ego="Ego",
+        seed=seed,
+        drivers={} if driver is None else {"Ego": driver},
+        **_DEMONSTRATIONS[name],
+    )
+    return exploration if budget is None else replace(exploration, budget=budget)
+
+
+def examples() -> Path:
+    """Folder of the examples: beside the modules when installed, at the root of a checkout."""
+    here = Path(__file__).resolve().parent
+    return here / "examples" if (here / "examples").is_dir() else here.parents[1] / "examples"
+
+
+def _simulator(one: Exploration) -> Simulator:
+    from cornercase.drivers import named_driver
+
+    if one.simulator not in SIMULATORS.names():
+        SIMULATORS.create(one.simulator)
+    options: dict[str, Any] = {
+        "time_step": one.time_step,
+        "duration": one.duration,
+        "on_collision": one.on_collision,
+        # A preset stays a name, so that it can be written into the reduced set's files.
+        "drivers": {entity: named_driver(n) if ":" in n else n for entity, n in one.drivers.items()},
+    }
+    for name in one.drivers.values():
+        named_driver(name)
+    if one.workers > 1:
+        return ParallelSimulator(one.simulator, options, one.workers)
+    return SIMULATORS.create(one.simulator, **options)
+
+
+def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
+    """Refuse to go on with a study of something else; only the budget may grow."""
+    for key, words in (
+        ("scenario", "another scenario"),
+        ("fingerprint", "another version of the scenario file"),
+        ("space", "other parameter ranges"),
+        ("ego", "another ego"),
+        ("other", "another other entity"),
+        ("metrics", "other metrics"),
+        ("optimizer", "another optimizer"),
+        ("seed", "another seed"),
+        ("batch", "another batch size"),
+        ("simulator", "another simulator"),
+        ("settings", "other simulator settings"),
+    ):
+        if study.meta.get(key) != meta[key]:
+            study.close()
+            raise InputError(
+                f"{study.path}: belongs to {words}; name another study with -o, or give the same options."
+            )
+    if study.meta["optimizer"] == "grid" and study.meta["budget"] != meta["budget"]:
+        study.close()
+        raise InputError(
+            f"{study.path}: belongs to a grid of {study.meta['budget']} scenarios; give the same --budget."
+        )

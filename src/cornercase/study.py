@@ -1,0 +1,392 @@
+"""Everything that was run, in one SQLite file; its schema is in ``docs/study-format.md``."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from cornercase.errors import InputError, SimulationError
+from cornercase.files import written_whole
+from cornercase.recording import Collision, Recording
+from cornercase.scenario.space import ParameterSpace, Value
+from cornercase.typing import FloatArray
+
+SCHEMA_VERSION: Final = 1
+_APPLICATION: Final = 0x434F524E  # "CORN"
+
+_SCHEMA: Final = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE scenarios (
+    id INTEGER PRIMARY KEY, round INTEGER NOT NULL, point BLOB NOT NULL, parameters TEXT NOT NULL,
+    state TEXT NOT NULL CHECK (state IN ('pending', 'done', 'failed')), error TEXT, recording BLOB);
+CREATE TABLE courses (
+    scenario INTEGER NOT NULL REFERENCES scenarios, metric TEXT NOT NULL, score REAL NOT NULL,
+    course BLOB NOT NULL, PRIMARY KEY (scenario, metric)) WITHOUT ROWID;
+CREATE TABLE analyses (name TEXT PRIMARY KEY, info TEXT NOT NULL, arrays BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROWID;
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One concrete scenario of a study.
+
+    Attributes
+    ----------
+    id, round : int
+        Both from 1 on.
+    point : ndarray of float64, shape (d,)
+        In the unit cube.
+    values : dict of str to float or str
+    state : {"pending", "done", "failed"}
+    error : str or None
+    """
+
+    id: int
+    round: int
+    point: FloatArray
+    values: dict[str, Value]
+    state: str
+    error: str | None
+
+
+class Study:
+    """A study that is open; use it as a context manager.
+
+    Readers work while an explorer writes. Make one with `create` or `open`.
+
+    Attributes
+    ----------
+    path : Path
+    meta : dict
+        What the study is about: scenario, fingerprint, space, ego, other, metrics, optimizer, seed, simulator,
+        settings, version.
+    space : ParameterSpace
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection, lock: IO[bytes] | None) -> None:
+        self.path = path
+        self._connection, self._lock = connection, lock
+        self.meta: dict[str, Any] = {
+            key: json.loads(value) for key, value in connection.execute("SELECT key, value FROM meta")
+        }
+        self.space = ParameterSpace.from_json(self.meta["space"])
+
+    @classmethod
+    def create(cls, path: Path | str, meta: Mapping[str, Any]) -> Study:
+        """Make a study in a new file, and open it for writing.
+
+        Raises
+        ------
+        InputError
+            The file exists already, or cannot be written.
+        """
+        path = Path(path)
+        if path.exists():
+            raise InputError(f"{path}: exists already; choose another name or remove it.")
+        # The file appears under its name only when it is whole.
+        with written_whole(path) as temporary, _sentences(path):
+            connection = sqlite3.connect(temporary)
+            connection.executescript(_SCHEMA)
+            connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+            connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+            connection.executemany(
+                "INSERT INTO meta VALUES (?, ?)",
+                [(key, json.dumps(value, sort_keys=True)) for key, value in sorted(meta.items())],
+            )
+            connection.commit()
+            connection.close()
+        return cls.open(path)
+
+    @classmethod
+    def open(cls, path: Path | str, readonly: bool = False) -> Study:
+        """Open a study.
+
+        Raises
+        ------
+        InputError
+            There is none, it is none, another program writes to it, or it is of another schema version.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(
+                f"{path}: there is no such study; make one with 'cornercase explore … -o {path}'."
+            )
+        lock = None if readonly else _locked(path)
+        with _sentences(path):
+            if readonly:
+                # Not mode=ro: a reader of a file in WAL mode has to be able to make its shared memory.
+                connection = sqlite3.connect(path, timeout=30.0)
+                connection.execute("PRAGMA query_only = ON")
+            else:
+                connection = sqlite3.connect(path, timeout=30.0)
+                connection.execute("PRAGMA journal_mode = WAL")
+                # A scenario counts as run only when it is on the disk.
+                connection.execute("PRAGMA synchronous = FULL")
+            (application,) = connection.execute("PRAGMA application_id").fetchone()
+            (version,) = connection.execute("PRAGMA user_version").fetchone()
+            if application != _APPLICATION:
+                raise InputError(f"{path}: is a database, but no cornercase study.")
+            if version != SCHEMA_VERSION:
+                raise InputError(
+                    f"{path}: has schema version {version}, this cornercase reads {SCHEMA_VERSION}; use the version"
+                    " that wrote it."
+                )
+            return cls(path, connection, lock)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+        if self._lock is not None:
+            self._lock.close()
+
+    def __enter__(self) -> Study:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def propose(self, number: int, points: FloatArray, values: Sequence[Mapping[str, Value]]) -> None:
+        """Store a round of proposals as pending, all or none."""
+        with _sentences(self.path), self._connection:
+            self._connection.executemany(
+                "INSERT INTO scenarios (round, point, parameters, state) VALUES (?, ?, ?, 'pending')",
+                [
+                    (number, point.astype("<f8").tobytes(), json.dumps(dict(one)))
+                    for point, one in zip(points, values, strict=True)
+                ],
+            )
+
+    def finish(
+        self, scenario: int, recording: Recording, courses: Mapping[str, tuple[FloatArray, float]]
+    ) -> None:
+        """Store what came out of a scenario: its recording, and course and score of each metric."""
+        with _sentences(self.path), self._connection:
+            self._connection.executemany(
+                "INSERT INTO courses VALUES (?, ?, ?, ?)",
+                [
+                    (scenario, name, score, _packed({"course": course}))
+                    for name, (course, score) in courses.items()
+                ],
+            )
+            self._connection.execute(
+                "UPDATE scenarios SET state = 'done', recording = ? WHERE id = ?",
+                (_pack_recording(recording), scenario),
+            )
+
+    def fail(self, scenario: int, error: SimulationError) -> None:
+        """Store why a scenario could not be run."""
+        with _sentences(self.path), self._connection:
+            self._connection.execute(
+                "UPDATE scenarios SET state = 'failed', error = ? WHERE id = ?", (str(error), scenario)
+            )
+
+    def rows(self) -> list[Row]:
+        """All scenarios, in the order in which they were proposed."""
+        with _sentences(self.path):
+            found = self._connection.execute(
+                "SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id"
+            ).fetchall()
+        return [
+            Row(i, number, np.frombuffer(point, "<f8").copy(), json.loads(values), state, error)
+            for i, number, point, values, state, error in found
+        ]
+
+    def done(self) -> list[Row]:
+        """Scenarios that were run."""
+        return [row for row in self.rows() if row.state == "done"]
+
+    def failed(self) -> list[Row]:
+        """Scenarios that could not be run."""
+        return [row for row in self.rows() if row.state == "failed"]
+
+    def points(self) -> FloatArray:
+        """Points of the scenarios that were run, shape (n, d)."""
+        return np.array([row.point for row in self.done()]).reshape(-1, self.space.dimension)
+
+    def scores(self, metric: str) -> FloatArray:
+        """Scores of the scenarios that were run, shape (n,)."""
+        self._require_metric(metric)
+        found = self._connection.execute(
+            "SELECT score FROM courses JOIN scenarios ON id = scenario WHERE metric = ? AND state = 'done' ORDER BY id",
+            (metric,),
+        )
+        return np.array([score for (score,) in found], dtype=np.float64)
+
+    def course(self, scenario: int, metric: str) -> FloatArray:
+        """Course of a metric in one scenario, shape (T,)."""
+        self._require_metric(metric)
+        found = self._connection.execute(
+            "SELECT course FROM courses WHERE scenario = ? AND metric = ?", (scenario, metric)
+        ).fetchone()
+        if found is None:
+            raise InputError(f"{self.path}: the scenario {scenario} was not run.")
+        return _unpacked(found[0])["course"]
+
+    def recording(self, scenario: int) -> Recording:
+        """Recording of one scenario."""
+        found = self._connection.execute(
+            "SELECT recording FROM scenarios WHERE id = ?", (scenario,)
+        ).fetchone()
+        if found is None or found[0] is None:
+            raise InputError(f"{self.path}: the scenario {scenario} was not run.")
+        return _unpack_recording(found[0])
+
+    def save_analysis(self, name: str, arrays: Mapping[str, Any], info: Mapping[str, Any]) -> None:
+        """Store a result under a name, instead of the one that was there."""
+        with _sentences(self.path), self._connection:
+            self._connection.execute(
+                "INSERT OR REPLACE INTO analyses VALUES (?, ?, ?)",
+                (name, json.dumps(dict(info)), _packed(arrays)),
+            )
+
+    def analyses(self) -> list[str]:
+        """Names of the stored clusterings: ``ego-trajectory`` first, then the metrics."""
+        names = [n for (n,) in self._connection.execute("SELECT name FROM analyses ORDER BY name")]
+        order = ["ego-trajectory", *self.meta["metrics"]]
+        return [name for name in order if name in names]
+
+    def analysis(self, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Arrays and further facts of a stored result."""
+        found = self._connection.execute(
+            "SELECT arrays, info FROM analyses WHERE name = ?", (name,)
+        ).fetchone()
+        if found is None:
+            raise InputError(
+                f"{self.path}: holds no analysis by {name}; run 'cornercase analyze {self.path}'."
+            )
+        return _unpacked(found[0]), json.loads(found[1])
+
+    def reduction(self) -> dict[str, Any] | None:
+        """Return what is known of the reduced set, as in its manifest; None before the reduction."""
+        found = self._connection.execute("SELECT info FROM analyses WHERE name = 'reduction'").fetchone()
+        return None if found is None else dict(json.loads(found[0]))
+
+    def add_elapsed(self, stage: str, seconds: float) -> None:
+        """Add to the time spent in a stage, in s."""
+        with _sentences(self.path), self._connection:
+            self._connection.execute(
+                "INSERT INTO elapsed VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds",
+                (stage, seconds),
+            )
+
+    def elapsed(self) -> dict[str, float]:
+        """Time spent by stage, in s."""
+        return dict(self._connection.execute("SELECT stage, seconds FROM elapsed ORDER BY stage"))
+
+    def export(self, folder: Path | str) -> None:
+        """Write everything as CSV: one table of scenarios, and recording and courses of each.
+
+        Raises
+        ------
+        InputError
+            The folder cannot be written.
+        """
+        folder, rows, metrics = Path(folder), self.rows(), self.meta["metrics"]
+        scores = {
+            name: dict(zip([r.id for r in self.done()], self.scores(name), strict=True)) for name in metrics
+        }
+        labels = {}
+        for name in self.analyses():
+            arrays, _ = self.analysis(name)
+            labels[name] = dict(zip(arrays["ids"].tolist(), arrays["labels"].tolist(), strict=True))
+        with (
+            written_whole(folder / "scenarios.csv") as temporary,
+            open(temporary, "w", newline="", encoding="utf-8") as file,
+        ):
+            writer = csv.writer(file, lineterminator="\n")
+            clusters = [f"cluster by {name}" for name in labels]
+            writer.writerow(["id", "round", "state", *self.space.names, *metrics, *clusters, "error"])
+            for row in rows:
+                writer.writerow(
+                    [
+                        *(row.id, row.round, row.state, *row.values.values()),
+                        *(scores[name].get(row.id, "") for name in metrics),
+                        *(labels[name].get(row.id, "") for name in labels),
+                        row.error or "",
+                    ]
+                )
+        from cornercase.metrics.courses import write_courses
+
+        for row in self.done():
+            recording = self.recording(row.id)
+            recording.to_csv(folder / "recordings" / f"{row.id:05}.csv")
+            courses = {name: self.course(row.id, name) for name in metrics}
+            write_courses(folder / "courses" / f"{row.id:05}.csv", recording.time, courses)
+
+    def _require_metric(self, metric: str) -> None:
+        if metric not in self.meta["metrics"]:
+            raise InputError(
+                f"{self.path}: holds no course of the metric '{metric}'; it has {', '.join(self.meta['metrics'])}."
+            )
+
+
+@contextmanager
+def _sentences(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise InputError(f"{path}: cannot be used as a study ({error}).") from error
+
+
+def _locked(path: Path) -> IO[bytes]:
+    try:
+        lock = open(path.with_name(path.name + ".lock"), "ab")  # noqa: SIM115 - held as long as the study is open
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        lock.close()
+        raise InputError(f"{path}: another cornercase is writing to it; wait until it has ended.") from None
+    return lock
+
+
+def _packed(arrays: Mapping[str, Any]) -> bytes:
+    # np.savez stamps no time into its members, so the bytes depend on the arrays alone.
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **{name: np.asarray(array) for name, array in arrays.items()})
+    return buffer.getvalue()
+
+
+def _unpacked(data: bytes) -> dict[str, Any]:
+    with np.load(io.BytesIO(data), allow_pickle=False) as loaded:
+        return {name: loaded[name] for name in loaded.files}
+
+
+_ARRAYS: Final = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
+
+
+def _pack_recording(recording: Recording) -> bytes:
+    arrays: dict[str, Any] = {name: getattr(recording, name) for name in _ARRAYS}
+    arrays["names"], arrays["kinds"] = np.array(recording.names), np.array(recording.kinds)
+    arrays["collision_time"] = np.array([c.time for c in recording.collisions], dtype=np.float64)
+    arrays["collision_entities"] = np.array(
+        [[recording.names.index(n) for n in c.entities] for c in recording.collisions], dtype=np.int64
+    ).reshape(-1, 2)
+    return _packed(arrays)
+
+
+def _unpack_recording(data: bytes) -> Recording:
+    arrays = _unpacked(data)
+    names = tuple(map(str, arrays["names"]))
+    collisions = tuple(
+        Collision(float(time), (names[a], names[b]))
+        for time, (a, b) in zip(arrays["collision_time"], arrays["collision_entities"], strict=True)
+    )
+    return Recording(
+        **{name: arrays[name] for name in _ARRAYS},
+        names=names,
+        kinds=tuple(map(str, arrays["kinds"])),
+        collisions=collisions,
+    )
