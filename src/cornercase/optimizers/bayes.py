@@ -23,6 +23,9 @@ class BayesOptimizer:
     first 20 points are a Sobol' sequence. Each round learns the process anew from all that was told, so the next
     round depends on nothing else.
 
+    Samples of the process crowd where it is lowest. So that a critical region elsewhere is not overlooked, and less
+    critical scenarios are there to be compared with, a share of each round goes on with the Sobol' sequence.
+
     Parameters
     ----------
     space : ParameterSpace
@@ -31,13 +34,22 @@ class BayesOptimizer:
         Points among which a round chooses; drawn anew for each.
     features : int, default 500
         Random features that stand for the kernel.
+    filling : float, default 0.3
+        Share of a round that fills the space; 0 is the paper's setting.
     """
 
     name = "bayes"
 
-    def __init__(self, space: ParameterSpace, seed: int, candidates: int = 2000, features: int = 500) -> None:
+    def __init__(
+        self,
+        space: ParameterSpace,
+        seed: int,
+        candidates: int = 2000,
+        features: int = 500,
+        filling: float = 0.3,
+    ) -> None:
         self._space, self._seed = space, seed
-        self._candidates, self._features = candidates, features
+        self._candidates, self._features, self._filling = candidates, features, filling
         self._start = SequenceOptimizer(space, seed, "sobol")
         self._points = np.zeros((0, space.dimension))
         self._scores = np.zeros(0)
@@ -50,15 +62,17 @@ class BayesOptimizer:
             return self._start.ask(min(n, _INITIAL - told))
         if known.sum() < 3 or np.ptp(self._scores[known]) == 0.0:
             return self._start.ask(n)
+        filling = self._start.ask(int(n * self._filling))
         rest = SequenceOptimizer(self._space, _seed(self._seed, told), "sobol")
-        rest.tell(self._points, self._scores)
+        rest.tell(np.concatenate([self._points, filling]), np.zeros(told + len(filling)))
         candidates = rest.ask(self._candidates)
-        if len(candidates) <= n:
-            return candidates
-        chosen = self._thompson(
-            candidates, self._points[known], self._scores[known], n, _seed(self._seed, told)
-        )
-        return candidates[chosen]
+        wanted = n - len(filling)
+        if len(candidates) > wanted:
+            seed = _seed(self._seed, told)
+            candidates = candidates[
+                self._thompson(candidates, self._points[known], self._scores[known], wanted, seed)
+            ]
+        return np.concatenate([candidates, filling])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take scores, lower being more critical; NaN for a scenario that failed."""

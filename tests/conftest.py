@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cornercase.scenario.logical import LogicalScenario
+from cornercase.simulators.builtin import BuiltinSimulator
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def example(name: str) -> LogicalScenario:
+    return LogicalScenario.read(EXAMPLES / name / f"{name}.xosc", EXAMPLES / name / f"{name}.space.xosc")
+
+
+@pytest.fixture(scope="session")
+def x_intersection() -> LogicalScenario:
+    return example("x_intersection")
+
+
+@pytest.fixture(scope="session")
+def t_intersection() -> LogicalScenario:
+    return example("t_intersection")
+
+
+def same_recording(a, b) -> bool:
+    return (
+        a.names == b.names
+        and a.collisions == b.collisions
+        and all(
+            np.array_equal(getattr(a, key), getattr(b, key), equal_nan=True)
+            for key in ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
+        )
+    )
+
+
+@pytest.fixture(scope="session")
+def builtin() -> BuiltinSimulator:
+    return BuiltinSimulator()
+
+
+# A straight road and one car or two; what the tests put in is the storyboard.
+ROAD = """<OpenDRIVE><header revMajor="1" revMinor="7"/><road id="1" length="500" junction="-1">
+<planView><geometry s="0" x="0" y="0" hdg="0" length="500"><line/></geometry></planView>
+<lanes><laneSection s="0"><left><lane id="1" type="driving"><width sOffset="0" a="4" b="0" c="0" d="0"/></lane></left>
+<center><lane id="0" type="none"/></center>
+<right><lane id="-1" type="driving"><width sOffset="0" a="4" b="0" c="0" d="0"/></lane></right>
+</laneSection></lanes></road></OpenDRIVE>"""
+
+
+def car(name: str) -> str:
+    return f"""<ScenarioObject name="{name}"><Vehicle name="car" vehicleCategory="car">
+<BoundingBox><Center x="1.4" y="0" z="0.7"/><Dimensions length="4" width="2" height="1.5"/></BoundingBox>
+<Performance maxSpeed="60" maxAcceleration="200" maxDeceleration="200"/><Axles/><Properties/></Vehicle></ScenarioObject>"""
+
+
+def speed_action(value: str, shape: str = "step", dimension: str = "time", over: str = "0") -> str:
+    return f"""<PrivateAction><LongitudinalAction><SpeedAction>
+<SpeedActionDynamics dynamicsShape="{shape}" dynamicsDimension="{dimension}" value="{over}"/>
+<SpeedActionTarget><AbsoluteTargetSpeed value="{value}"/></SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>"""
+
+
+def teleport(s: str, lane: str = "-1") -> str:
+    return f"""<PrivateAction><TeleportAction><Position><LanePosition roadId="1" laneId="{lane}" s="{s}"/></Position>
+</TeleportAction></PrivateAction>"""
+
+
+def scenario_file(
+    folder: Path,
+    *,
+    init: str,
+    story: str = "",
+    stop: str = "",
+    parameters: str = "",
+    entities: str = car("Ego"),
+    name: str = "scenario.xosc",
+) -> Path:
+    (folder / "road.xodr").write_text(ROAD)
+    path = folder / name
+    path.write_text(f"""<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a"
+description="d"/><ParameterDeclarations>{parameters}</ParameterDeclarations><CatalogLocations/>
+<RoadNetwork><LogicFile filepath="road.xodr"/></RoadNetwork><Entities>{entities}</Entities>
+<Storyboard><Init><Actions>{init}</Actions></Init>{story}<StopTrigger>{stop}</StopTrigger></Storyboard></OpenSCENARIO>""")
+    return path
+
+
+def time_trigger(value: str, rule: str = "greaterOrEqual", edge: str = "none", delay: str = "0") -> str:
+    return f"""<ConditionGroup><Condition name="c" delay="{delay}" conditionEdge="{edge}"><ByValueCondition>
+<SimulationTimeCondition value="{value}" rule="{rule}"/></ByValueCondition></Condition></ConditionGroup>"""
+
+
+def story_of(events: str, actor: str = "Ego") -> str:
+    return f"""<Story name="s"><Act name="a"><ManeuverGroup name="g" maximumExecutionCount="1">
+<Actors selectTriggeringEntities="false"><EntityRef entityRef="{actor}"/></Actors><Maneuver name="m">{events}</Maneuver>
+</ManeuverGroup><StartTrigger>{time_trigger("0")}</StartTrigger></Act></Story>"""
+
+
+def event(name: str, action: str, trigger: str, priority: str = "parallel") -> str:
+    return f"""<Event name="{name}" priority="{priority}" maximumExecutionCount="1"><Action name="{name}-action">{action}
+</Action><StartTrigger>{trigger}</StartTrigger></Event>"""
