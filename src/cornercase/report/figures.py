@@ -1,0 +1,202 @@
+"""Figures of the report, drawn without any display."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from cornercase.metrics.base import Metric
+from cornercase.scenario.space import Parameter
+from cornercase.typing import FloatArray, IntArray
+
+# Okabe and Ito's colours, which the colour-blind tell apart; markers say the same again.
+_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "*", "X")
+_NOISE: Final = "#999999"
+
+
+def look(label: int) -> tuple[str, str, str]:
+    """Colour, marker and name of a cluster."""
+    if label < 0:
+        return _NOISE, "x", "noise"
+    return _COLOURS[label % len(_COLOURS)], _MARKERS[label % len(_MARKERS)], f"cluster {label}"
+
+
+def png(figure: Figure) -> bytes:
+    """Figure as PNG; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(
+        buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25
+    )
+    return buffer.getvalue()
+
+
+def axis_name(parameter: Parameter) -> str:
+    """Name with unit."""
+    return f"{parameter.name} [{parameter.unit or '–'}]"
+
+
+def criticality(
+    values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric
+) -> Figure:
+    """Scores over each pair of parameters, dark being critical.
+
+    Parameters
+    ----------
+    values : ndarray of float64, shape (n, d)
+    parameters : sequence of Parameter, length d
+    scores : ndarray of float64, shape (n,)
+    metric : Metric
+    """
+    pairs = list(combinations(range(len(parameters)), 2))[:6] or [(0, 0)]
+    columns = min(3, len(pairs))
+    rows = -(-len(pairs) // columns)
+    figure = Figure(figsize=(4.6 * columns + 1.0, 4.0 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    # Drawing the critical ones last keeps them on top.
+    order = np.argsort(scores)[:: -1 if metric.lower_is_critical else 1]
+    colours = "viridis" if metric.lower_is_critical else "viridis_r"
+    points = None
+    for axis, (i, j) in zip(axes, pairs, strict=False):
+        y = scores[order] if i == j else values[order, j]
+        points = axis.scatter(values[order, i], y, c=scores[order], cmap=colours, s=22, linewidths=0)
+        axis.set_xlabel(axis_name(parameters[i]))
+        axis.set_ylabel(_score_name(metric) if i == j else axis_name(parameters[j]))
+    for axis in axes[len(pairs) :]:
+        axis.set_visible(False)
+    figure.colorbar(points, ax=list(axes), label=_score_name(metric), shrink=0.9)
+    return figure
+
+
+def clusters(
+    embedding: FloatArray,
+    labels: IntArray,
+    values: FloatArray,
+    parameters: Sequence[Parameter],
+    chosen: Sequence[int],
+) -> Figure:
+    """Kernel space and parameter space side by side, coloured by cluster.
+
+    Parameters
+    ----------
+    embedding : ndarray of float64, shape (n, 3)
+    labels : ndarray of int64, shape (n,)
+    values : ndarray of float64, shape (n, d)
+    parameters : sequence of Parameter, length d
+    chosen : sequence of int
+        The two parameters to draw; one where there is no more.
+    """
+    figure = Figure(figsize=(11.5, 4.8), layout="constrained")
+    space = figure.add_subplot(1, 2, 1, projection="3d")
+    plane = figure.add_subplot(1, 2, 2)
+    i, j = chosen[0], chosen[-1]
+    for label in np.unique(labels).tolist():
+        colour, marker, name = look(label)
+        rows = labels == label
+        # Three-dimensional axes are not known to matplotlib's types.
+        space.scatter(*embedding[rows].T, c=colour, marker=marker, s=20)  # type: ignore[misc]
+        y = embedding[rows, 0] if i == j else values[rows, j]
+        plane.scatter(values[rows, i], y, c=colour, marker=marker, s=22, label=f"{name} ({int(rows.sum())})")
+    for k, setter in enumerate((space.set_xlabel, space.set_ylabel, space.set_zlabel)):  # type: ignore[attr-defined]
+        setter(f"component {k + 1} [–]")
+    space.set_title("kernel space")
+    plane.set_title("parameter space")
+    plane.set_xlabel(axis_name(parameters[i]))
+    plane.set_ylabel("component 1 [–]" if i == j else axis_name(parameters[j]))
+    plane.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
+def courses(
+    time: Sequence[FloatArray], values: Sequence[FloatArray], labels: IntArray, metric: Metric
+) -> Figure:
+    """Course of a metric over time for each cluster: median, and the band from the 10th to the 90th percentile.
+
+    Parameters
+    ----------
+    time, values : sequence of ndarray of float64, each (T_i,)
+        In s, and as capped courses.
+    labels : ndarray of int64, shape (n,)
+    metric : Metric
+    """
+    figure = Figure(figsize=(11.0, 3.8), layout="constrained")
+    axis = figure.add_subplot()
+    longest = max(time, key=len)
+    table = np.full((len(values), len(longest)), np.nan)
+    for row, course in zip(table, values, strict=True):
+        row[: len(course)] = course
+    for label in [one for one in np.unique(labels).tolist() if one >= 0]:
+        colour, _, name = look(label)
+        rows = table[labels == label]
+        there = np.isfinite(rows).sum(axis=0) >= max(1, len(rows) // 2)
+        low, middle, high = np.nanpercentile(rows[:, there], (10, 50, 90), axis=0)
+        axis.fill_between(longest[there], low, high, color=colour, alpha=0.18, linewidth=0)
+        style = ("-", "--", "-.", ":")[label % 4]
+        axis.plot(longest[there], middle, style, color=colour, label=name, linewidth=1.8)
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel(f"{metric.name} [{metric.unit}]")
+    axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    axis.grid(alpha=0.3)
+    return figure
+
+
+def hulls(
+    values: FloatArray,
+    ids: Sequence[int],
+    parameters: Sequence[Parameter],
+    reduction: dict[str, Any],
+    chosen: Sequence[int],
+) -> Figure:
+    """Hull of each cluster in the parameter space, with what was kept.
+
+    Parameters
+    ----------
+    values : ndarray of float64, shape (n, d)
+    ids : sequence of int, length n
+    parameters : sequence of Parameter, length d
+    reduction : dict
+        As of `Study.reduction`.
+    chosen : sequence of int
+        Up to three parameters to draw.
+    """
+    row = {scenario: k for k, scenario in enumerate(ids)}
+    solid = len(chosen) >= 3
+    chosen = list(chosen[: 3 if solid else 2])
+    figure = Figure(figsize=(8.6, 6.4), layout="constrained")
+    axis: Any = figure.add_subplot(projection="3d") if solid else figure.add_subplot()
+
+    def place(k: Any) -> FloatArray:
+        points = values[k][..., chosen]
+        return np.asarray(points if points.shape[-1] > 1 else np.concatenate([points, 0 * points], axis=-1))
+
+    for label, facets in reduction["hulls"].items():
+        colour, _, _ = look(int(label))
+        edges = {tuple(sorted(pair)) for facet in facets for pair in combinations(facet, 2)}
+        for a, b in sorted(edges):
+            axis.plot(*place([row[a], row[b]]).T, color=colour, linewidth=0.7, alpha=0.55)
+    for label in sorted({item["cluster"] for item in reduction["kept"]}):
+        colour, _, name = look(label)
+        for role, marker, size in (("archetype", "o", 42), ("prototype", "*", 190)):
+            members = [row[i["id"]] for i in reduction["kept"] if i["cluster"] == label and i["role"] == role]
+            if members:
+                axis.scatter(
+                    *place(members).T, c=colour, marker=marker, s=size, edgecolors="black", linewidths=0.6,
+                    label=f"{role}, {name}",
+                )  # fmt: skip
+    axis.set_xlabel(axis_name(parameters[chosen[0]]))
+    axis.set_ylabel(axis_name(parameters[chosen[1]]) if len(chosen) > 1 else "")
+    if solid:
+        axis.set_zlabel(axis_name(parameters[chosen[2]]))
+    axis.legend(loc="center left", bbox_to_anchor=(1.05, 0.5), frameon=False)
+    return figure
+
+
+def _score_name(metric: Metric) -> str:
+    return f"{metric.name} score [{metric.unit}], {'low' if metric.lower_is_critical else 'high'} is critical"
