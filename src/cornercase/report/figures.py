@@ -93,9 +93,11 @@ def clusters(
     chosen : sequence of int
         The two parameters to draw; one where there is no more.
     """
-    figure = Figure(figsize=(11.5, 4.8), layout="constrained")
-    space = figure.add_subplot(1, 2, 1, projection="3d")
-    plane = figure.add_subplot(1, 2, 2)
+    figure = Figure(figsize=(12.5, 5.0))
+    # Wide between the two: the tick labels of three-dimensional axes reach beyond them.
+    grid = figure.add_gridspec(1, 2, wspace=0.28, left=0.02, right=0.84, bottom=0.12, top=0.92)
+    space = figure.add_subplot(grid[0], projection="3d")
+    plane = figure.add_subplot(grid[1])
     i, j = chosen[0], chosen[-1]
     for label in np.unique(labels).tolist():
         colour, marker, name = look(label)
