@@ -138,14 +138,8 @@ def main() -> None:
 
     missing = {"aeon", "dtaidistance", "tslearn"} - set(peers(options.threads))
     if missing:
-        print(
-            f"Not installed, so not measured: {', '.join(sorted(missing))} (extra 'bench').", file=sys.stderr
-        )
-    sizes = (
-        [(100, 100), (100, 400)]
-        if options.quick
-        else [(n, t) for n in (200, 400, 1000) for t in (100, 200, 400)]
-    )
+        print(f"Not installed, so not measured: {', '.join(sorted(missing))} (extra 'bench').", file=sys.stderr)
+    sizes = [(100, 100), (100, 400)] if options.quick else [(n, t) for n in (200, 400, 1000) for t in (100, 200, 400)]
     rows: list[dict[str, Any]] = []
     print(f"{'n':>5} {'length':>6} {'k':>2}  {'':30} {'s':>9} {'Gcells/s':>9} {'largest difference':>19}")
     for n, length in sizes:

@@ -73,9 +73,7 @@ class Other:
 
     def at(self, time):
         moving = (time >= np.asarray(self.start)) & (time < np.asarray(self.until))
-        way = np.asarray(self.speed) * np.clip(
-            np.minimum(time, self.until) - np.asarray(self.start), 0.0, None
-        )
+        way = np.asarray(self.speed) * np.clip(np.minimum(time, self.until) - np.asarray(self.start), 0.0, None)
         speed = np.where(moving, self.speed, 0.0)
         return (
             self.x + way * math.cos(self.heading),
@@ -119,9 +117,7 @@ class Run:
             v = v + a * DT
             s = s + v * DT
         # Each (instants, scenarios).
-        self.distance, self.speed, self.acceleration = (
-            np.array(column) for column in zip(*rows, strict=True)
-        )
+        self.distance, self.speed, self.acceleration = (np.array(column) for column in zip(*rows, strict=True))
         self.known, self.yielding = np.array(self.known), np.array(self.yielding)
 
 
@@ -188,9 +184,7 @@ def test_speed_limit_is_the_smallest_that_every_place_ahead_demands(curvatures, 
     path = Path(s, s.copy(), 0 * s, 0 * s, curvature)
     route = plan_route(path, lateral_acceleration=lateral, deceleration=braking)
     for k in range(0, 101, 10):
-        demands = [
-            lateral / max(abs(curvature[j]), lateral / 1e4) + 2 * braking * (s[j] - s[k]) for j in range(101)
-        ]
+        demands = [lateral / max(abs(curvature[j]), lateral / 1e4) + 2 * braking * (s[j] - s[k]) for j in range(101)]
         assert route.squared_speed[k] <= min(demands[k:]) * (1 + 1e-9)
         # Nowhere lower than what the places around, one step back, demand.
         assert route.squared_speed[k] >= min(demands[max(k - 1, 0) :]) - 2 * braking * 0.5 - 1e-9
@@ -300,9 +294,7 @@ def test_stops_for_a_pedestrian_who_crosses_in_view(name, time):
 
 def test_goes_first_when_the_pedestrian_is_far_and_after_when_it_has_passed():
     for time in (12.0, 1.0):
-        run = Run(
-            BehaviourDriver(NORMAL), straight(400.0), [crossing(time)], speed=10.0, target=10.0, duration=12.0
-        )
+        run = Run(BehaviourDriver(NORMAL), straight(400.0), [crossing(time)], speed=10.0, target=10.0, duration=12.0)
         assert run.speed == pytest.approx(10.0)
 
 
@@ -321,9 +313,7 @@ def test_gives_way_where_paths_merge_and_then_follows():
     reaches = np.linspace(4.0, 9.0, 11)
     car = Other("car", -9.0 * reaches + 7.5, np.full(11, 47.5), speed=9.0)
     for behaviour in PRESETS.values():
-        run = Run(
-            BehaviourDriver(behaviour), path, [car], scenarios=11, speed=8.0, target=12.0, duration=12.0
-        )
+        run = Run(BehaviourDriver(behaviour), path, [car], scenarios=11, speed=8.0, target=12.0, duration=12.0)
         waited = run.yielding.any(axis=(0, 2))
         assert waited.any()
         assert not run.touched[waited].any()
@@ -365,9 +355,7 @@ def test_reacts_to_a_hidden_pedestrian_only_once_it_was_seen_for_the_reaction_ti
     path, pedestrian = straight(400.0), 1
     others = hidden_crossing(1.0)
     run = Run(BehaviourDriver(NORMAL), path, others, speed=12.0, target=12.0, start=10.0, duration=8.0)
-    in_view = Run(
-        BehaviourDriver(NORMAL), path, others[1:], speed=12.0, target=12.0, start=10.0, duration=8.0
-    )
+    in_view = Run(BehaviourDriver(NORMAL), path, others[1:], speed=12.0, target=12.0, start=10.0, duration=8.0)
     seen = [
         line_is_free(np.array([s + 1.4 + 0.25 * EGO["length"], 0.0]), others, pedestrian, t)
         for s, t in zip(run.distance[:, 0], run.time, strict=True)
@@ -410,9 +398,7 @@ class Circling:
 def test_expects_oncoming_traffic_in_a_bend_to_stay_in_its_lane():
     radius = 50.0
     s = np.arange(0.0, 150.0, 0.2)
-    path = Path(
-        s, radius * np.sin(s / radius), radius - radius * np.cos(s / radius), s / radius, 0 * s + 1 / radius
-    )
+    path = Path(s, radius * np.sin(s / radius), radius - radius * np.cos(s / radius), s / radius, 0 * s + 1 / radius)
     for lane in (-3.5, 3.5):
         car = Circling("car", (0.0, radius), radius + lane, 8.0, math.pi / 2)
         run = Run(BehaviourDriver(NORMAL), path, [car], speed=9.0, target=9.0, duration=12.0)
@@ -426,9 +412,7 @@ def test_expects_who_turns_to_go_on_turning():
     turning = Circling("car", (52.0, 11.8), 8.0, 5.0, 0.0)
     ahead = Other("car", *turning.at(0.6)[:2], heading=turning.at(0.6)[2], speed=5.0)
     for car, brakes in ((turning, False), (ahead, True)):
-        run = Run(
-            BehaviourDriver(NORMAL), straight(300.0), [car], speed=9.0, target=9.0, start=27.0, duration=6.0
-        )
+        run = Run(BehaviourDriver(NORMAL), straight(300.0), [car], speed=9.0, target=9.0, start=27.0, duration=6.0)
         assert (run.speed.min() < 8.5) == brakes
 
 
@@ -439,9 +423,7 @@ def line_is_free(eye, others, k, time):
         x, y, heading, _ = other.at(time)
         length, width, center_x = BOXES[other.kind]
         boxes.append(
-            box_corners(
-                x + center_x * np.cos(heading), y + center_x * np.sin(heading), heading, length, width
-            )
+            box_corners(x + center_x * np.cos(heading), y + center_x * np.sin(heading), heading, length, width)
         )
     targets = np.vstack([boxes[k], boxes[k].mean(0)])
     blockers = [box for b, box in enumerate(boxes) if b != k]
@@ -517,9 +499,7 @@ def test_absent_entities_neither_hide_nor_matter():
     assert in_sight(free, **options)[0].tolist() == [True, False]
     driver = BehaviourDriver(NORMAL._replace(reaction_time=0.0))
     driver.start(1, 2)
-    empty = replace(
-        free, others_x=np.full((1, 2), np.nan), speed=np.array([5.0]), target_speed=np.array([5.0])
-    )
+    empty = replace(free, others_x=np.full((1, 2), np.nan), speed=np.array([5.0]), target_speed=np.array([5.0]))
     assert driver.acceleration(empty).tolist() == [0.0]
 
 
@@ -540,8 +520,7 @@ def test_remembers_for_a_while_who_got_out_of_sight():
 def test_bolder_presets_arrive_earlier_and_keep_smaller_gaps():
     others = [crossing(6.0), Other("car", 130.0, 0.0, speed=5.0)]
     runs = {
-        name: Run(BehaviourDriver(b), straight(900.0), others, speed=8.0, duration=40.0)
-        for name, b in PRESETS.items()
+        name: Run(BehaviourDriver(b), straight(900.0), others, speed=8.0, duration=40.0) for name, b in PRESETS.items()
     }
     arrival = [run.time[run.distance[:, 0] > 120.0][0] for run in runs.values()]
     assert arrival == sorted(arrival, reverse=True)
@@ -622,10 +601,7 @@ def test_mirrored_scenes_give_mirrored_decisions():
     for time in (3.0, 5.0, 7.0):
         right = crossing(time)
         left = Other("pedestrian", 60.0, 1.4 * time, heading=-math.pi / 2, speed=1.4)
-        runs = [
-            Run(BehaviourDriver(NORMAL), straight(300.0), [o], speed=10.0, duration=15.0)
-            for o in (right, left)
-        ]
+        runs = [Run(BehaviourDriver(NORMAL), straight(300.0), [o], speed=10.0, duration=15.0) for o in (right, left)]
         assert runs[0].distance == pytest.approx(runs[1].distance, abs=1e-6)
 
 

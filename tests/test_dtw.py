@@ -75,9 +75,7 @@ def test_known_values():
     # tslearn 0.10 and dtaidistance 2.5 give these for the squared cost (radius 0 and window 1 for the band).
     series = [[0.0, 1.0, 2.0, 3.0], [1.0, 3.0], [2.0]]
     assert distance_matrix(series, local_cost="squared")[0].tolist() == pytest.approx([0.0, 2**0.5, 6**0.5])
-    assert distance_matrix(series, local_cost="squared", window=1)[0].tolist() == pytest.approx(
-        [0.0, 2**0.5, 6**0.5]
-    )
+    assert distance_matrix(series, local_cost="squared", window=1)[0].tolist() == pytest.approx([0.0, 2**0.5, 6**0.5])
     assert distance_matrix(series)[0].tolist() == [0.0, 2.0, 4.0]
     # No warping and equal lengths: the sum of the distances instant by instant.
     assert distance_matrix([[0.0, 0.0, 5.0], [0.0, 5.0, 5.0]], window=1)[0, 1] == 5.0
@@ -96,9 +94,7 @@ def test_single_precision_keeps_digits_far_from_the_origin():
     rng = np.random.default_rng(4)
     near = [np.cumsum(rng.normal(size=(40, 2)), axis=0) for _ in range(6)]
     far = [one + np.array([5e5, 5.6e6]) for one in near]
-    np.testing.assert_allclose(
-        distance_matrix(far, dtype="float32"), distance_matrix(near), rtol=1e-4, atol=1e-3
-    )
+    np.testing.assert_allclose(distance_matrix(far, dtype="float32"), distance_matrix(near), rtol=1e-4, atol=1e-3)
 
 
 @pytest.mark.parametrize("options", [{}, {"window": 5}, {"dtype": "float32"}, {"local_cost": "squared"}])
@@ -178,9 +174,7 @@ def test_interrupt_ends_between_tiles(monkeypatch):
 
 def _tiles_of(series):
     lengths = np.array([len(one) for one in series])
-    blocks = [
-        cpu._Block(first, lengths[first : first + 8], np.empty(0)) for first in range(0, len(series), 8)
-    ]
+    blocks = [cpu._Block(first, lengths[first : first + 8], np.empty(0)) for first in range(0, len(series), 8)]
     return cpu._tiles(blocks, lengths)
 
 

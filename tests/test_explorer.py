@@ -111,9 +111,7 @@ def test_a_killed_exploration_goes_on_as_if_undisturbed(undisturbed, tmp_path):
 def test_workers_change_nothing(undisturbed, tmp_path):
     from dataclasses import replace
 
-    explore_scenario(
-        replace(demonstration("x-intersection", budget=40, seed=1), workers=2), tmp_path / "s.db"
-    )
+    explore_scenario(replace(demonstration("x-intersection", budget=40, seed=1), workers=2), tmp_path / "s.db")
     assert results(tmp_path / "s.db") == results(undisturbed)
 
 
@@ -148,7 +146,6 @@ def test_two_explorers_never_write_at_once(undisturbed):
 
 def test_a_recording_comes_back_bit_for_bit(undisturbed):
     from conftest import same_recording
-
     from cornercase.scenario.logical import ConcreteScenario
     from cornercase.simulators.builtin import BuiltinSimulator
 

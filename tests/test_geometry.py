@@ -18,9 +18,7 @@ vector = st.tuples(st.floats(-20, 20), st.floats(-20, 20)).map(np.array)
 
 def outline(corners, n=400):
     share = np.linspace(0, 1, n)[:, None]
-    return np.concatenate(
-        [a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
-    )
+    return np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
 
 
 def test_distance_of_faces_corners_and_turned_boxes():

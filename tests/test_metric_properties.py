@@ -195,16 +195,12 @@ def test_pet_of_straight_tracks_is_that_of_the_swept_parallelogram(angle, d1, d2
     sin, cos = math.sin(angle), abs(math.cos(angle))
     other = (length, width)
     sizes = ((4.0, 2.0), other)
-    reach = [
-        (0.5 * sizes[1 - i][1] + 0.5 * sizes[i][0] * sin + 0.5 * sizes[i][1] * cos) / sin for i in (0, 1)
-    ]
+    reach = [(0.5 * sizes[1 - i][1] + 0.5 * sizes[i][0] * sin + 0.5 * sizes[i][1] * cos) / sin for i in (0, 1)]
     windows = [((d - r) / v, (d + r) / v) for d, r, v in zip((d1, d2), reach, (v1, v2), strict=True)]
     rows = []
     for d, v, heading in ((d1, v1, 0.0), (d2, v2, angle)):
         way = v * time - d
-        rows.append(
-            (way * math.cos(heading), way * math.sin(heading), 0 * time + heading, 0 * time + v, 0 * time)
-        )
+        rows.append((way * math.cos(heading), way * math.sin(heading), 0 * time + heading, 0 * time + v, 0 * time))
     scene = Recording(
         time,
         ("0", "1"),
@@ -230,8 +226,7 @@ def test_pet_of_straight_tracks_is_that_of_the_swept_parallelogram(angle, d1, d2
 def test_traffic_quality_terms_keep_their_bounds(scene):
     n = len(scene.names)
     macro, micro, nano, own, penalty = (
-        TrafficQuality(term).course(scene, "0")
-        for term in ("macro", "micro", "nano", "individual", "penalty")
+        TrafficQuality(term).course(scene, "0") for term in ("macro", "micro", "nano", "individual", "penalty")
     )
     assert (macro <= math.sqrt(n - 1) + 1e-9).all()
     assert (nano <= math.sqrt(max(n - 2, 0)) + 1e-9).all()

@@ -78,9 +78,7 @@ def follows(course_at, case) -> None:
     """The expected value now, and the time course where the case has one."""
     agrees(course_at([case["t"]])[0], case["expected"], case["tol"])
     instants = [t for t, _ in case.get("series", [])]
-    for found, (_, expected) in zip(
-        course_at(instants) if instants else [], case.get("series", []), strict=True
-    ):
+    for found, (_, expected) in zip(course_at(instants) if instants else [], case.get("series", []), strict=True):
         agrees(found, expected, case["tol"])
 
 
@@ -178,9 +176,7 @@ def test_each_metric_says_what_it_is_and_takes_odd_recordings(name):
     assert metric.unit in {"m", "s", "1"}
     assert metric.source
     scene = recorded([*CROSSING, actor(x=5, y=5)], np.arange(0, 8, 0.1))
-    gone = replace(
-        scene, **{k: getattr(scene, k).copy() for k in ("x", "y", "heading", "speed", "acceleration")}
-    )
+    gone = replace(scene, **{k: getattr(scene, k).copy() for k in ("x", "y", "heading", "speed", "acceleration")})
     for column in (gone.x, gone.y, gone.heading, gone.speed, gone.acceleration):
         column[0, :10] = column[1, 40:45] = column[2] = np.nan
     for odd in (recorded(CROSSING, [0.0]), recorded([actor(), actor(x=20)], [0.0, 0.1, 0.2]), scene, gone):
@@ -262,9 +258,7 @@ def test_trajectory_distance_goes_on_to_the_next_crossing():
     time = np.arange(7.0)
     zigzag = np.stack([3 * time, 3 * np.array([-1, 0, 1, 0, -1, 0, 1.0])], -1)
     straight = np.stack([2.5 * time, 0 * time], -1)
-    course = TrajectoryDistance(ahead=0).course(
-        together(time, along(zigzag, time), along(straight, time)), "0", "1"
-    )
+    course = TrajectoryDistance(ahead=0).course(together(time, along(zigzag, time), along(straight, time)), "0", "1")
     leg = 3 * math.sqrt(2)
     next_crossing = np.array([1, 1, 3, 3, 5, 5, np.nan])
     np.testing.assert_allclose(course, (next_crossing - time) * leg + 3 * next_crossing - 2.5 * time)
@@ -290,9 +284,7 @@ def test_a_track_that_joins_another_meets_it_where_it_joins():
     beyond = np.maximum(way - 5 * np.pi, 0)
     joining = np.stack([10 + 10 * np.cos(angle) - 10 + beyond, 10 + 10 * np.sin(angle)], -1)
     straight = np.stack([-30 + 4 * time, 0 * time], -1)
-    course = TrajectoryDistance().course(
-        together(time, along(joining, time), along(straight, time)), "0", "1"
-    )
+    course = TrajectoryDistance().course(together(time, along(joining, time), along(straight, time)), "0", "1")
     before = way < 5 * np.pi - 1
     np.testing.assert_allclose(course[before], (5 * np.pi + 30 - way - 4 * time)[before], atol=2 * 0.08)
     assert np.isnan(course[way > 5 * np.pi + 0.2]).all()
@@ -324,9 +316,7 @@ def test_ttc_with_accelerations_against_small_steps():
         yaw, reach = rng.uniform(-3, 3), rng.uniform(10, 40)
         actors = [
             actor(v=rng.uniform(3, 15), a=rng.uniform(-4, 2)),
-            actor(
-                x=20 - reach * np.cos(yaw), y=-reach * np.sin(yaw), yaw=yaw, v=reach / 2, a=rng.uniform(-4, 2)
-            ),
+            actor(x=20 - reach * np.cos(yaw), y=-reach * np.sin(yaw), yaw=yaw, v=reach / 2, a=rng.uniform(-4, 2)),
         ]
         scene = recorded(actors, time)
         boxes = [box_corners(scene.x[i], scene.y[i], scene.heading[i], 4, 2) for i in (0, 1)]

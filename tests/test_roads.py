@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import EXAMPLES, ROAD
 from lxml import etree
 from scipy.integrate import quad
 
+from conftest import EXAMPLES, ROAD
 from cornercase.errors import InputError
 from cornercase.scenario.opendrive import RoadNetwork
 from cornercase.scenario.reference_line import Geometry
@@ -22,9 +22,7 @@ def test_arc_is_a_circle():
     np.testing.assert_allclose(heading, 0.3 + 0.02 * np.linspace(0, 50, 7))
 
 
-@pytest.mark.parametrize(
-    "curvatures", [(0.0, 0.05), (0.05, 0.0), (-0.02, 0.04), (0.01, 0.01), (0.03, 0.03 + 1e-9)]
-)
+@pytest.mark.parametrize("curvatures", [(0.0, 0.05), (0.05, 0.0), (-0.02, 0.04), (0.01, 0.01), (0.03, 0.03 + 1e-9)])
 def test_spiral_against_numeric_integration(curvatures):
     start, end = curvatures
     length = 40.0
@@ -99,11 +97,7 @@ def test_roads_of_others_load_and_join():
                 continue
             other = network.index_of(link.element)
             for lane, one in road.sections[-1][1].items():
-                if (
-                    one.kind != "driving"
-                    or one.successor is None
-                    or not network.has_lane(other, one.successor)
-                ):
+                if one.kind != "driving" or one.successor is None or not network.has_lane(other, one.successor):
                     continue
                 if road.width(len(road.sections) - 1, lane, np.array([road.length]))[0] < 0.1:
                     continue
@@ -147,9 +141,7 @@ def test_a_ring_of_roads_ends(tmp_path):
         '<link><successor elementType="road" elementId="1" contactPoint="start"/></link><planView>',
     )
     path.write_text(
-        ring.replace(
-            '<lane id="-1" type="driving">', '<lane id="-1" type="driving"><link><successor id="-1"/></link>'
-        )
+        ring.replace('<lane id="-1" type="driving">', '<lane id="-1" type="driving"><link><successor id="-1"/></link>')
     )
     network = RoadNetwork.read(path)
     assert network.path_of_lane(0, -1).distance[-1] < 12_000

@@ -2,10 +2,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import (
-    car, event, same_recording, scenario_file, speed_action, story_of, teleport, time_trigger,
-)  # fmt: skip
 
+from conftest import (
+    car,
+    event,
+    same_recording,
+    scenario_file,
+    speed_action,
+    story_of,
+    teleport,
+    time_trigger,
+)  # fmt: skip
 from cornercase.errors import InputError, SimulationError
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
@@ -23,9 +30,7 @@ def run(path, values=None, **options) -> Recording:
 
 
 def test_constant_speed_along_a_lane(tmp_path):
-    path = scenario_file(
-        tmp_path, init=PRIVATE.format(teleport("20") + speed_action("10")), stop=time_trigger("3")
-    )
+    path = scenario_file(tmp_path, init=PRIVATE.format(teleport("20") + speed_action("10")), stop=time_trigger("3"))
     recording = run(path)
     assert recording.time[-1] == pytest.approx(3.0)
     np.testing.assert_allclose(recording.x[0], 20 + 10 * recording.time, atol=1e-9)
@@ -105,9 +110,7 @@ def test_synchronised_entity_arrives_with_its_master(tmp_path):
     init = PRIVATE.format(teleport("0") + speed_action("10"))
     init += f'<Private entityRef="Other">{teleport("400", "1")}{speed_action("5")}</Private>'
     story = story_of(event("e", synchronise, time_trigger("1")), "Other")
-    path = scenario_file(
-        tmp_path, init=init, story=story, stop=time_trigger("12"), entities=car("Ego") + car("Other")
-    )
+    path = scenario_file(tmp_path, init=init, story=story, stop=time_trigger("12"), entities=car("Ego") + car("Other"))
     recording = run(path, duration=12.0)
     master = recording.time[recording.x[0] >= 100 - 1e-6][0]
     other = recording.time[recording.x[1] <= 300 + 1e-6][0]
@@ -115,10 +118,7 @@ def test_synchronised_entity_arrives_with_its_master(tmp_path):
 
 
 def test_collision_is_recorded_and_stops_only_on_request(tmp_path):
-    init = (
-        PRIVATE.format(teleport("0") + speed_action("10"))
-        + f'<Private entityRef="Other">{teleport("50")}</Private>'
-    )
+    init = PRIVATE.format(teleport("0") + speed_action("10")) + f'<Private entityRef="Other">{teleport("50")}</Private>'
     path = scenario_file(tmp_path, init=init, stop=time_trigger("8"), entities=car("Ego") + car("Other"))
     through, stopped = run(path), run(path, on_collision="stop")
     # The front of one, at 3.4 m, meets the rear of the other, at 50 - 0.6 m.
@@ -141,9 +141,7 @@ def test_expressions_set_speeds(tmp_path):
 
 
 def test_parameters_that_shape_the_storyboard_split_the_batch(tmp_path):
-    parameters = '<ParameterDeclaration name="lane" parameterType="integer" value="-1"/>' + DOUBLE.format(
-        "v", "5"
-    )
+    parameters = '<ParameterDeclaration name="lane" parameterType="integer" value="-1"/>' + DOUBLE.format("v", "5")
     init = PRIVATE.format(teleport("250", "$lane") + speed_action("$v"))
     path = scenario_file(tmp_path, init=init, stop=time_trigger("2"), parameters=parameters)
     values = [{"lane": lane, "v": v} for v in (5.0, 8.0) for lane in (-1.0, 1.0)]
@@ -201,8 +199,4 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, name):
     with pytest.raises(InputError, match=words) as caught:
         list(BuiltinSimulator().run([ConcreteScenario(path)]))
     assert "\n" not in str(caught.value)
-    assert (
-        "scenario.xosc" in str(caught.value)
-        or "road.xodr" in str(caught.value)
-        or "absent" in str(caught.value)
-    )
+    assert "scenario.xosc" in str(caught.value) or "road.xodr" in str(caught.value) or "absent" in str(caught.value)

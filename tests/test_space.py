@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import EXAMPLES
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conftest import EXAMPLES
 from cornercase.errors import InputError
 from cornercase.scenario.expressions import evaluate
 from cornercase.scenario.space import ParameterSpace

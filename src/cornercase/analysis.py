@@ -106,9 +106,7 @@ def analyze_study(
     """
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
     if len(ids) < 2:
-        raise InputError(
-            f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered."
-        )
+        raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
     results = {}
     for name in by or (EGO_TRAJECTORY, *study.meta["metrics"]):
         begun = time.monotonic()

@@ -83,13 +83,9 @@ def convex_hull(points: npt.ArrayLike) -> Hull:
     """
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or not array.size:
-        raise InputError(
-            f"Points of shape {array.shape} have no hull; give shape (n, d) with n and d at least 1."
-        )
+        raise InputError(f"Points of shape {array.shape} have no hull; give shape (n, d) with n and d at least 1.")
     if not np.isfinite(array).all():
-        raise InputError(
-            f"Point {int(np.argmin(np.isfinite(array).all(axis=1)))} is not finite; leave it out."
-        )
+        raise InputError(f"Point {int(np.argmin(np.isfinite(array).all(axis=1)))} is not finite; leave it out.")
     _, first = np.unique(array, axis=0, return_index=True)
     first = np.sort(first).astype(np.int64)
     centred = array[first] - array[first].mean(axis=0)

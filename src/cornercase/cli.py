@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -39,9 +39,7 @@ Duration = Annotated[float, typer.Option(metavar="S", help="Longest duration of 
 OnCollision = Annotated[str, typer.Option(metavar="stop|continue", help="What a collision does to the run.")]
 Drivers = Annotated[
     list[str] | None,
-    typer.Option(
-        "--driver", metavar="ENTITY=NAME", help="Driver preset, or package.module:Class of your own."
-    ),
+    typer.Option("--driver", metavar="ENTITY=NAME", help="Driver preset, or package.module:Class of your own."),
 ]
 By = Annotated[
     list[str] | None,
@@ -72,9 +70,7 @@ def explore(
     ego: Ego,
     other: Other,
     metric: Metrics,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")],
     space: Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")] = None,
     ranges: Annotated[
         list[str] | None,
@@ -255,14 +251,10 @@ def analyze(
 def reduce(
     study: StudyFile,
     *,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
     by: Annotated[
         str | None,
-        typer.Option(
-            "--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."
-        ),
+        typer.Option("--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."),
     ] = None,
     archetypes: Annotated[str, typer.Option(metavar="N|auto", help="Archetypes a cluster.")] = "auto",
 ) -> None:
@@ -302,9 +294,7 @@ def report(
 
 @app.command()
 def demo(
-    name: Annotated[
-        str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")
-    ],
+    name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")],
     *,
     budget: Annotated[
         int | None,
@@ -312,9 +302,7 @@ def demo(
     ] = None,
     seed: Seed = 0,
     driver: Annotated[str | None, typer.Option(metavar="NAME", help="Who drives the ego.")] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")
-    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
 ) -> None:
     """Explore, cluster, reduce and report one of the examples.
 
@@ -344,8 +332,8 @@ def show(
     Example:
       cornercase show study.db
     """
-    from cornercase.summary import summarize
     from cornercase.study import Study
+    from cornercase.summary import summarize
 
     with Study.open(study, readonly=True) as opened:
         summary = summarize(opened)
@@ -414,9 +402,9 @@ def _pairs(texts: list[str] | tuple[str, ...], option: str) -> dict[str, str]:
     return pairs
 
 
-def _number_or_auto(text: str, option: str) -> float | str:
+def _number_or_auto(text: str, option: str) -> float | Literal["auto"]:
     if text == "auto":
-        return text
+        return "auto"
     try:
         number = float(text)
     except ValueError:
@@ -426,9 +414,9 @@ def _number_or_auto(text: str, option: str) -> float | str:
     return number
 
 
-def _count_or_auto(text: str, option: str) -> int | str:
+def _count_or_auto(text: str, option: str) -> int | Literal["auto"]:
     if text == "auto":
-        return text
+        return "auto"
     if not text.isdecimal() or int(text) < 1:
         raise InputError(f"{option} {text}: give a positive whole number or auto.")
     return int(text)

@@ -216,18 +216,12 @@ def cluster(
 def _checked(distances: npt.ArrayLike) -> FloatArray:
     matrix = np.asarray(distances, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not len(matrix):
-        raise InputError(
-            f"A distance matrix of shape {matrix.shape} is not square; give shape (n, n), n >= 1."
-        )
+        raise InputError(f"A distance matrix of shape {matrix.shape} is not square; give shape (n, n), n >= 1.")
     if not np.isfinite(matrix).all() or (matrix < 0).any():
         i, j = np.argwhere(~np.isfinite(matrix) | (matrix < 0))[0]
-        raise InputError(
-            f"The distance of {i} and {j} is {matrix[i, j]}; give finite distances of at least 0."
-        )
+        raise InputError(f"The distance of {i} and {j} is {matrix[i, j]}; give finite distances of at least 0.")
     if not np.array_equal(matrix, matrix.T) or matrix.diagonal().any():
-        raise InputError(
-            "The distance matrix is not symmetric with a zero diagonal; give distances both ways."
-        )
+        raise InputError("The distance matrix is not symmetric with a zero diagonal; give distances both ways.")
     return matrix
 
 

@@ -77,9 +77,7 @@ def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100,
     gaps = _gaps(matrix, chosen)
     extent = float(matrix.max())
     rng = np.random.default_rng(seed)
-    random = [
-        _gaps(matrix, rng.choice(n, size=len(chosen), replace=False).astype(np.int64)) for _ in range(draws)
-    ]
+    random = [_gaps(matrix, rng.choice(n, size=len(chosen), replace=False).astype(np.int64)) for _ in range(draws)]
     return Coverage(
         kept=len(chosen),
         largest=float(gaps.max()),

@@ -122,9 +122,7 @@ class ScenarioExplorer:
         rows, scores = self._study.rows(), self._scores()
         for k in range(1, number + 1):
             self._tell([row for row in rows if row.round == k], scores)
-        best_by_round = [
-            _best(scores[row.id] for row in rows if row.round <= k) for k in range(1, number + 1)
-        ]
+        best_by_round = [_best(scores[row.id] for row in rows if row.round <= k) for k in range(1, number + 1)]
         while True:
             if bar is not None:
                 bar.update(len(rows), self._flip(best_by_round[-1]) if best_by_round else None)

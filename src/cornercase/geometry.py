@@ -42,9 +42,7 @@ def box_corners(
     along = 0.5 * length[..., None] * _SIGNS_ALONG
     across = 0.5 * width[..., None] * _SIGNS_ACROSS
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
-    corners = np.stack(
-        [x[..., None] + cos * along - sin * across, y[..., None] + sin * along + cos * across], -1
-    )
+    corners = np.stack([x[..., None] + cos * along - sin * across, y[..., None] + sin * along + cos * across], -1)
     return np.asarray(corners, dtype=np.float64)
 
 
@@ -293,9 +291,7 @@ def _open_quadratic(
     )
 
 
-def _roots(
-    gain: FloatArray, speed: FloatArray, offset: FloatArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _roots(gain: FloatArray, speed: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Ordered roots of gain t²/2 + speed t + offset for gain > 0, and whether there are any."""
     discriminant = speed * speed - 2.0 * gain * offset
     # The sum has no cancellation, so the smaller root keeps its digits when the acceleration is small.

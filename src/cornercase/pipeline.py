@@ -137,9 +137,7 @@ _DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-def demonstration(
-    name: str, *, budget: int | None = None, seed: int = 0, driver: str | None = None
-) -> Exploration:
+def demonstration(name: str, *, budget: int | None = None, seed: int = 0, driver: str | None = None) -> Exploration:
     """Exploration of one of the paper's experiments, at its size.
 
     Parameters
@@ -211,9 +209,7 @@ def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
     ):
         if study.meta.get(key) != meta[key]:
             study.close()
-            raise InputError(
-                f"{study.path}: belongs to {words}; name another study with -o, or give the same options."
-            )
+            raise InputError(f"{study.path}: belongs to {words}; name another study with -o, or give the same options.")
     if study.meta["optimizer"] == "grid" and study.meta["budget"] != meta["budget"]:
         study.close()
         raise InputError(

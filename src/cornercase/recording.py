@@ -92,9 +92,7 @@ class Recording:
         """Centre of the bounding box over time, in m, shape (T, 2)."""
         i = self.index(name)
         ahead = self.center_x[i]
-        return np.stack(
-            [self.x[i] + ahead * np.cos(self.heading[i]), self.y[i] + ahead * np.sin(self.heading[i])], -1
-        )
+        return np.stack([self.x[i] + ahead * np.cos(self.heading[i]), self.y[i] + ahead * np.sin(self.heading[i])], -1)
 
     def to_csv(self, path: Path | str) -> None:
         """Write one row per entity and instant, with the columns `COLUMNS` and ``collision``.
@@ -152,9 +150,7 @@ def read_recording(path: Path | str) -> Recording:
     if not rows:
         raise InputError(f"{path}: has a header but no rows.")
 
-    numbers = np.array(
-        [[_number(path, line, row, c) for c in ("time", *_MOTION, *_BOX)] for line, row in rows]
-    )
+    numbers = np.array([[_number(path, line, row, c) for c in ("time", *_MOTION, *_BOX)] for line, row in rows])
     if not np.isfinite(numbers[:, 0]).all():
         raise InputError(f"{path}: every row needs a finite time.")
     time, instant = np.unique(numbers[:, 0], return_inverse=True)
@@ -166,6 +162,8 @@ def read_recording(path: Path | str) -> Recording:
     box = numbers[first, 1 + len(_MOTION) :].T
     if not (np.isfinite(box).all() and (box[:2] >= 0).all()):
         raise InputError(f"{path}: length and width must be finite and not negative for every entity.")
+    x, y, heading, speed, acceleration = motion
+    length, width, center_x = box
     collisions = tuple(
         Collision(float(numbers[i, 0]), (row["entity"], other))
         for i, (_, row) in enumerate(rows)
@@ -175,9 +173,15 @@ def read_recording(path: Path | str) -> Recording:
         time,
         names,
         tuple(rows[i][1]["kind"] for i in first),
-        *motion,
-        *box,
-        collisions=tuple(sorted(collisions, key=lambda c: c.time)),
+        x,
+        y,
+        heading,
+        speed,
+        acceleration,
+        length,
+        width,
+        center_x,
+        tuple(sorted(collisions, key=lambda c: c.time)),
     )
 
 

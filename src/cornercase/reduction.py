@@ -97,9 +97,7 @@ def reduce_study(
         "run": len(ids),
         "kept": len(items),
         "scenarios": items,
-        "coverage": {
-            name: _coverage(study, name, [item["id"] for item in items]) for name in study.analyses()
-        },
+        "coverage": {name: _coverage(study, name, [item["id"] for item in items]) for name in study.analyses()},
     }
     with written_whole(folder / "manifest.json") as temporary:
         temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")

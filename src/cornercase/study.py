@@ -119,9 +119,7 @@ class Study:
         """
         path = Path(path)
         if not path.is_file():
-            raise InputError(
-                f"{path}: there is no such study; make one with 'cornercase explore … -o {path}'."
-            )
+            raise InputError(f"{path}: there is no such study; make one with 'cornercase explore … -o {path}'.")
         lock = None if readonly else _locked(path)
         with _sentences(path):
             if readonly:
@@ -167,17 +165,12 @@ class Study:
                 ],
             )
 
-    def finish(
-        self, scenario: int, recording: Recording, courses: Mapping[str, tuple[FloatArray, float]]
-    ) -> None:
+    def finish(self, scenario: int, recording: Recording, courses: Mapping[str, tuple[FloatArray, float]]) -> None:
         """Store what came out of a scenario: its recording, and course and score of each metric."""
         with _sentences(self.path), self._connection:
             self._connection.executemany(
                 "INSERT INTO courses VALUES (?, ?, ?, ?)",
-                [
-                    (scenario, name, score, _packed({"course": course}))
-                    for name, (course, score) in courses.items()
-                ],
+                [(scenario, name, score, _packed({"course": course})) for name, (course, score) in courses.items()],
             )
             self._connection.execute(
                 "UPDATE scenarios SET state = 'done', recording = ? WHERE id = ?",
@@ -231,13 +224,11 @@ class Study:
         ).fetchone()
         if found is None:
             raise InputError(f"{self.path}: the scenario {scenario} was not run.")
-        return _unpacked(found[0])["course"]
+        return np.asarray(_unpacked(found[0])["course"])
 
     def recording(self, scenario: int) -> Recording:
         """Recording of one scenario."""
-        found = self._connection.execute(
-            "SELECT recording FROM scenarios WHERE id = ?", (scenario,)
-        ).fetchone()
+        found = self._connection.execute("SELECT recording FROM scenarios WHERE id = ?", (scenario,)).fetchone()
         if found is None or found[0] is None:
             raise InputError(f"{self.path}: the scenario {scenario} was not run.")
         return _unpack_recording(found[0])
@@ -258,13 +249,9 @@ class Study:
 
     def analysis(self, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """Arrays and further facts of a stored result."""
-        found = self._connection.execute(
-            "SELECT arrays, info FROM analyses WHERE name = ?", (name,)
-        ).fetchone()
+        found = self._connection.execute("SELECT arrays, info FROM analyses WHERE name = ?", (name,)).fetchone()
         if found is None:
-            raise InputError(
-                f"{self.path}: holds no analysis by {name}; run 'cornercase analyze {self.path}'."
-            )
+            raise InputError(f"{self.path}: holds no analysis by {name}; run 'cornercase analyze {self.path}'.")
         return _unpacked(found[0]), json.loads(found[1])
 
     def reduction(self) -> dict[str, Any] | None:
@@ -276,7 +263,8 @@ class Study:
         """Add to the time spent in a stage, in s."""
         with _sentences(self.path), self._connection:
             self._connection.execute(
-                "INSERT INTO elapsed VALUES (?, ?) ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds",
+                "INSERT INTO elapsed VALUES (?, ?)"
+                " ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds",
                 (stage, seconds),
             )
 
@@ -293,9 +281,7 @@ class Study:
             The folder cannot be written.
         """
         folder, rows, metrics = Path(folder), self.rows(), self.meta["metrics"]
-        scores = {
-            name: dict(zip([r.id for r in self.done()], self.scores(name), strict=True)) for name in metrics
-        }
+        scores = {name: dict(zip([r.id for r in self.done()], self.scores(name), strict=True)) for name in metrics}
         labels = {}
         for name in self.analyses():
             arrays, _ = self.analysis(name)

@@ -68,6 +68,5 @@ def collisions(study: Study) -> int:
     """Number of scenarios in which the ego and the other entity collide."""
     pair = {study.meta["ego"], study.meta["other"]}
     return sum(
-        any(set(collision.entities) == pair for collision in study.recording(row.id).collisions)
-        for row in study.done()
+        any(set(collision.entities) == pair for collision in study.recording(row.id).collisions) for row in study.done()
     )

@@ -4,8 +4,8 @@ from functools import partial
 
 from cornercase.drivers.base import DRIVERS, Driver, Path, Situation
 from cornercase.drivers.behaviour import AGGRESSIVE, CAUTIOUS, NORMAL, Behaviour, BehaviourDriver
-from cornercase.drivers.simple import SimpleDriver
 from cornercase.drivers.loading import load_driver, named_driver
+from cornercase.drivers.simple import SimpleDriver
 
 DRIVERS.register("cautious", partial(BehaviourDriver, CAUTIOUS))
 DRIVERS.register("normal", partial(BehaviourDriver, NORMAL))

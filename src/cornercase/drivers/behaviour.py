@@ -146,9 +146,7 @@ class BehaviourDriver:
 
     def start(self, scenarios: int, others: int) -> None:
         """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
-        self._perception = Perception(
-            scenarios, others, self._behaviour.reaction_time, self._behaviour.memory
-        )
+        self._perception = Perception(scenarios, others, self._behaviour.reaction_time, self._behaviour.memory)
         self._conflict_since = np.full((scenarios, others), np.inf)
         self._yielding = np.zeros((scenarios, others), dtype=np.bool_)
         # The path is kept beside its route, so that its identity is not given to another one.

@@ -43,23 +43,17 @@ def load_driver(name: str) -> Driver:
             " install it or start in its folder."
         ) from error
     except Exception as error:
-        raise InputError(
-            f"The driver '{name}' cannot be loaded since its module fails: {_one_line(error)}."
-        ) from error
+        raise InputError(f"The driver '{name}' cannot be loaded since its module fails: {_one_line(error)}.") from error
     finally:
         if here in sys.path:
             sys.path.remove(here)
     made = getattr(module, class_name, None)
     if not isinstance(made, type):
-        raise InputError(
-            f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'."
-        )
+        raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")
     try:
         driver = made()
     except Exception as error:
-        raise InputError(
-            f"The driver '{name}' cannot be made without arguments: {_one_line(error)}."
-        ) from error
+        raise InputError(f"The driver '{name}' cannot be made without arguments: {_one_line(error)}.") from error
     if not isinstance(driver, Driver) or not isinstance(driver.settings, dict):
         raise InputError(
             f"The class '{name}' is no driver, which has start(), acceleration() and a dict called settings."

@@ -34,11 +34,11 @@ class SimpleDriver:
         self,
         *,
         acceleration: float = 3.0,
-        comfortable_deceleration: float = 3.0,
-        max_deceleration: float = 6.0,
+        comfortable_deceleration: float = 2.0,
+        max_deceleration: float = 4.0,
         time_headway: float = 0.8,
         min_gap: float = 1.5,
-        reaction_time: float = 1.0,
+        reaction_time: float = 1.5,
         sight_range: float = 60.0,
     ) -> None:
         self._acceleration, self._deceleration = acceleration, comfortable_deceleration
@@ -75,8 +75,7 @@ class SimpleDriver:
         speed = s.speed[:, None]
         kept = self._min_gap + np.maximum(
             0.0,
-            speed * self._headway
-            + speed * closing / (2.0 * np.sqrt(self._acceleration * self._deceleration)),
+            speed * self._headway + speed * closing / (2.0 * np.sqrt(self._acceleration * self._deceleration)),
         )
         with np.errstate(divide="ignore", invalid="ignore"):
             share = speed / np.maximum(wanted, 0.1)[:, None]

@@ -109,9 +109,7 @@ def distance_matrix(
         )
     if not np.isfinite(matrix).all():
         i, j = np.argwhere(~np.isfinite(matrix))[0]
-        raise InputError(
-            f"The distance of series {i} and {j} is too large for {number}; scale the values down."
-        )
+        raise InputError(f"The distance of series {i} and {j} is too large for {number}; scale the values down.")
     return matrix
 
 
@@ -128,9 +126,7 @@ def _checked(series: Sequence[npt.ArrayLike]) -> list[npt.NDArray[np.float64]]:
         try:
             array = np.asarray(one, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(
-                f"Series {index} is not an array of numbers; give shape (T,) or (T, k)."
-            ) from error
+            raise InputError(f"Series {index} is not an array of numbers; give shape (T,) or (T, k).") from error
         if array.ndim not in (1, 2):
             raise InputError(f"Series {index} has {array.ndim} axes; give shape (T,) or (T, k).")
         if array.size == 0:

@@ -105,9 +105,7 @@ def distance_matrix(
     return out
 
 
-def _interleave(
-    values: Floats, starts: IntArray, lengths: IntArray, first: int, dims: int, lanes: int
-) -> _Block:
+def _interleave(values: Floats, starts: IntArray, lengths: IntArray, first: int, dims: int, lanes: int) -> _Block:
     """Interleave up to `lanes` series; padding is finite and never read out."""
     members = range(first, min(first + lanes, len(lengths)))
     block = np.zeros((lengths[members[-1]], dims, lanes), dtype=values.dtype)
@@ -248,15 +246,11 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
                 lower = max(0, i - reach_below)
                 if i + 4 <= length:
                     upper = min(longest, i + 4 + reach_above)
-                    _four_rows(
-                        x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes
-                    )
+                    _four_rows(x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes)
                     i += 4
                 else:
                     upper = min(longest, i + 1 + reach_above)
-                    _one_row(
-                        x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes
-                    )
+                    _one_row(x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes)
                     i += 1
             for lane in range(members):
                 other = first + lane

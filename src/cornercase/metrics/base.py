@@ -74,9 +74,7 @@ def boxes(recording: Recording, name: str) -> FloatArray:
     """Corners of an entity's bounding box in m, shape (T, 4, 2), NaN where it does not exist."""
     i = recording.index(name)
     center = recording.center(name)
-    return box_corners(
-        center[:, 0], center[:, 1], recording.heading[i], recording.length[i], recording.width[i]
-    )
+    return box_corners(center[:, 0], center[:, 1], recording.heading[i], recording.length[i], recording.width[i])
 
 
 def velocity(recording: Recording, name: str) -> FloatArray:

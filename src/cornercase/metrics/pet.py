@@ -65,13 +65,9 @@ class Pet:
     cap = 10.0
     source = "Allen, Shin and Cooper 1978, areas swept by the boxes"
 
-    def __init__(
-        self, area: tuple[float, float, float, float, float] | None = None, signed: bool = False
-    ) -> None:
+    def __init__(self, area: tuple[float, float, float, float, float] | None = None, signed: bool = False) -> None:
         if area is not None and (len(area) != 5 or not np.isfinite(area).all() or min(area[3:]) <= 0.0):
-            raise InputError(
-                f"pet cannot take {area} for its area; give x, y, heading, length > 0, width > 0."
-            )
+            raise InputError(f"pet cannot take {area} for its area; give x, y, heading, length > 0, width > 0.")
         self.area = area
         self.signed = signed
 
@@ -231,9 +227,7 @@ def _stay(sweep: _Sweep, area: _Sweep, meets: BoolArray) -> _Stay | None:
     return _Stay(entry, exit_, exit_ < sweep.time[-1, 1] - _TOUCH)
 
 
-def _first_touch(
-    sweep: _Sweep, steps: IntArray, area: _Sweep, meets: BoolArray, backwards: bool
-) -> float | None:
+def _first_touch(sweep: _Sweep, steps: IntArray, area: _Sweep, meets: BoolArray, backwards: bool) -> float | None:
     """Time of the first touch in the given order of steps; None where only hulls of curved steps met."""
     for step in steps:
         fine, around = sweep.divided(np.array([step])), area.divided(np.flatnonzero(meets[step]))

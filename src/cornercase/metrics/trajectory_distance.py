@@ -51,9 +51,7 @@ class TrajectoryDistance:
 
     def __init__(self, ahead: float = 100.0) -> None:
         if not 0.0 <= ahead < np.inf:
-            raise InputError(
-                f"trajectory-distance cannot look {ahead} m ahead; give a finite length of 0 or more."
-            )
+            raise InputError(f"trajectory-distance cannot look {ahead} m ahead; give a finite length of 0 or more.")
         self.ahead = ahead
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:

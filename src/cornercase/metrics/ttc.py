@@ -69,9 +69,7 @@ class Ttc:
         one, two = _Braking(recording, ego), _Braking(recording, other)
         first = np.full(len(recording.time), np.nan)
         # From one stop to the next both accelerations are constant.
-        bounds = np.sort(
-            np.stack([np.zeros_like(one.stop), one.stop, two.stop, np.full_like(one.stop, np.inf)]), 0
-        )
+        bounds = np.sort(np.stack([np.zeros_like(one.stop), one.stop, two.stop, np.full_like(one.stop, np.inf)]), 0)
         for begin, end in pairwise(bounds):
             reached = np.where(np.isfinite(begin), begin, 0.0)
             contact = first_contact(

@@ -7,6 +7,7 @@ import io
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from cornercase.optimizers.sobol import SequenceOptimizer
 from cornercase.scenario.space import ParameterSpace
@@ -69,9 +70,7 @@ class BayesOptimizer:
         wanted = n - len(filling)
         if len(candidates) > wanted:
             seed = _seed(self._seed, told)
-            candidates = candidates[
-                self._thompson(candidates, self._points[known], self._scores[known], wanted, seed)
-            ]
+            candidates = candidates[self._thompson(candidates, self._points[known], self._scores[known], wanted, seed)]
         return np.concatenate([candidates, filling])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
@@ -80,16 +79,15 @@ class BayesOptimizer:
         self._scores = np.concatenate([self._scores, scores])
         self._start.tell(points, scores)
 
-    def _thompson(
-        self, candidates: FloatArray, points: FloatArray, scores: FloatArray, n: int, seed: int
-    ) -> list[int]:
+    def _thompson(self, candidates: FloatArray, points: FloatArray, scores: FloatArray, n: int, seed: int) -> list[int]:
         import physbo
 
         # PHYSBO maximises, and takes its random numbers from NumPy's global generator.
         target = -(scores - scores.mean()) / scores.std()
         state: Any = np.random.get_state()  # noqa: NPY002
         try:
-            with contextlib.redirect_stdout(io.StringIO()):
+            # One thread: the matrices are small, and the number of threads would change the last digits.
+            with contextlib.redirect_stdout(io.StringIO()), threadpool_limits(limits=1):
                 policy = physbo.search.discrete.Policy(test_X=2.0 * candidates - 1.0)
                 policy.set_seed(seed)
                 training = physbo.Variable(X=2.0 * points - 1.0, t=target)

@@ -32,9 +32,7 @@ def png(figure: Figure) -> bytes:
     """Figure as PNG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(
-        buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25
-    )
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25)
     return buffer.getvalue()
 
 
@@ -43,9 +41,7 @@ def axis_name(parameter: Parameter) -> str:
     return f"{parameter.name} [{parameter.unit or '–'}]"
 
 
-def criticality(
-    values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric
-) -> Figure:
+def criticality(values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric) -> Figure:
     """Scores over each pair of parameters, dark being critical.
 
     Parameters
@@ -63,7 +59,7 @@ def criticality(
     # Drawing the critical ones last keeps them on top.
     order = np.argsort(scores)[:: -1 if metric.lower_is_critical else 1]
     colours = "viridis" if metric.lower_is_critical else "viridis_r"
-    points = None
+    points: Any = None
     for axis, (i, j) in zip(axes, pairs, strict=False):
         y = scores[order] if i == j else values[order, j]
         points = axis.scatter(values[order, i], y, c=scores[order], cmap=colours, s=22, linewidths=0)
@@ -96,17 +92,16 @@ def clusters(
     figure = Figure(figsize=(12.5, 5.0))
     # Wide between the two: the tick labels of three-dimensional axes reach beyond them.
     grid = figure.add_gridspec(1, 2, wspace=0.28, left=0.02, right=0.84, bottom=0.12, top=0.92)
-    space = figure.add_subplot(grid[0], projection="3d")
+    space: Any = figure.add_subplot(grid[0], projection="3d")
     plane = figure.add_subplot(grid[1])
     i, j = chosen[0], chosen[-1]
     for label in np.unique(labels).tolist():
         colour, marker, name = look(label)
         rows = labels == label
-        # Three-dimensional axes are not known to matplotlib's types.
-        space.scatter(*embedding[rows].T, c=colour, marker=marker, s=20)  # type: ignore[misc]
+        space.scatter(*embedding[rows].T, c=colour, marker=marker, s=20)
         y = embedding[rows, 0] if i == j else values[rows, j]
         plane.scatter(values[rows, i], y, c=colour, marker=marker, s=22, label=f"{name} ({int(rows.sum())})")
-    for k, setter in enumerate((space.set_xlabel, space.set_ylabel, space.set_zlabel)):  # type: ignore[attr-defined]
+    for k, setter in enumerate((space.set_xlabel, space.set_ylabel, space.set_zlabel)):
         setter(f"component {k + 1} [–]")
     space.set_title("kernel space")
     plane.set_title("parameter space")
@@ -116,9 +111,7 @@ def clusters(
     return figure
 
 
-def courses(
-    time: Sequence[FloatArray], values: Sequence[FloatArray], labels: IntArray, metric: Metric
-) -> Figure:
+def courses(time: Sequence[FloatArray], values: Sequence[FloatArray], labels: IntArray, metric: Metric) -> Figure:
     """Course of a metric over time for each cluster: median, and the band from the 10th to the 90th percentile.
 
     Parameters

@@ -252,9 +252,7 @@ class _Page:
             "fingerprint": meta["fingerprint"],
             "study": study.path.name,
             **{
-                f"range of {p.name}": ", ".join(p.choices)
-                if p.choices
-                else f"{p.low:g} to {p.high:g} {p.unit}"
+                f"range of {p.name}": ", ".join(p.choices) if p.choices else f"{p.low:g} to {p.high:g} {p.unit}"
                 for p in study.space.parameters
             },
             "optimizer": meta["optimizer"],
@@ -277,7 +275,9 @@ class _Page:
             temporary.write_bytes(data)
         source = base64.b64encode(data).decode()
         text = escape(caption)
-        return f"<figure><img alt='{text}' src='data:image/png;base64,{source}'><figcaption>{text}</figcaption></figure>"
+        return (
+            f"<figure><img alt='{text}' src='data:image/png;base64,{source}'><figcaption>{text}</figcaption></figure>"
+        )
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = (0,)) -> str:
@@ -285,8 +285,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[in
 
     def line(cells: Sequence[str], tag: str) -> str:
         return "".join(
-            f"<{tag}{' class=text' if k in left else ''}>{escape(cell)}</{tag}>"
-            for k, cell in enumerate(cells)
+            f"<{tag}{' class=text' if k in left else ''}>{escape(cell)}</{tag}>" for k, cell in enumerate(cells)
         )
 
     body = "".join(f"<tr>{line(cells, 'td')}</tr>" for cells in rows)

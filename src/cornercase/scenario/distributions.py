@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -97,17 +98,18 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution 
         bins = sorted(
             (*_bounds(e.find("Range"), where), _number(e.get("weight"), where)) for e in inner.iterfind("Bin")
         )
-        if not bins or any(a[1] != b[0] for a, b in zip(bins, bins[1:], strict=False)):
+        if not bins or any(a[1] != b[0] for a, b in pairwise(bins)):
             raise InputError(f"{where}: the bins of the <Histogram> must follow each other without gaps.")
         edges = (bins[0][0], *(b[1] for b in bins))
         return Distribution("histogram", edges[0], edges[-1], (*edges, *(b[2] for b in bins))), ()
     span = inner.find("Range")
     if tag == "UniformDistribution":
-        return Distribution("uniform", *_bounds(span, where)), ()
+        low, high = _bounds(span, where)
+        return Distribution("uniform", low, high), ()
     if tag == "PoissonDistribution":
         mean = _number(inner.get("expectedValue"), where)
-        bounds = (0.0, mean + 10.0 * np.sqrt(mean) + 1.0) if span is None else _bounds(span, where)
-        return Distribution("poisson", *bounds, (mean,)), ()
+        low, high = (0.0, mean + 10.0 * np.sqrt(mean) + 1.0) if span is None else _bounds(span, where)
+        return Distribution("poisson", low, high, (mean,)), ()
     mean, deviation = (
         _number(inner.get("expectedValue"), where),
         np.sqrt(_number(inner.get("variance"), where)),
@@ -116,7 +118,8 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution 
     if not deviation > 0:
         raise InputError(f"{where}: the variance must be above 0.")
     if span is not None:
-        return Distribution(kind, *_bounds(span, where), (mean, float(deviation))), ()
+        low, high = _bounds(span, where)
+        return Distribution(kind, low, high, (mean, float(deviation))), ()
     law = Distribution(kind, -np.inf, np.inf, (mean, float(deviation)))._law()
     return Distribution(kind, float(law.ppf(1e-4)), float(law.ppf(1 - 1e-4)), (mean, float(deviation))), ()
 
@@ -126,9 +129,7 @@ def _bounds(element: etree._Element | None, where: str) -> tuple[float, float]:
         raise InputError(f"{where}: the distribution has no <Range>.")
     low, high = _number(element.get("lowerLimit"), where), _number(element.get("upperLimit"), where)
     if not low < high:
-        raise InputError(
-            f"{where}: the range is {low:g} to {high:g}; the lower limit must be below the upper."
-        )
+        raise InputError(f"{where}: the range is {low:g} to {high:g}; the lower limit must be below the upper.")
     return low, high
 
 

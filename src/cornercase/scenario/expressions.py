@@ -81,9 +81,7 @@ def evaluate(expression: str, values: Mapping[str, Operand]) -> Operand:
         The expression is malformed, too long or too deep, or names what does not exist.
     """
     if len(expression) > _MOST_CHARACTERS:
-        raise InputError(
-            f"An expression has {len(expression)} characters; at most {_MOST_CHARACTERS} are read."
-        )
+        raise InputError(f"An expression has {len(expression)} characters; at most {_MOST_CHARACTERS} are read.")
     parser = _Parser(expression, values)
     try:
         with np.errstate(all="ignore"):
@@ -111,9 +109,7 @@ def _tokens(expression: str) -> Iterator[tuple[str, str]]:
     while expression[position:].strip():
         match = _TOKEN.match(expression, position)
         if match is None:
-            raise InputError(
-                f"The expression '{expression}' cannot be read at '{expression[position:].strip()[:20]}'."
-            )
+            raise InputError(f"The expression '{expression}' cannot be read at '{expression[position:].strip()[:20]}'.")
         position = match.end()
         kind = str(match.lastgroup)
         yield kind, match.group(kind)
@@ -128,9 +124,7 @@ class _Parser:
 
     def binary(self, weakest: int, depth: int) -> Operand:
         if depth > _MOST_NESTED:
-            raise InputError(
-                f"The expression '{self._expression[:60]}…' is nested more than {_MOST_NESTED} deep."
-            )
+            raise InputError(f"The expression '{self._expression[:60]}…' is nested more than {_MOST_NESTED} deep.")
         left = self._unary(depth)
         while (word := self._peek()) in _BINARY and _BINARY[word][0] > weakest:
             self._next += 1
@@ -188,9 +182,7 @@ class _Parser:
             arguments.append(self.binary(0, depth + 1))
         self._expect(")")
         if len(arguments) != count:
-            raise self._error(
-                f"'{name}' takes {count} argument{'s' if count > 1 else ''}, not {len(arguments)}"
-            )
+            raise self._error(f"'{name}' takes {count} argument{'s' if count > 1 else ''}, not {len(arguments)}")
         return function(*arguments)
 
     def _peek(self) -> str:

@@ -68,9 +68,7 @@ class LanePath:
             along[nearest],
         )
 
-    def at(
-        self, distance: FloatArray, offset: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def at(self, distance: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return x, y, heading and curvature at distances, `offset` m to the left, each (N,).
 
         Beyond its ends the path is clamped.
@@ -88,8 +86,5 @@ class LanePath:
 
 def join(pieces: Sequence[LanePath]) -> LanePath:
     """Path along several pieces, each of which starts where the one before ends."""
-    arrays = [
-        np.concatenate([getattr(p, name) for p in pieces])
-        for name in ("x", "y", "s", "road", "lane", "along")
-    ]
+    arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in ("x", "y", "s", "road", "lane", "along")]
     return LanePath.of_points(*arrays)

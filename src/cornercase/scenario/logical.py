@@ -68,16 +68,12 @@ class LogicalScenario:
         varied = ParameterSpace.from_file(space) if space is not None else None
         if scenario is None:
             if space is None:
-                raise InputError(
-                    "There is no scenario; name an OpenSCENARIO file, or a --space file that names one."
-                )
+                raise InputError("There is no scenario; name an OpenSCENARIO file, or a --space file that names one.")
             scenario = ParameterSpace.scenario_file(space)
         if ranges:
             varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
         if varied is None:
-            raise InputError(
-                f"{scenario}: nothing is varied; give a --space file or a --range NAME=LOW:HIGH."
-            )
+            raise InputError(f"{scenario}: nothing is varied; give a --space file or a --range NAME=LOW:HIGH.")
         file = Scenario.read(scenario)
         file.require_parameters(list(varied.names))
         return cls(Path(scenario), varied, file.fingerprint())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -104,7 +105,7 @@ class Road:
     def width(self, section: int, lane: int, s: FloatArray) -> FloatArray:
         """Width of a lane in a section, shape (N,)."""
         inner, outer = self._edges(section, lane, s)
-        return np.abs(outer - inner)
+        return np.asarray(np.abs(outer - inner))
 
     def along(self, lane: int) -> bool:
         """Whether traffic on the lane runs along s."""
@@ -158,9 +159,7 @@ class RoadNetwork:
             if isinstance(element.tag, str) and "}" in element.tag:
                 element.tag = element.tag.split("}", 1)[1]
         if root.tag != "OpenDRIVE":
-            raise InputError(
-                f"{path}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>."
-            )
+            raise InputError(f"{path}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
         roads = tuple(_road(e, f"{path}, road {e.get('id')}") for e in root.iterfind("road"))
         if not roads:
             raise InputError(f"{path}: has no <road>.")
@@ -204,9 +203,7 @@ class RoadNetwork:
         """Whether traffic on a lane runs along the road's s."""
         return self.roads[road].along(lane)
 
-    def road_world(
-        self, road: int, s: FloatArray, t: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def road_world(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return x, y and heading of the road's direction at road coordinates, each (N,)."""
         return self.roads[road].at(s, t)
 
@@ -228,12 +225,8 @@ class RoadNetwork:
         known = np.isfinite(x) & np.isfinite(y)
         points = np.stack([np.where(known, x, 0.0), np.where(known, y, 0.0)], axis=1)
         gap, near = tree.query(points, k=min(24, len(road)))
-        gap, near = gap.reshape(len(x), -1), near.reshape(len(x), -1)
-        cost = (
-            np.maximum(gap - half[near], 0.0)
-            + 1e-3 * gap
-            + np.where(gap <= half[near], 0.01, 0.0) * bad[near]
-        )
+        gap, near = np.reshape(gap, (len(x), -1)), np.reshape(near, (len(x), -1))
+        cost = np.maximum(gap - half[near], 0.0) + 1e-3 * gap + np.where(gap <= half[near], 0.01, 0.0) * bad[near]
         best = near[np.arange(len(x)), cost.argmin(axis=1)]
         place = Place(road[best], lane[best], s[best].copy(), np.zeros(len(x)))
         for r, ln in sorted({*zip(place.road.tolist(), place.lane.tolist(), strict=True)}):
@@ -247,9 +240,7 @@ class RoadNetwork:
                 place.offset[rows] = dy * np.cos(heading) - dx * np.sin(heading)
         return place
 
-    def path_of_lane(
-        self, road: int, lane: int, via: tuple[tuple[int, int, float], ...] = ()
-    ) -> LanePath | None:
+    def path_of_lane(self, road: int, lane: int, via: tuple[tuple[int, int, float], ...] = ()) -> LanePath | None:
         """Centre line from the beginning of a lane through all that follow it.
 
         Parameters
@@ -315,7 +306,7 @@ class RoadNetwork:
                 found.append((connecting, lane))
         return self._existing(found)
 
-    def _existing(self, found: list[tuple[str, int | None]]) -> list[tuple[int, int]]:
+    def _existing(self, found: Sequence[tuple[str, int | None]]) -> list[tuple[int, int]]:
         return [
             (self._index[name], lane)
             for name, lane in found
@@ -374,8 +365,7 @@ def _road(element: etree._Element, where: str) -> Road:
     if not geometries:
         raise InputError(f"{where}: has no <geometry> in its <planView>.")
     sections = tuple(
-        (_float(section, "s", where), dict(_lanes(section, where)))
-        for section in element.iterfind("lanes/laneSection")
+        (_float(section, "s", where), dict(_lanes(section, where))) for section in element.iterfind("lanes/laneSection")
     )
     if not sections:
         raise InputError(f"{where}: has no <laneSection>.")
@@ -411,22 +401,23 @@ def _lanes(section: etree._Element, where: str) -> list[tuple[int, Lane]]:
 def _link(element: etree._Element | None) -> Link | None:
     if element is None:
         return None
-    return Link(
-        element.get("elementType", "road"), element.get("elementId", ""), element.get("contactPoint", "")
-    )
+    return Link(element.get("elementType", "road"), element.get("elementId", ""), element.get("contactPoint", ""))
 
 
 def _connections(junction: etree._Element) -> list[tuple[str, str, str, dict[int, int]]]:
     found = []
     for e in junction.iterfind("connection"):
         links = {int(k.get("from", "0")): int(k.get("to", "0")) for k in e.iterfind("laneLink")}
-        connecting = e.get("connectingRoad") or e.get("linkedRoad", "")
+        connecting = e.get("connectingRoad") or e.get("linkedRoad") or ""
         found.append((e.get("incomingRoad", ""), connecting, e.get("contactPoint", "start"), links))
     return found
 
 
-def _read_polynomials(elements, name: str, where: str) -> tuple[Polynomial, ...]:  # type: ignore[no-untyped-def]
-    found = [tuple(_float(e, key, where) for key in (name, "a", "b", "c", "d")) for e in elements]
+def _read_polynomials(elements: Iterable[etree._Element], name: str, where: str) -> tuple[Polynomial, ...]:
+    found: list[Polynomial] = []
+    for e in elements:
+        start, a, b, c, d = (_float(e, key, where) for key in (name, "a", "b", "c", "d"))
+        found.append((start, a, b, c, d))
     return tuple(sorted(found))
 
 

@@ -51,9 +51,7 @@ class Scenario:
                 f"{path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>."
             )
         if root.find("ParameterValueDistribution") is not None:
-            raise InputError(
-                f"{path}: is a parameter value distribution, not a scenario; give it as --space."
-            )
+            raise InputError(f"{path}: is a parameter value distribution, not a scenario; give it as --space.")
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
                 raise InputError(f"{path}: has no <{needed}>, so there is nothing to run.")
@@ -70,24 +68,18 @@ class Scenario:
     @cached_property
     def parameters(self) -> tuple[str, ...]:
         """Names of all declared parameters."""
-        return tuple(
-            e.get("name", "") for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration")
-        )
+        return tuple(e.get("name", "") for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration"))
 
     def require_entity(self, name: str, role: str) -> None:
         """Raise an `InputError` when there is no entity called `name`, which is to be the `role`."""
         if name not in self.entities:
-            raise InputError(
-                f"{self.path}: has no entity '{name}' to be the {role}; {suggestion(name, self.entities)}"
-            )
+            raise InputError(f"{self.path}: has no entity '{name}' to be the {role}; {suggestion(name, self.entities)}")
 
     def require_parameters(self, names: tuple[str, ...] | list[str]) -> None:
         """Raise an `InputError` when a parameter is varied that the file does not declare."""
         for name in names:
             if name not in self.parameters:
-                raise InputError(
-                    f"{self.path}: declares no parameter '{name}'; {suggestion(name, self.parameters)}"
-                )
+                raise InputError(f"{self.path}: declares no parameter '{name}'; {suggestion(name, self.parameters)}")
 
     def beside(self, reference: str, what: str) -> Path:
         """Path of a file or folder that the scenario refers to.
@@ -98,9 +90,7 @@ class Scenario:
             It is a network address.
         """
         if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", reference) or reference.startswith(("//", "\\\\")):
-            raise InputError(
-                f"{self.path}: the {what} '{reference}' is a network address; name a local file."
-            )
+            raise InputError(f"{self.path}: the {what} '{reference}' is a network address; name a local file.")
         return self.path.parent / reference.replace("\\", "/")
 
     def catalog_entry(self, catalog: str, entry: str) -> etree._Element:
@@ -112,9 +102,7 @@ class Scenario:
             No catalog of that name lies in the catalog locations, or it lacks the entry.
         """
         if catalog not in self._catalogs:
-            raise InputError(
-                f"{self.path}: there is no catalog '{catalog}'; {suggestion(catalog, self._catalogs)}"
-            )
+            raise InputError(f"{self.path}: there is no catalog '{catalog}'; {suggestion(catalog, self._catalogs)}")
         entries = {e.get("name", ""): e for e in self._catalogs[catalog].iterchildren("*")}
         if entry not in entries:
             raise InputError(
@@ -252,9 +240,7 @@ def _set_driver(scenario_object: etree._Element, driver: str) -> None:
                 return
     holder = etree.SubElement(scenario_object, "ObjectController")
     controller = etree.SubElement(holder, "Controller", name=f"driver of {scenario_object.get('name')}")
-    etree.SubElement(
-        etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver
-    )
+    etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver)
 
 
 def _copy(source: Path, target: Path) -> None:

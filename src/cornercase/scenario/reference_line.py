@@ -51,7 +51,8 @@ class Geometry:
         if self.kind == "arc":
             return _arc(along, self.numbers[0])
         if self.kind == "spiral":
-            return _spiral(along, *self.numbers, self.length)
+            start, end = self.numbers
+            return _spiral(along, start, end, self.length)
         if self.kind == "poly3":
             return self._poly3(along)
         top, *c = self.numbers
@@ -78,9 +79,9 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
     InputError
         It is malformed, or of length zero or less.
     """
-    start = [_number(element, name, where) for name in ("s", "x", "y", "hdg", "length")]
-    if start[4] <= 0:
-        raise InputError(f"{where}: a <geometry> has the length {start[4]:g} m; it must be above 0.")
+    s, x, y, heading, length = (_number(element, name, where) for name in ("s", "x", "y", "hdg", "length"))
+    if length <= 0:
+        raise InputError(f"{where}: a <geometry> has the length {length:g} m; it must be above 0.")
     shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
     if shape is None:
         raise InputError(f"{where}: a <geometry> is no line, arc, spiral, poly3 or paramPoly3.")
@@ -92,10 +93,10 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
         "poly3": ("a", "b", "c", "d"),
     }
     if kind != "paramPoly3":
-        return Geometry(*start, kind, tuple(_number(shape, name, where) for name in names[kind]))
-    top = start[4] if shape.get("pRange", "normalized") == "arcLength" else 1.0
+        return Geometry(s, x, y, heading, length, kind, tuple(_number(shape, name, where) for name in names[kind]))
+    top = length if shape.get("pRange", "normalized") == "arcLength" else 1.0
     coefficients = [_number(shape, f"{c}{axis}", where) for axis in "UV" for c in "abcd"]
-    return Geometry(*start, kind, (top, *coefficients))
+    return Geometry(s, x, y, heading, length, kind, (top, *coefficients))
 
 
 def _arc(along: FloatArray, curvature: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -105,9 +106,7 @@ def _arc(along: FloatArray, curvature: float) -> tuple[FloatArray, FloatArray, F
     return chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn
 
 
-def _spiral(
-    along: FloatArray, start: float, end: float, length: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _spiral(along: FloatArray, start: float, end: float, length: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     rate = (end - start) / length
     if abs(rate) * length**2 < _STRAIGHT:
         return _arc(along, 0.5 * (start + end))

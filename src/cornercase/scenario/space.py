@@ -177,10 +177,7 @@ class ParameterSpace:
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
         """Values at points of the unit cube, shape (n, d)."""
         return [
-            {
-                parameter.name: parameter.value(float(u))
-                for parameter, u in zip(self.parameters, point, strict=True)
-            }
+            {parameter.name: parameter.value(float(u)) for parameter, u in zip(self.parameters, point, strict=True)}
             for point in np.clip(points, 0.0, 1.0)
         ]
 
@@ -244,9 +241,7 @@ def _parse_range(text: str) -> Parameter:
                 numbers[key] = float(match[key])
             except ValueError:
                 raise InputError(f"--range {text}: '{match[key]}' is not a number.") from None
-    return _ranged(
-        match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), f"--range {text}"
-    )
+    return _ranged(match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), f"--range {text}")
 
 
 def _ranged(name: str, low: float, high: float, step: float | None, where: str) -> Parameter:
@@ -277,8 +272,7 @@ def _deterministic(element: Any, path: str) -> Parameter:
         if bounds is None:
             raise InputError(f"{where}: <DistributionRange> has no <Range>.")
         low, high, step = (
-            _number(text, where)
-            for text in (bounds.get("lowerLimit"), bounds.get("upperLimit"), span.get("stepWidth"))
+            _number(text, where) for text in (bounds.get("lowerLimit"), bounds.get("upperLimit"), span.get("stepWidth"))
         )
         return _ranged(name, low, high, step, where)
     if some is not None:

@@ -41,7 +41,5 @@ class ParallelSimulator:
             yield from future.result()
 
 
-def _run(
-    name: str, options: dict[str, Any], concretes: list[ConcreteScenario]
-) -> list[Recording | SimulationError]:
+def _run(name: str, options: dict[str, Any], concretes: list[ConcreteScenario]) -> list[Recording | SimulationError]:
     return list(SIMULATORS.create(name, **options).run(concretes))

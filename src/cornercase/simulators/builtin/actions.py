@@ -92,7 +92,8 @@ class Transition:
         self.value = scope.number(element, "value", 0.0)
         if self.shape not in _PEAK:
             raise InputError(
-                f"{scope.source}, line {element.sourceline}: dynamicsShape '{self.shape}' is not one of {', '.join(_PEAK)}."
+                f"{scope.source}, line {element.sourceline}: dynamicsShape '{self.shape}' is not"
+                f" one of {', '.join(_PEAK)}."
             )
         if self.dimension not in ("time", "rate", "distance"):
             raise InputError(
@@ -145,9 +146,7 @@ class SpeedAction:
                     " by the builtin simulator."
                 )
         else:
-            raise InputError(
-                f"{scope.source}, line {element.sourceline}: <SpeedActionTarget> holds no target."
-            )
+            raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedActionTarget> holds no target.")
         n = scope.scenarios
         self._from, self._to, self._elapsed, self._duration = (np.zeros(n) for _ in range(4))
 
@@ -187,8 +186,7 @@ class AssignRouteAction:
         self._entity = entity
         route = _child(element, "Route", scope)
         self._waypoints: list[Position] = [
-            read_position(_child(waypoint, "Position", scope), scope, world)
-            for waypoint in route.iterfind("Waypoint")
+            read_position(_child(waypoint, "Position", scope), scope, world) for waypoint in route.iterfind("Waypoint")
         ]
         self._where = f"{scope.source}, line {element.sourceline}"
 
@@ -235,9 +233,7 @@ class FollowTrajectoryAction:
             )
         vertices = list(polyline.iterfind("Vertex"))
         if len(vertices) < 2:
-            raise InputError(
-                f"{scope.source}, line {polyline.sourceline}: a <Polyline> needs at least two vertices."
-            )
+            raise InputError(f"{scope.source}, line {polyline.sourceline}: a <Polyline> needs at least two vertices.")
         self._vertices = [read_position(_child(v, "Position", scope), scope, world) for v in vertices]
         self._oriented = [
             v.find("Position//Orientation") is not None or next(v.iterfind("Position/*")).get("h") is not None
@@ -288,7 +284,7 @@ class FollowTrajectoryAction:
             world.distance[e][acting] = along[acting]
             world.timed[e] |= acting
         arrived = world.distance[e] >= self._track.lengths - 1e-9
-        return where & (arrived | ~acting)
+        return np.asarray(where & (arrived | ~acting))
 
 
 class SynchronizeAction:
@@ -317,9 +313,7 @@ class SynchronizeAction:
         acting = where & world.controls(LONGITUDINAL, e, self._id)
         way = world.remaining(e, self._target(world))
         way_master = world.remaining(m, self._target_master(world))
-        there = (way <= np.maximum(self._tolerance, 1e-6)) | (
-            way_master <= np.maximum(self._tolerance_master, 1e-6)
-        )
+        there = (way <= np.maximum(self._tolerance, 1e-6)) | (way_master <= np.maximum(self._tolerance_master, 1e-6))
         with np.errstate(divide="ignore", invalid="ignore"):
             time = way_master / np.maximum(world.speed[m], 1e-6)
             mean = way / time

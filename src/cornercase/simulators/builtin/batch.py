@@ -8,7 +8,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase.drivers import DRIVERS, Driver
-from cornercase.errors import InputError, SimulationError
+from cornercase.errors import InputError, SimulationError, suggestion
 from cornercase.recording import Collision, Recording
 from cornercase.scenario.opendrive import RoadNetwork
 from cornercase.scenario.openscenario import Scenario, driver_property
@@ -126,15 +126,20 @@ class Batch:
         motion = history[:instants, :, :, i].transpose(1, 2, 0).copy()
         if not np.isfinite(motion[0]).any():
             return SimulationError("no entity is ever placed on the map")
+        x, y, heading, speed, acceleration = motion
         return Recording(
             np.arange(instants) * self._time_step,
             tuple(world.names),
             tuple(entity.kind for entity in world.entities),
-            *motion,
-            length=np.array([entity.length for entity in world.entities]),
-            width=np.array([entity.width for entity in world.entities]),
-            center_x=np.array([entity.center_x for entity in world.entities]),
-            collisions=tuple(contacts),
+            x,
+            y,
+            heading,
+            speed,
+            acceleration,
+            np.array([entity.length for entity in world.entities]),
+            np.array([entity.width for entity in world.entities]),
+            np.array([entity.center_x for entity in world.entities]),
+            tuple(contacts),
         )
 
 
@@ -143,21 +148,18 @@ def _driver(driver: Driver | str, scenario: Scenario) -> Driver:
         return driver
     if driver not in DRIVERS.names():
         raise InputError(
-            f"{scenario.path}: asks for the driver '{driver}', which does not exist; known are {', '.join(DRIVERS.names())}."
+            f"{scenario.path}: asks for the driver '{driver}', which does not exist;"
+            f" {suggestion(driver, DRIVERS.names())}"
         )
     return DRIVERS.create(driver)
 
 
 def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity:
     name = element.get("name", "")
-    body = next(
-        (e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None
-    )
+    body = next((e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None)
     if body is not None and body.tag == "CatalogReference":
         reference = body
-        body = scenario.catalog_entry(
-            scope.text(reference, "catalogName"), scope.text(reference, "entryName")
-        )
+        body = scenario.catalog_entry(scope.text(reference, "catalogName"), scope.text(reference, "entryName"))
         scope = scope.within(body, reference.find("ParameterAssignments"))
     elif body is not None:
         scope = scope.within(body)
@@ -168,19 +170,14 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
         )
     dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
     if dimensions is None or center is None:
-        raise InputError(
-            f"{scenario.path}: the entity '{name}' has no <BoundingBox> with <Center> and <Dimensions>."
-        )
+        raise InputError(f"{scenario.path}: the entity '{name}' has no <BoundingBox> with <Center> and <Dimensions>.")
     kind = {"Pedestrian": "pedestrian", "MiscObject": "misc"}.get(body.tag) or scope.text(
         body, "vehicleCategory", "car"
     )
     limits = [np.inf] * 3
     performance = body.find("Performance")
     if performance is not None:
-        limits = [
-            scope.one_number(performance, a, np.inf)
-            for a in ("maxSpeed", "maxAcceleration", "maxDeceleration")
-        ]
+        limits = [scope.one_number(performance, a, np.inf) for a in ("maxSpeed", "maxAcceleration", "maxDeceleration")]
     length, width = scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width")
     if not (length > 0 and width > 0):
         raise InputError(f"{scenario.path}: the bounding box of '{name}' needs a positive length and width.")

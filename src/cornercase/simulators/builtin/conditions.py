@@ -171,9 +171,7 @@ EntityTest = Callable[[World, int], BoolArray]
 def _of_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
     holder = element.find("TriggeringEntities")
     if holder is None:
-        raise InputError(
-            f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>."
-        )
+        raise InputError(f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>.")
     every = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
     entities = [entity_index(e, scope, world) for e in holder.iterfind("EntityRef")]
 
@@ -187,9 +185,7 @@ def _of_triggering_entities(element: etree._Element, scope: Scope, world: World,
 def _rule(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
     rule = scope.text(element, "rule", "equalTo")
     if rule not in _RULES:
-        raise InputError(
-            f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}"
-        )
+        raise InputError(f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}")
     return _RULES[rule]
 
 
@@ -216,7 +212,8 @@ def _parameter(element: etree._Element, scope: Scope, world: World, elements: El
     name, n = scope.text(element, "parameterRef").lstrip("$"), scope.scenarios
     if name not in scope.values:
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: there is no parameter '{name}'; {suggestion(name, scope.values)}"
+            f"{scope.source}, line {element.sourceline}: there is no parameter '{name}';"
+            f" {suggestion(name, scope.values)}"
         )
     held = scope.values[name]
     if isinstance(held, str | bool):
@@ -236,9 +233,7 @@ def _traveled(element: etree._Element, scope: Scope, world: World) -> EntityTest
 def _reach_position(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     holder = element.find("Position")
     if holder is None:
-        raise InputError(
-            f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>."
-        )
+        raise InputError(f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>.")
     position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
 
     def reached(world: World, e: int) -> BoolArray:
@@ -276,9 +271,7 @@ def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTes
     if element.find("EntityRef") is None:
         by_type = element.find("ByType")
         if by_type is None:
-            raise InputError(
-                f"{scope.source}, line {element.sourceline}: <CollisionCondition> names no entity."
-            )
+            raise InputError(f"{scope.source}, line {element.sourceline}: <CollisionCondition> names no entity.")
         raise InputError(
             f"{scope.source}, line {element.sourceline}: <CollisionCondition> by type is not supported by the builtin"
             " simulator; name an entity with <EntityRef>."
@@ -308,17 +301,17 @@ def _relative_distance(element: etree._Element, scope: Scope, world: World) -> E
 
 
 def _euclidean(world: World, e: int, other: int) -> FloatArray:
-    return np.hypot(world.x[other] - world.x[e], world.y[other] - world.y[e])
+    return np.asarray(np.hypot(world.x[other] - world.x[e], world.y[other] - world.y[e]))
 
 
 def _longitudinal(world: World, e: int, other: int) -> FloatArray:
     dx, dy = world.x[other] - world.x[e], world.y[other] - world.y[e]
-    return np.abs(dx * np.cos(world.heading[e]) + dy * np.sin(world.heading[e]))
+    return np.asarray(np.abs(dx * np.cos(world.heading[e]) + dy * np.sin(world.heading[e])))
 
 
 def _lateral(world: World, e: int, other: int) -> FloatArray:
     dx, dy = world.x[other] - world.x[e], world.y[other] - world.y[e]
-    return np.abs(dy * np.cos(world.heading[e]) - dx * np.sin(world.heading[e]))
+    return np.asarray(np.abs(dy * np.cos(world.heading[e]) - dx * np.sin(world.heading[e])))
 
 
 _ALONG: Final[Mapping[str, Callable[[World, int, int], FloatArray]]] = {

@@ -158,9 +158,7 @@ def _on_lane(
         rows = (road == one_road) & (lane == one_lane)
         inside = rows & (s >= -1e-6) & (s <= world.network.lengths[one_road] + 1e-6)
         if world.network.has_lane(one_road, one_lane) and inside.any():
-            x[inside], y[inside], heading[inside] = world.network.world(
-                one_road, one_lane, s[inside], offset[inside]
-            )
+            x[inside], y[inside], heading[inside] = world.network.world(one_road, one_lane, s[inside], offset[inside])
     heading = heading + turn if relative else np.where(np.isnan(heading), np.nan, turn)
     return Pose(x, y, heading, road, lane, s, offset)
 
@@ -176,7 +174,8 @@ def _orientation(element: etree._Element, scope: Scope) -> tuple[FloatArray, boo
 def _network(element: etree._Element, scope: Scope, world: World):  # type: ignore[no-untyped-def]
     if world.network is None:
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: <{element.tag}> needs a road file, but <RoadNetwork> names none."
+            f"{scope.source}, line {element.sourceline}: <{element.tag}> needs a road file, but"
+            " <RoadNetwork> names none."
         )
     return world.network
 

@@ -44,9 +44,7 @@ class Scope:
         For each parameter, the parameters of the logical scenario that its value depends on.
     """
 
-    def __init__(
-        self, source: str, scenarios: int, values: Mapping[str, Any], origins: Mapping[str, set[str]]
-    ) -> None:
+    def __init__(self, source: str, scenarios: int, values: Mapping[str, Any], origins: Mapping[str, set[str]]) -> None:
         self.source = source
         self.scenarios = scenarios
         self.values = dict(values)

@@ -315,9 +315,7 @@ class Storyboard:
             else:
                 inner = scope.within(maneuver)
             events = [self._read_event(event, inner, actors) for event in maneuver.iterfind("Event")]
-            maneuvers.append(
-                self._known(Group("maneuver", maneuver.get("name", ""), scope.scenarios, events))
-            )
+            maneuvers.append(self._known(Group("maneuver", maneuver.get("name", ""), scope.scenarios, events)))
         return self._known(Group("maneuverGroup", group.get("name", ""), scope.scenarios, maneuvers))
 
     def _read_event(self, event: etree._Element, scope: Scope, actors: list[int]) -> Event:
@@ -326,9 +324,7 @@ class Storyboard:
             name = action.get("name", "")
             for element in action.iterchildren("*"):
                 for actor in actors if element.tag == "PrivateAction" else [None]:
-                    running = RunningAction(
-                        name, scope.scenarios, read_action(element, scope, self._world, actor)
-                    )
+                    running = RunningAction(name, scope.scenarios, read_action(element, scope, self._world, actor))
                     actions.append(running)
                     self._known(running)
         start = event.find("StartTrigger")

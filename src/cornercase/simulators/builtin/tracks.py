@@ -7,7 +7,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from cornercase.scenario.opendrive import LanePath, RoadNetwork
+from cornercase.scenario.lane_path import LanePath
+from cornercase.scenario.opendrive import RoadNetwork
 from cornercase.typing import BoolArray, FloatArray, IntArray
 
 FREE: Final = -1
@@ -53,9 +54,7 @@ class Track(Protocol):
     ends: bool
     length: float
 
-    def at(
-        self, distance: FloatArray, offset: FloatArray, rows: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return x, y and heading at distances, each (R,), for the scenarios `rows`."""
         ...
 
@@ -95,9 +94,7 @@ class LaneTrack:
         """Distance along the track of coordinates s on its first road."""
         return np.asarray(self.side * (s - self.path.s[0]))
 
-    def at(
-        self, distance: FloatArray, offset: FloatArray, rows: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         x, y, heading, _ = self.path.at(distance, offset)
         return x, y, heading
 
@@ -149,9 +146,7 @@ class Polyline:
         self.lengths = self.distance[:, -1]
         self._direction = np.unwrap(np.arctan2(np.diff(y), np.diff(x)), axis=1)
 
-    def at(
-        self, distance: FloatArray, offset: FloatArray, rows: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         along, leg, part = self._leg(distance, rows)
         x0, y0 = self.x[rows, leg], self.y[rows, leg]
         x = x0 + part * (self.x[rows, leg + 1] - x0)
@@ -203,9 +198,7 @@ class Polyline:
         return np.where(np.isnan(given0 + given1), heading, given0 + part * turn)
 
 
-def _nearest(
-    px: FloatArray, py: FloatArray, distance: FloatArray, x: FloatArray, y: FloatArray
-) -> FloatArray:
+def _nearest(px: FloatArray, py: FloatArray, distance: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     dx, dy = np.diff(px), np.diff(py)
     squared = np.maximum(dx * dx + dy * dy, 1e-30)
     part = np.clip(((x[:, None] - px[:, :-1]) * dx + (y[:, None] - py[:, :-1]) * dy) / squared, 0.0, 1.0)

@@ -101,7 +101,7 @@ class World:
 
     def controls(self, domain: str, entity: int, action: int) -> BoolArray:
         """Scenarios in which the action still has the control that it claimed, shape (N,)."""
-        return self._owner[domain][entity] == action
+        return np.asarray(self._owner[domain][entity] == action)
 
     def place(self, entity: int, pose: Pose, where: BoolArray) -> None:
         """Put an entity somewhere; from there it follows its lane, or its heading where there is none."""
@@ -115,9 +115,7 @@ class World:
         self.present[entity] |= where
         self.track[entity][where] = FREE
         if self.network is not None and pose.lane is not None and pose.road is not None:
-            for road, lane in sorted(
-                {*zip(pose.road[where].tolist(), pose.lane[where].tolist(), strict=True)}
-            ):
+            for road, lane in sorted({*zip(pose.road[where].tolist(), pose.lane[where].tolist(), strict=True)}):
                 rows = where & (pose.road == road) & (pose.lane == lane)
                 self._follow_lane(entity, road, lane, pose, rows)
 
@@ -157,7 +155,7 @@ class World:
             if rows.size:
                 along = track.nearest(target.x[rows], target.y[rows], rows)
                 result[rows] = along - self.distance[entity][rows]
-        return result
+        return np.asarray(result)
 
     def move(self, dt: float) -> None:
         """Advance every entity by one time step with its present speed, then the clock."""
