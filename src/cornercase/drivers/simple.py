@@ -34,11 +34,11 @@ class SimpleDriver:
         self,
         *,
         acceleration: float = 3.0,
-        comfortable_deceleration: float = 2.0,
-        max_deceleration: float = 4.0,
+        comfortable_deceleration: float = 3.0,
+        max_deceleration: float = 6.0,
         time_headway: float = 0.8,
         min_gap: float = 1.5,
-        reaction_time: float = 1.5,
+        reaction_time: float = 1.0,
         sight_range: float = 60.0,
     ) -> None:
         self._acceleration, self._deceleration = acceleration, comfortable_deceleration
