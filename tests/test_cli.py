@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import EXAMPLES, same_recording
 
+from conftest import EXAMPLES, same_recording
 from cornercase.recording import read_recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.simulators.builtin import BuiltinSimulator
@@ -82,7 +82,9 @@ def test_show_and_export(demo, tmp_path):
 
 
 def test_analyze_by_hand(demo):
-    result = cornercase("analyze", demo / "study.db", "--by", "wttc", "--gamma", "2", "--eps", "0.3", "--min-samples", "4")
+    result = cornercase(
+        "analyze", demo / "study.db", "--by", "wttc", "--gamma", "2", "--eps", "0.3", "--min-samples", "4"
+    )
     assert result.returncode == 0, result.stderr
     with Study.open(demo / "study.db", readonly=True) as study:
         _, info = study.analysis("wttc")
@@ -149,7 +151,9 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, name):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["text.xosc"]
 
 
-@pytest.mark.parametrize("command", ["explore", "analyze", "reduce", "report", "demo", "simulate", "measure", "show", "export"])
+@pytest.mark.parametrize(
+    "command", ["explore", "analyze", "reduce", "report", "demo", "simulate", "measure", "show", "export"]
+)
 def test_every_command_has_an_example(command):
     result = cornercase(command, "--help")
     assert result.returncode == 0

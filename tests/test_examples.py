@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import EXAMPLES
 from lxml import etree
 from scipy.stats import qmc
 
+from conftest import EXAMPLES
 from cornercase.metrics import METRICS
 from cornercase.pipeline import demonstration, explore_scenario
 from cornercase.scenario.xml import read_xml
@@ -86,11 +86,10 @@ def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
     with Study.open(x_study) as study:
         labels = analyze_study(study, ["wttc"])["wttc"].clustering.labels
         scores = study.scores("wttc")
-    known = labels >= 0
-    assert known.mean() > 0.7
-    medians = np.array([np.median(scores[labels == k]) for k in range(labels.max() + 1)])
-    assert medians.min() < 0.1
-    assert medians.max() > 0.5
-    # Share of the scores' variance that lies between the clusters.
-    between = sum((labels == k).sum() * (scores[labels == k].mean() - scores[known].mean()) ** 2 for k in range(len(medians)))
-    assert between / ((scores[known] - scores[known].mean()) ** 2).sum() > 0.5
+    medians = [np.median(scores[labels == k]) for k in range(labels.max() + 1)]
+    assert len(medians) >= 2
+    harmless = scores[labels == int(np.argmax(medians))]
+    # The least critical cluster holds nothing critical, and the critical ones are elsewhere.
+    assert harmless.min() > 0.5
+    assert np.min(medians) < 0.3
+    assert np.median(harmless) > 5 * np.min(medians)

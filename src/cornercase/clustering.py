@@ -40,7 +40,7 @@ EPS_FACTORS = (1.25, 1.6, 2.0)
 EPS_SHARES = (0.05, 0.1, 0.2)
 MOST_CLUSTERS = 8
 MOST_NOISE = 0.3
-LEAST_SCORE = 0.1
+LEAST_SCORE = 0.05
 NOISE_COST = 1.0
 CLUSTER_COST = 0.02
 SMALL_SHARE = 0.05
@@ -165,7 +165,7 @@ def cluster(
     noise; 0.02 for each cluster beyond the second, so that the coarser of two equal answers wins; and up to
     0.2 where the second cluster has less than 5 % of the scenarios, so that a handful of odd ones does not
     pass as the structure of all. The best score wins, at a tie the smaller gamma and eps. With a best score
-    under 0.1, which is what sets without structure reach, or with fewer than 5 scenarios, all are one
+    under 0.05, as sets without structure mostly have, or with fewer than 5 scenarios, all are one
     cluster. With some ten scenarios, chance alone can look like structure.
     """
     matrix = _checked(distances)
