@@ -93,3 +93,17 @@ def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
     assert harmless.min() > 0.5
     assert np.min(medians) < 0.3
     assert np.median(harmless) > 5 * np.min(medians)
+
+
+def test_accidents_form_a_cluster_of_their_own_by_ego_trajectory(tmp_path):
+    from cornercase.analysis import analyze_study
+
+    path = tmp_path / "study.db"
+    explore_scenario(demonstration("t-intersection", budget=100, seed=0), path)
+    with Study.open(path) as study:
+        labels = analyze_study(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
+        crashed = np.array([bool(study.recording(row.id).collisions) for row in study.done()])
+    assert 0 < crashed.sum() < len(crashed)
+    of_crashes = set(labels[crashed].tolist())
+    assert len(of_crashes) == 1
+    assert crashed[labels == of_crashes.pop()].all()
