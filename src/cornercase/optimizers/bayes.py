@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from cornercase.optimizers.sobol import SequenceOptimizer
 from cornercase.scenario.space import ParameterSpace
-from cornercase.typing import FloatArray
+from cornercase.typing import FloatArray, IntArray
 
 _INITIAL = 20
 
@@ -24,8 +26,11 @@ class BayesOptimizer:
     first 20 points are a Sobol' sequence. Each round learns the process anew from all that was told, so the next
     round depends on nothing else.
 
+    A round is that many samples of one process. Each sample chooses among candidates of its own, which keeps a round
+    from running the same scenario twice and from crowding at one end of a critical region.
+
     Samples of the process crowd where it is lowest. So that a critical region elsewhere is not overlooked, and less
-    critical scenarios are there to be compared with, a share of each round goes on with the Sobol' sequence.
+    critical scenarios are there to be compared with, a share of all points goes on with the Sobol' sequence.
 
     Parameters
     ----------
@@ -36,7 +41,7 @@ class BayesOptimizer:
     features : int, default 500
         Random features that stand for the kernel.
     filling : float, default 0.3
-        Share of a round that fills the space; 0 is the paper's setting.
+        Share of the points that fills the space; 0 is the paper's setting.
     """
 
     name = "bayes"
@@ -56,22 +61,19 @@ class BayesOptimizer:
         self._scores = np.zeros(0)
 
     def ask(self, n: int) -> FloatArray:
-        """Return at most `n` points, shape (m, d), none of which was told before."""
+        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
         told = len(self._points)
         known = np.isfinite(self._scores)
-        if told < _INITIAL:
-            return self._start.ask(min(n, _INITIAL - told))
-        if known.sum() < 3 or np.ptp(self._scores[known]) == 0.0:
+        if told < _INITIAL or known.sum() < 3 or np.ptp(self._scores[known]) == 0.0:
             return self._start.ask(n)
-        filling = self._start.ask(int(n * self._filling))
+        filling = self._start.ask(self._filled(told + n) - self._filled(told))
         rest = SequenceOptimizer(self._space, _seed(self._seed, told), "sobol")
         rest.tell(np.concatenate([self._points, filling]), np.zeros(told + len(filling)))
-        candidates = rest.ask(self._candidates)
         wanted = n - len(filling)
-        if len(candidates) > wanted:
-            seed = _seed(self._seed, told)
-            candidates = candidates[self._thompson(candidates, self._points[known], self._scores[known], wanted, seed)]
-        return np.concatenate([candidates, filling])
+        candidates = rest.ask(max(self._candidates, wanted))
+        if len(candidates) > wanted > 0:
+            candidates = candidates[self._thompson(candidates, known, wanted)]
+        return np.concatenate([candidates[:wanted], filling])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take scores, lower being more critical; NaN for a scenario that failed."""
@@ -79,34 +81,51 @@ class BayesOptimizer:
         self._scores = np.concatenate([self._scores, scores])
         self._start.tell(points, scores)
 
-    def _thompson(self, candidates: FloatArray, points: FloatArray, scores: FloatArray, n: int, seed: int) -> list[int]:
+    def _filled(self, told: int) -> int:
+        return math.floor(self._filling * told + 1e-9)
+
+    def _thompson(self, candidates: FloatArray, known: Any, n: int) -> IntArray:
+        """Choose `n` different candidates, each the best of its share of them by a sample of its own."""
         import physbo
 
-        # PHYSBO maximises, and takes its random numbers from NumPy's global generator.
+        points, scores = self._points[known], self._scores[known]
+        # PHYSBO maximises.
         target = -(scores - scores.mean()) / scores.std()
-        state: Any = np.random.get_state()  # noqa: NPY002
-        try:
-            # One thread: the matrices are small, and the number of threads would change the last digits.
-            with contextlib.redirect_stdout(io.StringIO()), threadpool_limits(limits=1):
-                policy = physbo.search.discrete.Policy(test_X=2.0 * candidates - 1.0)
-                policy.set_seed(seed)
-                training = physbo.Variable(X=2.0 * points - 1.0, t=target)
-                # A round is that many samples of one posterior: the process is learned for the first only.
-                chosen = [
-                    int(action)
-                    for k in range(n)
-                    for action in policy.bayes_search(
-                        training=training if k == 0 else None,
-                        max_num_probes=1,
-                        is_disp=False,
-                        score="TS",
-                        interval=0 if k == 0 else -1,
-                        num_rand_basis=self._features,
-                    )
-                ]
-        finally:
-            np.random.set_state(state)  # noqa: NPY002
-        return list(dict.fromkeys(chosen))
+        # As many gradient steps for many points as for few: the learning sees them in batches.
+        config = physbo.misc.SetConfig()
+        learning = config.learning
+        batches = max(1, len(points) // learning.batch_size)
+        learning.max_epoch = max(1, learning.max_epoch // batches)
+        learning.max_epoch_init_params_search = max(1, learning.max_epoch_init_params_search // batches)
+        learning.num_disp, learning.eval_size = 1, 512
+        with _alone(_seed(self._seed, len(self._points))):
+            policy = physbo.search.discrete.Policy(test_X=2.0 * candidates - 1.0, config=config)
+            policy.bayes_search(
+                training=physbo.Variable(X=2.0 * points - 1.0, t=target),
+                max_num_probes=0,
+                interval=0,
+                num_rand_basis=self._features,
+                is_disp=False,
+            )
+            # Runs of a Sobol' sequence fill the space; every n-th of its points need not.
+            shares = np.array_split(np.arange(len(candidates)), n)
+            chosen = [share[np.argmax(policy.get_score("TS", actions=share))] for share in shares]
+        return np.array(chosen, dtype=np.int64)
+
+
+@contextlib.contextmanager
+def _alone(seed: int) -> Iterator[None]:
+    """Let PHYSBO print nothing, use one thread, and leave NumPy's global generator, which it draws from, as it was.
+
+    Its matrices are small: more threads take no time off, and sums in another order would give other points.
+    """
+    state: Any = np.random.get_state()  # noqa: NPY002
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), threadpool_limits(limits=1):
+            np.random.seed(seed)  # noqa: NPY002
+            yield
+    finally:
+        np.random.set_state(state)  # noqa: NPY002
 
 
 def _seed(seed: int, told: int) -> int:

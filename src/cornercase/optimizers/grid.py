@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from cornercase.scenario.space import ParameterSpace
-from cornercase.typing import FloatArray
+from cornercase.typing import FloatArray, IntArray
 
 
 class GridOptimizer:
@@ -24,7 +24,6 @@ class GridOptimizer:
     name = "grid"
 
     def __init__(self, space: ParameterSpace, seed: int, budget: int = 3375) -> None:
-        self._space = space
         self._told = 0
         steps = [1] * space.dimension
         sizes = [parameter.size or budget for parameter in space.parameters]
@@ -35,9 +34,8 @@ class GridOptimizer:
             if grown is None:
                 break
             steps[grown] += 1
-        axes = [(np.arange(count) + 0.5) / count for count in steps]
-        grid = space.snap(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, space.dimension))
-        self._points = grid[_spread_out(grid)]
+        grid = space.lattice(steps)
+        self._points = grid[_spread_out(steps)]
 
     def ask(self, n: int) -> FloatArray:
         """Return the next at most `n` points of the grid, shape (m, d)."""
@@ -48,8 +46,11 @@ class GridOptimizer:
         self._told += len(points)
 
 
-def _spread_out(grid: FloatArray) -> list[int]:
-    """Order in which any first part of the grid covers the space: that of the nearest Halton points."""
-    halton = qmc.Halton(grid.shape[1], scramble=False).random(len(grid))
-    keys = np.argsort(np.argsort(halton[:, 0], kind="stable"), kind="stable")
-    return [int(i) for i in keys]
+def _spread_out(steps: list[int]) -> IntArray:
+    """Order in which any first part of a grid covers the space: that in which Sobol' points meet its cells."""
+    size = int(np.prod(steps))
+    points = qmc.Sobol(len(steps), scramble=False).random_base2((8 * size - 1).bit_length())
+    cells = np.ravel_multi_index(tuple((points * steps).astype(np.int64).T), tuple(steps))
+    met, first = np.unique(cells, return_index=True)
+    missed = np.setdiff1d(np.arange(size), met)
+    return np.asarray(np.concatenate([met[np.argsort(first)], missed]), dtype=np.int64)

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from scipy.stats import qmc
 
 from cornercase.scenario.space import ParameterSpace
 from cornercase.typing import FloatArray
 
+_CHUNK: Final = 256
+_MOST: Final = 1 << 20
+
 
 class SequenceOptimizer:
-    """Proposes an endless sequence of points, leaving out scenarios that it proposed before.
+    """Proposes an endless sequence of points, leaving out scenarios that were told before.
+
+    A finite space is run whole: when the sequence hardly meets new scenarios any more, those that are left follow in a
+    random order of the same seed.
 
     Parameters
     ----------
@@ -23,35 +31,48 @@ class SequenceOptimizer:
     def __init__(self, space: ParameterSpace, seed: int, kind: str) -> None:
         self.name = kind
         self._space, self._seed = space, seed
-        self._seen: dict[bytes, None] = {}
+        self._told: set[bytes] = set()
+        self._sequence = np.zeros((0, space.dimension))
+        self._keys: list[bytes] = []
+        self._first, self._over = 0, False
+        self._random = np.random.default_rng(seed)
+        self._sobol = qmc.Sobol(space.dimension, scramble=True, seed=np.random.default_rng(seed))
 
     def ask(self, n: int) -> FloatArray:
-        """Return at most `n` points, shape (m, d), none of which was told or asked before."""
-        wanted, new = len(self._seen) + n, dict[bytes, FloatArray]()
-        drawn, last = 0, 0
-        while len(new) < n:
-            drawn = max(2 * drawn, 1 << (2 * wanted - 1).bit_length())
-            if drawn > 1 << 20:
-                break
-            points = self._space.snap(self._draw(drawn))
-            for point in points[last:]:
-                key = point.tobytes()
-                if key not in self._seen and len(new) < n:
-                    new.setdefault(key, point)
-            last = drawn
-            if self._space.size is not None and len(self._seen) + len(new) >= self._space.size:
-                break
-        return np.array(list(new.values())).reshape(-1, self._space.dimension)
+        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
+        while self._first < len(self._keys) and self._keys[self._first] in self._told:
+            self._first += 1
+        found: dict[bytes, int] = {}
+        place = self._first
+        while len(found) < n and (place < len(self._keys) or self._lengthen()):
+            key = self._keys[place]
+            if key not in self._told:
+                found.setdefault(key, place)
+            place += 1
+        return self._sequence[list(found.values())].reshape(-1, self._space.dimension)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Remember what was run."""
-        self._seen.update(dict.fromkeys(point.tobytes() for point in self._space.snap(points)))
+        self._told.update(point.tobytes() for point in self._space.snap(points))
 
-    def _draw(self, count: int) -> FloatArray:
-        if self.name == "random":
-            return np.random.default_rng(self._seed).random((count, self._space.dimension))
-        engine = qmc.Sobol(self._space.dimension, scramble=True, rng=np.random.default_rng(self._seed))
-        return np.asarray(engine.random(count))
+    def _lengthen(self) -> bool:
+        """Draw as many points again; False when there are no more."""
+        size, drawn = self._space.size, len(self._keys)
+        if self._over or drawn >= _MOST + 4 * len(self._told):
+            return False
+        if size is not None and size <= _MOST // 4 and drawn >= 4 * size:
+            points = np.random.default_rng(self._seed).permutation(self._space.lattice())
+            self._over = True
+        else:
+            count = max(_CHUNK, drawn)
+            points = self._space.snap(
+                self._sobol.random(count)
+                if self.name == "sobol"
+                else self._random.random((count, self._space.dimension))
+            )
+        self._sequence = np.concatenate([self._sequence, points])
+        self._keys += [point.tobytes() for point in points]
+        return True
 
 
 def sobol(space: ParameterSpace, seed: int) -> SequenceOptimizer:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from lxml import etree
 from scipy import stats
 
 from cornercase.errors import InputError
+from cornercase.typing import FloatArray
+
+_LEAST_SHARE: Final = 1e-12
+_MOST_COUNTS: Final = 100_000
 
 
 @dataclass(frozen=True)
@@ -21,11 +26,11 @@ class Distribution:
     Attributes
     ----------
     kind : str
-        ``"uniform"``, ``"normal"``, ``"lognormal"``, ``"poisson"`` or ``"histogram"``.
+        ``"uniform"``, ``"normal"``, ``"lognormal"``, ``"histogram"``; ``"poisson"`` and ``"set"`` are discrete.
     low, high : float
         Bounds.
     numbers : tuple of float
-        Mean and standard deviation; the mean; or edges and then weights.
+        Mean and standard deviation, of the logarithm for ``"lognormal"``; the mean; edges and then weights; or weights.
     """
 
     kind: str
@@ -34,44 +39,60 @@ class Distribution:
     numbers: tuple[float, ...] = ()
 
     def quantile(self, u: float) -> float:
-        """Value below which the share `u` of the cut-off distribution lies."""
+        """Value below which the share `u` of the cut-off distribution lies; for the continuous kinds."""
         if self.kind == "uniform":
             return self.low + u * (self.high - self.low)
         if self.kind == "histogram":
             edges, weights = self._bins()
-            shares = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
-            return float(np.interp(u, shares, edges))
-        law = self._law()
-        below = law.cdf(self.low - 1) if self.kind == "poisson" else law.cdf(self.low)
-        return float(np.clip(law.ppf(below + u * (law.cdf(self.high) - below)), self.low, self.high))
+            return float(np.interp(u, _cumulated(weights), edges))
+        x = float(_cut_normal(*self._normal()).ppf(u))
+        return float(np.clip(np.exp(x) if self.kind == "lognormal" else x, self.low, self.high))
 
     def place(self, value: float) -> float:
-        """Share of the cut-off distribution that lies below `value`."""
+        """Share of the cut-off distribution that lies below `value`; for the continuous kinds."""
         if self.kind == "uniform":
             return float(np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0))
         if self.kind == "histogram":
             edges, weights = self._bins()
-            shares = np.concatenate([[0.0], np.cumsum(weights) / weights.sum()])
-            return float(np.interp(value, edges, shares))
-        law = self._law()
-        below = law.cdf(self.low - 1) if self.kind == "poisson" else law.cdf(self.low)
-        at = 0.5 * (law.cdf(value - 1) + law.cdf(value)) if self.kind == "poisson" else law.cdf(value)
-        return float(np.clip((at - below) / (law.cdf(self.high) - below), 0.0, 1.0))
+            return float(np.interp(value, edges, _cumulated(weights)))
+        if self.kind == "lognormal":
+            value = float(_logarithm(value))
+        return float(_cut_normal(*self._normal()).cdf(value))
+
+    def edges(self) -> FloatArray:
+        """Bounds of the values' shares of the unit interval, shape (n + 1,); for the discrete kinds."""
+        if self.kind == "set":
+            return _cumulated(np.array(self.numbers))
+        return _cumulated(stats.poisson.pmf(np.arange(self.low, self.high + 1.0), self.numbers[0]))
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         return {"kind": self.kind, "low": self.low, "high": self.high, "numbers": list(self.numbers)}
 
-    def _law(self) -> Any:
-        if self.kind == "normal":
-            return stats.norm(self.numbers[0], self.numbers[1])
+    def _normal(self) -> tuple[float, float, float, float]:
+        mean, deviation = self.numbers
+        low, high = self.low, self.high
         if self.kind == "lognormal":
-            return stats.lognorm(s=self.numbers[1], scale=np.exp(self.numbers[0]))
-        return stats.poisson(self.numbers[0])
+            low, high = float(_logarithm(low)), float(_logarithm(high))
+        return (low - mean) / deviation, (high - mean) / deviation, mean, deviation
 
-    def _bins(self) -> tuple[Any, Any]:
+    def _bins(self) -> tuple[FloatArray, FloatArray]:
         half = len(self.numbers) // 2 + 1
         return np.array(self.numbers[:half]), np.array(self.numbers[half:])
+
+
+@lru_cache(maxsize=256)
+def _cut_normal(low: float, high: float, mean: float, deviation: float) -> Any:
+    return stats.truncnorm(low, high, loc=mean, scale=deviation)
+
+
+def _logarithm(value: float) -> float:
+    return float(np.log(value)) if value > 0.0 else -np.inf
+
+
+def _cumulated(weights: FloatArray) -> FloatArray:
+    shares = np.concatenate([[0.0], np.cumsum(weights)])
+    return np.asarray(shares / shares[-1], dtype=np.float64)
 
 
 def from_json(plain: Mapping[str, Any]) -> Distribution:
@@ -79,8 +100,11 @@ def from_json(plain: Mapping[str, Any]) -> Distribution:
     return Distribution(plain["kind"], plain["low"], plain["high"], tuple(plain["numbers"]))
 
 
-def read_distribution(element: etree._Element, path: str) -> tuple[Distribution | None, tuple[str, ...]]:
-    """Read a ``StochasticDistribution``: a distribution, or the values of a probability set.
+def read_distribution(element: etree._Element, path: str) -> tuple[Distribution, tuple[str, ...]]:
+    """Read a ``StochasticDistribution``, and the values of a probability set.
+
+    Expected value and variance of a log-normal distribution are those of the logarithm, as in the C++ standard library.
+    A distribution without bounds is cut off where 0.01 % lie beyond.
 
     Raises
     ------
@@ -89,39 +113,73 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution 
     """
     where = f"{path}, parameter {element.get('parameterName', '')}"
     inner = next(iter(element.iterchildren("*")), None)
-    tag = "" if inner is None else inner.tag
+    tag = "" if inner is None else str(inner.tag)
     if inner is None or tag not in _KINDS:
         raise InputError(f"{where}: the distribution <{tag}> is not read; use one of {', '.join(_KINDS)}.")
     if tag == "ProbabilityDistributionSet":
-        return None, tuple(e.get("value", "") for e in inner.iterfind("Element"))
+        return _read_set(inner, where)
     if tag == "Histogram":
-        bins = sorted(
-            (*_bounds(e.find("Range"), where), _number(e.get("weight"), where)) for e in inner.iterfind("Bin")
-        )
-        if not bins or any(a[1] != b[0] for a, b in pairwise(bins)):
-            raise InputError(f"{where}: the bins of the <Histogram> must follow each other without gaps.")
-        edges = (bins[0][0], *(b[1] for b in bins))
-        return Distribution("histogram", edges[0], edges[-1], (*edges, *(b[2] for b in bins))), ()
+        return _read_histogram(inner, where), ()
     span = inner.find("Range")
     if tag == "UniformDistribution":
         low, high = _bounds(span, where)
         return Distribution("uniform", low, high), ()
     if tag == "PoissonDistribution":
-        mean = _number(inner.get("expectedValue"), where)
-        low, high = (0.0, mean + 10.0 * np.sqrt(mean) + 1.0) if span is None else _bounds(span, where)
-        return Distribution("poisson", low, high, (mean,)), ()
-    mean, deviation = (
-        _number(inner.get("expectedValue"), where),
-        np.sqrt(_number(inner.get("variance"), where)),
-    )
-    kind = _KINDS[tag]
-    if not deviation > 0:
+        return _read_poisson(inner, where), ()
+    mean, variance = _number(inner.get("expectedValue"), where), _number(inner.get("variance"), where)
+    if not variance > 0:
         raise InputError(f"{where}: the variance must be above 0.")
-    if span is not None:
+    kind, deviation = _KINDS[tag], float(np.sqrt(variance))
+    if span is None:
+        low, high = (float(stats.norm.ppf(share, mean, deviation)) for share in (1e-4, 1 - 1e-4))
+        if kind == "lognormal":
+            low, high = float(np.exp(low)), float(np.exp(high))
+    else:
         low, high = _bounds(span, where)
-        return Distribution(kind, low, high, (mean, float(deviation))), ()
-    law = Distribution(kind, -np.inf, np.inf, (mean, float(deviation)))._law()
-    return Distribution(kind, float(law.ppf(1e-4)), float(law.ppf(1 - 1e-4)), (mean, float(deviation))), ()
+        if kind == "lognormal" and high <= 0:
+            raise InputError(f"{where}: a log-normal value is above 0, the range ends at {high:g}.")
+    return Distribution(kind, low, high, (mean, deviation)), ()
+
+
+def _read_set(element: etree._Element, where: str) -> tuple[Distribution, tuple[str, ...]]:
+    weights: dict[str, float] = {}
+    for one in element.iterfind("Element"):
+        value = one.get("value", "")
+        weights[value] = weights.get(value, 0.0) + _weight(one, where)
+    total = sum(weights.values())
+    weights = {value: weight for value, weight in weights.items() if weight > _LEAST_SHARE * total}
+    if not weights:
+        raise InputError(f"{where}: no element of the set has a weight above 0.")
+    return Distribution("set", 0.0, len(weights) - 1.0, tuple(weights.values())), tuple(weights)
+
+
+def _read_histogram(element: etree._Element, where: str) -> Distribution:
+    bins = sorted((*_bounds(one.find("Range"), where), _weight(one, where)) for one in element.iterfind("Bin"))
+    if not bins or any(a[1] != b[0] for a, b in pairwise(bins)):
+        raise InputError(f"{where}: the bins of the <Histogram> must follow each other without gaps.")
+    if not any(weight for *_, weight in bins):
+        raise InputError(f"{where}: no bin of the <Histogram> has a weight above 0.")
+    edges = (bins[0][0], *(b[1] for b in bins))
+    return Distribution("histogram", edges[0], edges[-1], (*edges, *(b[2] for b in bins)))
+
+
+def _read_poisson(element: etree._Element, where: str) -> Distribution:
+    mean, span = _number(element.get("expectedValue"), where), element.find("Range")
+    if not mean > 0:
+        raise InputError(f"{where}: the expected value of a Poisson distribution must be above 0.")
+    if span is None:
+        low, high = (float(stats.poisson.ppf(share, mean)) for share in (1e-4, 1 - 1e-4))
+    else:
+        low, high = _bounds(span, where)
+    low, high = max(float(np.ceil(low)), 0.0), float(np.floor(high))
+    if high - low > _MOST_COUNTS:
+        raise InputError(f"{where}: a Poisson distribution may have {_MOST_COUNTS} values at most; narrow its range.")
+    # Counts that hardly ever occur have no place on the unit interval.
+    shares = stats.poisson.pmf(np.arange(low, high + 1.0), mean)
+    kept = np.flatnonzero(shares > _LEAST_SHARE * shares.sum())
+    if kept.size == 0:
+        raise InputError(f"{where}: hardly any count lies in the range; move it to {mean:g}.")
+    return Distribution("poisson", low + float(kept[0]), low + float(kept[-1]), (mean,))
 
 
 def _bounds(element: etree._Element | None, where: str) -> tuple[float, float]:
@@ -133,17 +191,24 @@ def _bounds(element: etree._Element | None, where: str) -> tuple[float, float]:
     return low, high
 
 
+def _weight(element: etree._Element, where: str) -> float:
+    weight = _number(element.get("weight"), where)
+    if weight < 0:
+        raise InputError(f"{where}: the weight {weight:g} is negative.")
+    return weight
+
+
 def _number(text: str | None, where: str) -> float:
     try:
         number = float(text or "")
     except ValueError:
         number = float("nan")
     if not np.isfinite(number):
-        raise InputError(f"{where}: '{text}' is not a finite number.")
+        raise InputError(f"{where}: '{text or ''}' is not a finite number.")
     return number
 
 
-_KINDS = {
+_KINDS: Final = {
     "UniformDistribution": "uniform",
     "NormalDistribution": "normal",
     "LogNormalDistribution": "lognormal",

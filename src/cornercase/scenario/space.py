@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from cornercase.errors import InputError
 from cornercase.scenario.distributions import Distribution, from_json, read_distribution
 from cornercase.scenario.xml import read_xml
-from cornercase.typing import FloatArray
+from cornercase.typing import FloatArray, IntArray
 
 Value = float | str
 
@@ -36,7 +37,8 @@ class Parameter:
     unit : str
         As it stands in tables and on axes; empty where unknown.
     distribution : Distribution or None
-        Turns the unit interval into values by its inverse distribution function; None means uniform.
+        Turns the unit interval into values by its inverse distribution function, so that a likely value has a large
+        share of it; None means uniform.
     """
 
     name: str
@@ -56,14 +58,11 @@ class Parameter:
 
     def value(self, u: float) -> Value:
         """Value at a place of the unit interval."""
-        size = self.size
-        if size is None:
+        if self.size is None:
             x = self.low + u * (self.high - self.low)
             return float(x if self.distribution is None else self.distribution.quantile(u))
-        k = min(int(u * size), size - 1)
-        if self.choices:
-            return self.choices[k]
-        return _clean(self.low + k * float(self.step or 0.0))
+        (k,) = self.numbers(np.array([u])).tolist()
+        return self.choices[k] if self.choices else _clean(self.low + k * float(self.step or 0.0))
 
     def unit_place(self, value: Value) -> float:
         """Place on the unit interval of a value: the middle of its step or choice."""
@@ -71,14 +70,32 @@ class Parameter:
         if self.choices:
             if str(value) not in self.choices:
                 raise InputError(f"The parameter {self.name} has no value '{value}'.")
-            return (self.choices.index(str(value)) + 0.5) / len(self.choices)
+            return float(self.middles(np.array([self.choices.index(str(value))]))[0])
         x = float(value)
         if size is not None:
             k = round((x - self.low) / float(self.step or 1.0))
-            return (min(max(k, 0), size - 1) + 0.5) / size
+            return float(self.middles(np.array([min(max(k, 0), size - 1)]))[0])
         if self.distribution is not None:
             return self.distribution.place(x)
         return float(np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0))
+
+    def numbers(self, u: FloatArray) -> IntArray:
+        """Which step or choice, from 0 on, lies at each place of the unit interval, shape (n,)."""
+        if self._edges is not None:
+            return np.asarray(np.searchsorted(self._edges[1:-1], u, side="right"), dtype=np.int64)
+        size = self.size or 1
+        return np.asarray(np.minimum(np.floor(u * size), size - 1), dtype=np.int64)
+
+    def middles(self, numbers: IntArray) -> FloatArray:
+        """Middle of the share that a step or choice has of the unit interval, shape (n,)."""
+        if self._edges is not None:
+            return np.asarray(0.5 * (self._edges[numbers] + self._edges[numbers + 1]))
+        return np.asarray((numbers + 0.5) / (self.size or 1))
+
+    @cached_property
+    def _edges(self) -> FloatArray | None:
+        """Bounds of the shares where they differ."""
+        return None if self.size is None or self.distribution is None else self.distribution.edges()
 
 
 class ParameterSpace:
@@ -127,7 +144,9 @@ class ParameterSpace:
         InputError
             A text is malformed, a bound is not finite, or LOW is not below HIGH.
         """
-        return cls([_parse_range(text) for text in ranges])
+        parameters = [_parse_range(text) for text in ranges]
+        _require_names([parameter.name for parameter in parameters], "--range")
+        return cls(parameters)
 
     @classmethod
     def from_file(cls, path: Path | str) -> ParameterSpace:
@@ -142,20 +161,19 @@ class ParameterSpace:
         parameters = []
         if distribution.find(".//DeterministicMultiParameterDistribution") is not None:
             raise InputError(
-                f"{path}: <DeterministicMultiParameterDistribution> is not read yet; vary the parameters one by one."
+                f"{path}: value sets of several parameters are not read (<DeterministicMultiParameterDistribution>);"
+                " vary the parameters one by one."
             )
         for element in distribution.iterfind(".//DeterministicSingleParameterDistribution"):
             parameters.append(_deterministic(element, str(path)))
         for element in distribution.iterfind(".//StochasticDistribution"):
             name = element.get("parameterName", "")
-            continuous, choices = read_distribution(element, str(path))
-            if choices:
-                parameters.append(Parameter(name, 0.0, len(choices) - 1.0, None, choices))
-            else:
-                assert continuous is not None
-                parameters.append(Parameter(name, continuous.low, continuous.high, distribution=continuous))
+            law, choices = read_distribution(element, str(path))
+            step = 1.0 if law.kind == "poisson" else None
+            parameters.append(Parameter(name, law.low, law.high, step, choices, distribution=law))
         if not parameters:
             raise InputError(f"{path}: varies no parameter.")
+        _require_names([parameter.name for parameter in parameters], str(path))
         return cls([_with_unit(parameter, distribution) for parameter in parameters])
 
     @staticmethod
@@ -170,8 +188,9 @@ class ParameterSpace:
     def with_ranges(self, ranges: Sequence[str]) -> ParameterSpace:
         """Space with parameters added, or replaced where the name is the same."""
         merged = {parameter.name: parameter for parameter in self.parameters}
-        for parameter in ParameterSpace.from_ranges(ranges).parameters:
-            merged[parameter.name] = parameter
+        for parameter in ParameterSpace.from_ranges(ranges).parameters if ranges else ():
+            before = merged.get(parameter.name)
+            merged[parameter.name] = parameter if before is None else replace(parameter, unit=before.unit)
         return ParameterSpace(list(merged.values()))
 
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
@@ -191,10 +210,26 @@ class ParameterSpace:
         """Points of what is really run, shape (n, d): the middle of each step or choice."""
         snapped = np.clip(np.asarray(points, dtype=np.float64), 0.0, 1.0).copy()
         for j, parameter in enumerate(self.parameters):
-            size = parameter.size
-            if size is not None:
-                snapped[:, j] = (np.minimum(np.floor(snapped[:, j] * size), size - 1) + 0.5) / size
+            if parameter.size is not None:
+                snapped[:, j] = parameter.middles(parameter.numbers(snapped[:, j]))
         return snapped
+
+    def lattice(self, steps: Sequence[int] | None = None) -> FloatArray:
+        """Points of a full factorial design, shape (n, d); the last parameter varies fastest.
+
+        Parameters
+        ----------
+        steps : sequence of int, length d, optional
+            How many values of each parameter, evenly apart; by default all, which needs a finite space.
+        """
+        axes = []
+        for j, parameter in enumerate(self.parameters):
+            size = parameter.size
+            count = steps[j] if steps is not None else int(size or 1)
+            places = (np.arange(count) + 0.5) / count
+            # A likely value may have several places on the unit interval, but is one value.
+            axes.append(places if size is None else parameter.middles((places * size).astype(np.int64)))
+        return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.dimension))
 
     def to_json(self) -> list[dict[str, Any]]:
         """Plain values from which `from_json` makes the same space."""
@@ -256,6 +291,14 @@ def _ranged(name: str, low: float, high: float, step: float | None, where: str) 
     return Parameter(name, low, high, step)
 
 
+def _require_names(names: Sequence[str], where: str) -> None:
+    for name in names:
+        if not name:
+            raise InputError(f"{where}: a varied parameter has no name.")
+        if names.count(name) > 1:
+            raise InputError(f"{where}: the parameter {name} is varied twice; keep one of them.")
+
+
 def _distribution_element(path: Path | str) -> Any:
     element = read_xml(path).find("ParameterValueDistribution")
     if element is None:
@@ -276,7 +319,7 @@ def _deterministic(element: Any, path: str) -> Parameter:
         )
         return _ranged(name, low, high, step, where)
     if some is not None:
-        choices = tuple(e.get("value", "") for e in some.iterfind("Element"))
+        choices = tuple(dict.fromkeys(e.get("value", "") for e in some.iterfind("Element")))
         if not choices:
             raise InputError(f"{where}: <DistributionSet> is empty.")
         return Parameter(name, 0.0, len(choices) - 1.0, None, choices)
@@ -285,8 +328,6 @@ def _deterministic(element: Any, path: str) -> Parameter:
 
 def _with_unit(parameter: Parameter, distribution: Any) -> Parameter:
     """Take the unit from a property of the file named ``unit of NAME``."""
-    from dataclasses import replace
-
     for item in distribution.getroottree().iterfind("FileHeader/Properties/Property"):
         if item.get("name") == f"unit of {parameter.name}":
             return replace(parameter, unit=item.get("value", ""))

@@ -32,6 +32,9 @@ def read_xml(path: Path | str) -> etree._Element:
     """
     path = Path(path)
     try:
+        # A device or a pipe may never end.
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is not a file.")
         size = path.stat().st_size
         if size > _LARGEST:
             raise InputError(f"{path}: has {size} bytes; at most {_LARGEST} are read.")
