@@ -165,3 +165,200 @@ def test_what_is_no_study_is_refused(tmp_path):
         Study.open(tmp_path / "other.db")
     with pytest.raises(InputError, match="no such study"):
         Study.open(tmp_path / "absent.db")
+
+
+# A simulator whose recordings follow from the parameters alone, in a program that can be killed at will. The other
+# entity stands at 10 |a - b| m from the ego; a scenario with a > 0.9 fails.
+PROGRAM = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from cornercase.errors import SimulationError
+from cornercase.explorer import ScenarioExplorer
+from cornercase.metrics import METRICS
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.recording import Recording
+from cornercase.scenario.logical import LogicalScenario
+from cornercase.scenario.space import ParameterSpace
+from cornercase.study import Study
+
+SPACE = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
+LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
+
+
+class Synthetic:
+    name, settings = "synthetic", {}
+
+    def __init__(self, survives=None, interrupts=None):
+        self.left, self.interrupts, self.ran = survives, interrupts, 0
+
+    def run(self, concretes):
+        for concrete in concretes:
+            if self.left == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            if self.ran == self.interrupts:
+                raise KeyboardInterrupt
+            if self.left is not None:
+                self.left -= 1
+            self.ran += 1
+            a, b = concrete.values["a"], concrete.values["b"]
+            if a > 0.9:
+                yield SimulationError(f"a is {a}")
+                continue
+            still = np.zeros((2, 5))
+            x = np.stack([np.zeros(5), np.full(5, 10 * abs(a - b))])
+            yield Recording(np.arange(5.0), ("Ego", "B"), ("car", "car"), x, still, still, still, still,
+                            np.full(2, 4.0), np.full(2, 2.0), np.zeros(2))
+
+
+def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, **options):
+    return ScenarioExplorer(LOGICAL, simulator or Synthetic(), OPTIMIZERS.create(optimizer, space=SPACE, seed=7),
+                            [METRICS.create(name) if isinstance(name, str) else name for name in metrics],
+                            "Ego", "B", study, budget=budget, **options)
+
+
+def opened(path):
+    meta = {"space": SPACE.to_json(), "metrics": ["distance", "wttc"]}
+    return Study.open(path) if os.path.exists(path) else Study.create(path, meta)
+
+
+if __name__ == "__main__":
+    with opened(sys.argv[1]) as study:
+        print(explorer(study, Synthetic(int(sys.argv[2])), metrics=("distance", "wttc")).run())
+"""
+
+synthetic: dict = {"__name__": "synthetic"}
+exec(PROGRAM, synthetic)
+Synthetic, explorer, opened = synthetic["Synthetic"], synthetic["explorer"], synthetic["opened"]
+
+
+def contents(path):
+    """All that must not depend on when it was computed, to the last bit."""
+    with sqlite3.connect(path) as connection:
+        return [connection.execute(f"SELECT * FROM {table}").fetchall() for table in ("meta", "scenarios", "courses")]
+
+
+def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
+    with opened(tmp_path / "whole.db") as study:
+        result = explorer(study, metrics=("distance", "wttc")).run()
+    assert (result.done, result.reason, result.interrupted) == (47, "the budget of 47 scenarios is used up", False)
+    with Study.open(tmp_path / "whole.db", readonly=True) as study:
+        # Seven are left for the last round.
+        assert [row.round for row in study.rows()] == [1 + k // 10 for k in range(47)]
+        assert [row.error for row in study.failed()] == [f"a is {row.values['a']}" for row in study.failed()]
+        assert len(study.failed()) > 0
+        values = [row.values for row in study.done()]
+        np.testing.assert_allclose(study.scores("distance"), [10 * abs(v["a"] - v["b"]) for v in values], atol=1e-12)
+    deaths = 0
+    for survives in (1, 13, 3, 9, 100):
+        process = subprocess.run([sys.executable, "-c", PROGRAM, tmp_path / "killed.db", str(survives)], check=False)
+        deaths += process.returncode == -signal.SIGKILL
+        with Study.open(tmp_path / "killed.db", readonly=True) as study:
+            assert len(study.rows()) <= 47
+    assert deaths == 4
+    assert contents(tmp_path / "killed.db") == contents(tmp_path / "whole.db")
+
+
+def test_interrupted_it_keeps_what_ended_and_says_so(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        result = explorer(study, Synthetic(interrupts=14), "sobol").run()
+        assert (result.done, result.interrupted) == (14, True)
+        assert [row.state for row in study.rows()].count("pending") == 6
+        assert explorer(study, optimizer="sobol").run().done == 47
+
+
+def test_a_simulator_that_ends_early_fails_the_rest_of_its_round(tmp_path):
+    class Short(Synthetic):
+        def run(self, concretes):
+            yield from super().run(concretes[:4])
+
+    with opened(tmp_path / "s.db") as study:
+        assert explorer(study, Short(), "sobol", budget=20).run().done == 20
+        assert all("without a result" in row.error for row in study.rows() if (row.id - 1) % 10 >= 4)
+
+
+class Largest:
+    """The same distance, but large is critical."""
+
+    name, unit, lower_is_critical, cap, source = "distance", "m", False, 0.0, ""
+
+    def course(self, recording, ego, other):
+        return np.abs(recording.x[1] - recording.x[0])
+
+    def score(self, course):
+        return float(course.max())
+
+
+def test_the_optimizer_is_told_that_lower_is_critical(tmp_path):
+    found = {}
+    for metric in ("distance", Largest()):
+        with opened(tmp_path / f"{metric}.db") as study:
+            explorer(study, metrics=(metric,), budget=60).run()
+            found[type(metric)] = np.median(study.scores("distance")[-30:])
+    assert found[Largest] > 4.0
+    assert found[str] < 1.5
+
+
+def scripted(rounds):
+    """An optimizer that lets the round with number k reach the distance rounds[k]."""
+
+    class Scripted:
+        name = "scripted"
+
+        def __init__(self):
+            self.told = 0
+
+        def ask(self, n):
+            if self.told == len(rounds):
+                return np.zeros((0, 2))
+            away = rounds[self.told] / 10
+            return np.array([[0.005 + 0.01 * k, 0.01 * k + away] for k in range(n)])
+
+        def tell(self, points, scores):
+            self.told += 1
+
+    return Scripted()
+
+
+@pytest.mark.parametrize(
+    ("rounds", "told"),
+    [
+        ([5, 4, 3, 3.5, 3.6, 2], 5),  # two rounds that are worse than the third
+        ([5, 4, 4, 4, 6, 4, 4.5, 4.5, 4], 8),  # as critical as the best before is another critical scenario
+        ([3, 2, 1], 3),  # the space is used up
+    ],
+)
+def test_patience_counts_rounds_without_news(tmp_path, rounds, told):
+    with opened(tmp_path / "s.db") as study:
+        one = explorer(study, budget=1000, batch=1, patience=2)
+        one._optimizer = scripted(rounds)
+        result = one.run()
+    assert result.done == told
+    assert ("nothing new" in result.reason) == (told < len(rounds))
+
+
+def test_scores_at_the_cap_are_no_news(tmp_path):
+    class Nothing(Largest):
+        def course(self, recording, ego, other):
+            return np.zeros(len(recording.time))
+
+    with opened(tmp_path / "s.db") as study:
+        assert explorer(study, metrics=(Nothing(),), optimizer="sobol", budget=400, patience=3).run().done == 40
+
+
+def test_time_is_a_criterion_and_is_noted(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        result = explorer(study, max_seconds=0.0).run()
+        assert (result.done, result.reason) == (0, "0 s have passed")
+        explorer(study, optimizer="sobol", budget=20).run()
+        assert set(study.elapsed()) == {"optimize", "simulate", "measure"}
+
+
+def test_progress_in_a_file_is_a_line_with_the_best_score(tmp_path, capfd):
+    with opened(tmp_path / "s.db") as study:
+        explorer(study, optimizer="sobol", budget=20).run(progress=True)
+        best = study.scores("distance").min()
+    said = capfd.readouterr().err
+    assert "20 of 20 scenarios" in said
+    assert f"best {best:.3g} m" in said
+    assert "\x1b" not in said

@@ -349,6 +349,7 @@ def export(
     study: StudyFile,
     *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the tables.")],
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write the table of scenarios as Parquet too.")] = False,
 ) -> None:
     """Write everything in a study as tables.
 
@@ -359,7 +360,7 @@ def export(
     from cornercase.study import Study
 
     with Study.open(study, readonly=True) as opened:
-        opened.export(output)
+        opened.export(output, parquet=parquet)
     _out.print(f"Written to {output}")
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,6 @@ from cornercase.optimizers.base import Optimizer
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.simulators.base import Simulator
 from cornercase.study import Row, Study
-from cornercase.typing import FloatArray
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class ScenarioExplorer:
     batch : int, default 10
         Scenarios per round.
     patience : int, optional
-        Rounds without anything new after which to stop: none of them had a score that is more critical than all
-        before.
+        Rounds without anything new after which to stop: none of them had a score at least as critical as the best
+        before. A score at the metric's cap is not critical and never new after the first.
     max_seconds : float, optional
         Time after which no round is begun.
     """
@@ -90,6 +90,7 @@ class ScenarioExplorer:
         self._budget, self._batch = budget, batch
         self._patience, self._max_seconds = patience, max_seconds
         self._spent: dict[str, float] = {}
+        self._best, self._stale = np.inf, 0
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion is fulfilled.
@@ -111,48 +112,49 @@ class ScenarioExplorer:
         finally:
             if bar is not None:
                 bar.stop()
+            self._note_time()
         return ExplorationResult(self._ended(), reason)
 
     def _run(self, bar: _Bar | None) -> str:
         begun = time.monotonic()
-        rows = self._study.rows()
-        number = rows[-1].round if rows else 0
-        for k in range(1, number + 1):
-            self._simulate([row for row in rows if row.round == k and row.state == "pending"], bar)
-        rows, scores = self._study.rows(), self._scores()
-        for k in range(1, number + 1):
-            self._tell([row for row in rows if row.round == k], scores)
-        best_by_round = [_best(scores[row.id] for row in rows if row.round <= k) for k in range(1, number + 1)]
+        done, number = self._go_on(bar)
         while True:
-            if bar is not None:
-                bar.update(len(rows), self._flip(best_by_round[-1]) if best_by_round else None)
-            if len(rows) >= self._budget:
+            self._show(bar, done, self._best)
+            if done >= self._budget:
                 return f"the budget of {self._budget} scenarios is used up"
-            if self._patience is not None and _stale(best_by_round) >= self._patience:
+            if self._patience is not None and self._stale >= self._patience:
                 return f"{self._patience} rounds brought nothing new"
             if self._max_seconds is not None and time.monotonic() - begun >= self._max_seconds:
                 return f"{self._max_seconds:g} s have passed"
             with self._clock("optimize"):
-                points = self._optimizer.ask(min(self._batch, self._budget - len(rows)))
+                points = self._optimizer.ask(min(self._batch, self._budget - done))
             if len(points) == 0:
-                return f"all {len(rows)} scenarios of the space were run"
+                return f"all {done} scenarios of the space were run"
             number += 1
             points = self._logical.space.snap(points)
-            self._study.propose(number, points, self._logical.space.values(points))
-            proposed = self._study.rows()[len(rows) :]
-            self._simulate(proposed, bar)
-            rows, scores = self._study.rows(), self._scores()
-            self._tell([row for row in rows if row.round == number], scores)
-            best_by_round.append(_best(scores.values()))
+            rows = self._study.propose(number, points, self._logical.space.values(points))
+            self._tell(rows, self._simulate(rows, bar))
+            done += len(rows)
             self._note_time()
 
-    def _simulate(self, rows: list[Row], bar: _Bar | None) -> None:
-        if not rows:
-            return
-        results = self._simulator.run([self._logical.concrete(row.values) for row in rows])
+    def _go_on(self, bar: _Bar | None) -> tuple[int, int]:
+        """Finish what a killed explorer left pending, and tell the optimizer all; how many scenarios and rounds."""
+        rows = self._study.rows()
+        found = self._study.scores(self._metrics[0].name).tolist()
+        scores = dict(zip((row.id for row in rows if row.state == "done"), map(self._flip, found), strict=True))
+        for _, members in groupby(rows, key=lambda row: row.round):
+            told = list(members)
+            scores |= self._simulate([row for row in told if row.state == "pending"], bar)
+            self._tell(told, scores)
+        return len(rows), rows[-1].round if rows else 0
+
+    def _simulate(self, rows: list[Row], bar: _Bar | None) -> dict[int, float]:
+        """Run scenarios, and store each when it has ended; scores by scenario, NaN for those that failed."""
+        scores, best = dict.fromkeys((row.id for row in rows), np.nan), self._best
+        results = self._simulator.run([self._logical.concrete(row.values) for row in rows]) if rows else iter(())
         for row in rows:
             with self._clock("simulate"):
-                result = next(results)
+                result = next(results, SimulationError("the simulator ended without a result"))
             if isinstance(result, SimulationError):
                 self._study.fail(row.id, result)
                 continue
@@ -162,21 +164,23 @@ class ScenarioExplorer:
                     course = metric.course(result, self._ego, self._other)
                     courses[metric.name] = (course, metric.score(course))
             self._study.finish(row.id, result, courses)
-            if bar is not None:
-                bar.update(row.id, None)
-
-    def _scores(self) -> dict[int, float]:
-        """Scores of the searched metric by scenario, lower being more critical; NaN for failed ones."""
-        rows = self._study.rows()
-        scores = dict.fromkeys((row.id for row in rows), np.nan)
-        found = self._study.scores(self._metrics[0].name)
-        for row, score in zip([row for row in rows if row.state == "done"], found, strict=True):
-            scores[row.id] = self._flip(float(score))
+            scores[row.id] = self._flip(courses[self._metrics[0].name][1])
+            best = min(best, scores[row.id])
+            self._show(bar, row.id, best)
         return scores
 
-    def _tell(self, rows: list[Row], scores: dict[int, float]) -> None:
-        points: FloatArray = np.array([row.point for row in rows])
-        self._optimizer.tell(points, np.array([scores[row.id] for row in rows]))
+    def _tell(self, rows: list[Row], by_scenario: Mapping[int, float]) -> None:
+        scores = np.array([by_scenario.get(row.id, np.nan) for row in rows])
+        self._optimizer.tell(np.array([row.point for row in rows]), scores)
+        best = np.nanmin(scores) if np.isfinite(scores).any() else np.inf
+        # Where many scenarios reach the lowest score there is, each of them is news; the cap is no news.
+        new = best < self._best or (best == self._best and best < self._flip(self._metrics[0].cap))
+        self._stale = 0 if new else self._stale + 1
+        self._best = min(self._best, float(best))
+
+    def _show(self, bar: _Bar | None, done: int, best: float) -> None:
+        if bar is not None:
+            bar.update(done, self._flip(best))
 
     def _flip(self, score: float) -> float:
         return score if self._metrics[0].lower_is_critical else -score
@@ -184,8 +188,10 @@ class ScenarioExplorer:
     @contextmanager
     def _clock(self, stage: str) -> Iterator[None]:
         begun = time.monotonic()
-        yield
-        self._spent[stage] = self._spent.get(stage, 0.0) + time.monotonic() - begun
+        try:
+            yield
+        finally:
+            self._spent[stage] = self._spent.get(stage, 0.0) + time.monotonic() - begun
 
     def _note_time(self) -> None:
         for stage, seconds in self._spent.items():
@@ -196,21 +202,12 @@ class ScenarioExplorer:
         return sum(row.state != "pending" for row in self._study.rows())
 
 
-def _best(scores: Iterable[float]) -> float:
-    return min((score for score in scores if np.isfinite(score)), default=np.inf)
-
-
-def _stale(best: list[float]) -> int:
-    """Rounds since the best score last improved."""
-    return 0 if not best else len(best) - 1 - best.index(best[-1])
-
-
 class _Bar:
     """Progress with the best score, rate and time left: a bar on a terminal, now and then a line elsewhere."""
 
     def __init__(self, total: int, unit: str) -> None:
         self._total, self._unit = total, unit
-        self._begun, self._first, self._said = time.monotonic(), -1, 0.0
+        self._begun, self._first, self._said, self._done = time.monotonic(), -1, 0.0, -1
         self._best = ""
         console = Console(stderr=True)
         self._progress: Progress | None = None
@@ -228,8 +225,8 @@ class _Bar:
             self._progress.start()
             self._task = self._progress.add_task("", total=total, rate="", best="")
 
-    def update(self, done: int, best: float | None) -> None:
-        if best is not None and np.isfinite(best):
+    def update(self, done: int, best: float) -> None:
+        if np.isfinite(best):
             self._best = f"best {best:.3g} {self._unit}"
         if self._first < 0:
             self._first = done
@@ -237,14 +234,11 @@ class _Bar:
         rate = (done - self._first) / max(now - self._begun, 1e-9)
         if self._progress is not None:
             self._progress.update(self._task, completed=done, rate=f"{rate:.1f}/s", best=self._best)
-        elif now - self._said > 5.0 or done >= self._total:
-            self._said = now
+        elif now - self._said > 5.0 or (done >= self._total and done != self._done):
+            self._said, self._done = now, done
             left = f"{(self._total - done) / rate:.0f} s left" if rate > 0 else "starting"
-            print(
-                f"{done} of {self._total} scenarios, {rate:.1f}/s, {left}, {self._best}",
-                file=sys.stderr,
-                flush=True,
-            )
+            said = [f"{done} of {self._total} scenarios", f"{rate:.1f}/s", left, self._best]
+            print(", ".join(filter(None, said)), file=sys.stderr, flush=True)
 
     def stop(self) -> None:
         if self._progress is not None:

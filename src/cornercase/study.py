@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import fcntl
+import importlib
 import io
 import json
+import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final
@@ -17,6 +19,7 @@ import numpy as np
 
 from cornercase.errors import InputError, SimulationError
 from cornercase.files import written_whole
+from cornercase.metrics.courses import write_courses
 from cornercase.recording import Collision, Recording
 from cornercase.scenario.space import ParameterSpace, Value
 from cornercase.typing import FloatArray
@@ -92,21 +95,25 @@ class Study:
             The file exists already, or cannot be written.
         """
         path = Path(path)
-        if path.exists():
-            raise InputError(f"{path}: exists already; choose another name or remove it.")
-        # The file appears under its name only when it is whole.
-        with written_whole(path) as temporary, _sentences(path):
-            connection = sqlite3.connect(temporary)
-            connection.executescript(_SCHEMA)
-            connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-            connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-            connection.executemany(
-                "INSERT INTO meta VALUES (?, ?)",
-                [(key, json.dumps(value, sort_keys=True)) for key, value in sorted(meta.items())],
-            )
-            connection.commit()
-            connection.close()
-        return cls.open(path)
+        lock = _locked(path)
+        try:
+            # Looked for under the lock: of two explorers that begin at once, one makes the file.
+            if path.exists():
+                raise InputError(f"{path}: exists already; choose another name or remove it.")
+            # The file appears under its name only when it is whole.
+            with written_whole(path) as temporary, _sentences(path), closing(sqlite3.connect(temporary)) as connection:
+                connection.executescript(_SCHEMA)
+                connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+                connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+                connection.executemany(
+                    "INSERT INTO meta VALUES (?, ?)",
+                    [(key, json.dumps(value, sort_keys=True)) for key, value in sorted(meta.items())],
+                )
+                connection.commit()
+            return cls._opened(path, lock)
+        except BaseException:
+            lock.close()
+            raise
 
     @classmethod
     def open(cls, path: Path | str, readonly: bool = False) -> Study:
@@ -120,27 +127,43 @@ class Study:
         path = Path(path)
         if not path.is_file():
             raise InputError(f"{path}: there is no such study; make one with 'cornercase explore … -o {path}'.")
-        lock = None if readonly else _locked(path)
+        # What is no study gets no lock beside it.
+        reader = cls._opened(path, None)
+        if readonly:
+            return reader
+        reader.close()
+        lock = _locked(path)
+        try:
+            return cls._opened(path, lock)
+        except BaseException:
+            lock.close()
+            raise
+
+    @classmethod
+    def _opened(cls, path: Path, lock: IO[bytes] | None) -> Study:
+        """Open for writing under a lock, for reading without."""
         with _sentences(path):
-            if readonly:
-                # Not mode=ro: a reader of a file in WAL mode has to be able to make its shared memory.
-                connection = sqlite3.connect(path, timeout=30.0)
-                connection.execute("PRAGMA query_only = ON")
-            else:
-                connection = sqlite3.connect(path, timeout=30.0)
-                connection.execute("PRAGMA journal_mode = WAL")
-                # A scenario counts as run only when it is on the disk.
-                connection.execute("PRAGMA synchronous = FULL")
-            (application,) = connection.execute("PRAGMA application_id").fetchone()
-            (version,) = connection.execute("PRAGMA user_version").fetchone()
-            if application != _APPLICATION:
-                raise InputError(f"{path}: is a database, but no cornercase study.")
-            if version != SCHEMA_VERSION:
-                raise InputError(
-                    f"{path}: has schema version {version}, this cornercase reads {SCHEMA_VERSION}; use the version"
-                    " that wrote it."
-                )
-            return cls(path, connection, lock)
+            connection = _connected(path)
+            try:
+                (application,) = connection.execute("PRAGMA application_id").fetchone()
+                (version,) = connection.execute("PRAGMA user_version").fetchone()
+                if application != _APPLICATION:
+                    raise InputError(f"{path}: is a database, but no cornercase study.")
+                if version != SCHEMA_VERSION:
+                    raise InputError(
+                        f"{path}: has schema version {version}, this cornercase reads {SCHEMA_VERSION}; use the version"
+                        " that wrote it."
+                    )
+                if lock is None:
+                    connection.execute("PRAGMA query_only = ON")
+                else:
+                    connection.execute("PRAGMA journal_mode = WAL")
+                    # A scenario counts as run only when it is on the disk.
+                    connection.execute("PRAGMA synchronous = FULL")
+                return cls(path, connection, lock)
+            except BaseException:
+                connection.close()
+                raise
 
     def close(self) -> None:
         """Close the file."""
@@ -154,16 +177,17 @@ class Study:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def propose(self, number: int, points: FloatArray, values: Sequence[Mapping[str, Value]]) -> None:
-        """Store a round of proposals as pending, all or none."""
+    def propose(self, number: int, points: FloatArray, values: Sequence[Mapping[str, Value]]) -> list[Row]:
+        """Store a round of proposals as pending, all or none; their rows."""
+        rows = []
         with _sentences(self.path), self._connection:
-            self._connection.executemany(
-                "INSERT INTO scenarios (round, point, parameters, state) VALUES (?, ?, ?, 'pending')",
-                [
-                    (number, point.astype("<f8").tobytes(), json.dumps(dict(one)))
-                    for point, one in zip(points, values, strict=True)
-                ],
-            )
+            for point, one in zip(points, values, strict=True):
+                cursor = self._connection.execute(
+                    "INSERT INTO scenarios (round, point, parameters, state) VALUES (?, ?, ?, 'pending')",
+                    (number, point.astype("<f8").tobytes(), json.dumps(dict(one))),
+                )
+                rows.append(Row(int(cursor.lastrowid or 0), number, point, dict(one), "pending", None))
+        return rows
 
     def finish(self, scenario: int, recording: Recording, courses: Mapping[str, tuple[FloatArray, float]]) -> None:
         """Store what came out of a scenario: its recording, and course and score of each metric."""
@@ -186,10 +210,7 @@ class Study:
 
     def rows(self) -> list[Row]:
         """All scenarios, in the order in which they were proposed."""
-        with _sentences(self.path):
-            found = self._connection.execute(
-                "SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id"
-            ).fetchall()
+        found = self._found("SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id")
         return [
             Row(i, number, np.frombuffer(point, "<f8").copy(), json.loads(values), state, error)
             for i, number, point, values, state, error in found
@@ -210,28 +231,26 @@ class Study:
     def scores(self, metric: str) -> FloatArray:
         """Scores of the scenarios that were run, shape (n,)."""
         self._require_metric(metric)
-        found = self._connection.execute(
+        found = self._found(
             "SELECT score FROM courses JOIN scenarios ON id = scenario WHERE metric = ? AND state = 'done' ORDER BY id",
-            (metric,),
+            metric,
         )
         return np.array([score for (score,) in found], dtype=np.float64)
 
     def course(self, scenario: int, metric: str) -> FloatArray:
         """Course of a metric in one scenario, shape (T,)."""
         self._require_metric(metric)
-        found = self._connection.execute(
-            "SELECT course FROM courses WHERE scenario = ? AND metric = ?", (scenario, metric)
-        ).fetchone()
-        if found is None:
+        found = self._found("SELECT course FROM courses WHERE scenario = ? AND metric = ?", scenario, metric)
+        if not found:
             raise InputError(f"{self.path}: the scenario {scenario} was not run.")
-        return np.asarray(_unpacked(found[0])["course"])
+        return np.asarray(_unpacked(found[0][0])["course"])
 
     def recording(self, scenario: int) -> Recording:
         """Recording of one scenario."""
-        found = self._connection.execute("SELECT recording FROM scenarios WHERE id = ?", (scenario,)).fetchone()
-        if found is None or found[0] is None:
+        found = self._found("SELECT recording FROM scenarios WHERE id = ? AND recording IS NOT NULL", scenario)
+        if not found:
             raise InputError(f"{self.path}: the scenario {scenario} was not run.")
-        return _unpack_recording(found[0])
+        return _unpack_recording(found[0][0])
 
     def save_analysis(self, name: str, arrays: Mapping[str, Any], info: Mapping[str, Any]) -> None:
         """Store a result under a name, instead of the one that was there."""
@@ -243,21 +262,22 @@ class Study:
 
     def analyses(self) -> list[str]:
         """Names of the stored clusterings: ``ego-trajectory`` first, then the metrics."""
-        names = [n for (n,) in self._connection.execute("SELECT name FROM analyses ORDER BY name")]
+        names = [name for (name,) in self._found("SELECT name FROM analyses")]
         order = ["ego-trajectory", *self.meta["metrics"]]
         return [name for name in order if name in names]
 
     def analysis(self, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """Arrays and further facts of a stored result."""
-        found = self._connection.execute("SELECT arrays, info FROM analyses WHERE name = ?", (name,)).fetchone()
-        if found is None:
+        found = self._found("SELECT arrays, info FROM analyses WHERE name = ?", name)
+        if not found:
             raise InputError(f"{self.path}: holds no analysis by {name}; run 'cornercase analyze {self.path}'.")
-        return _unpacked(found[0]), json.loads(found[1])
+        arrays, info = found[0]
+        return _unpacked(arrays), json.loads(info)
 
     def reduction(self) -> dict[str, Any] | None:
         """Return what is known of the reduced set, as in its manifest; None before the reduction."""
-        found = self._connection.execute("SELECT info FROM analyses WHERE name = 'reduction'").fetchone()
-        return None if found is None else dict(json.loads(found[0]))
+        found = self._found("SELECT info FROM analyses WHERE name = 'reduction'")
+        return dict(json.loads(found[0][0])) if found else None
 
     def add_elapsed(self, stage: str, seconds: float) -> None:
         """Add to the time spent in a stage, in s."""
@@ -270,45 +290,58 @@ class Study:
 
     def elapsed(self) -> dict[str, float]:
         """Time spent by stage, in s."""
-        return dict(self._connection.execute("SELECT stage, seconds FROM elapsed ORDER BY stage"))
+        return dict(self._found("SELECT stage, seconds FROM elapsed ORDER BY stage"))
 
-    def export(self, folder: Path | str) -> None:
+    def export(self, folder: Path | str, parquet: bool = False) -> None:
         """Write everything as CSV: one table of scenarios, and recording and courses of each.
+
+        Parameters
+        ----------
+        folder : path
+            Gets ``scenarios.csv``, ``recordings/ID.csv`` and ``courses/ID.csv``.
+        parquet : bool, default False
+            Write ``scenarios.parquet`` too.
 
         Raises
         ------
         InputError
-            The folder cannot be written.
+            The folder cannot be written, or the package that writes Parquet is not installed.
         """
-        folder, rows, metrics = Path(folder), self.rows(), self.meta["metrics"]
-        scores = {name: dict(zip([r.id for r in self.done()], self.scores(name), strict=True)) for name in metrics}
-        labels = {}
-        for name in self.analyses():
-            arrays, _ = self.analysis(name)
-            labels[name] = dict(zip(arrays["ids"].tolist(), arrays["labels"].tolist(), strict=True))
+        folder, table = Path(folder), self._table()
+        if parquet:
+            _write_parquet(folder / "scenarios.parquet", table)
         with (
             written_whole(folder / "scenarios.csv") as temporary,
             open(temporary, "w", newline="", encoding="utf-8") as file,
         ):
             writer = csv.writer(file, lineterminator="\n")
-            clusters = [f"cluster by {name}" for name in labels]
-            writer.writerow(["id", "round", "state", *self.space.names, *metrics, *clusters, "error"])
-            for row in rows:
-                writer.writerow(
-                    [
-                        *(row.id, row.round, row.state, *row.values.values()),
-                        *(scores[name].get(row.id, "") for name in metrics),
-                        *(labels[name].get(row.id, "") for name in labels),
-                        row.error or "",
-                    ]
-                )
-        from cornercase.metrics.courses import write_courses
-
+            writer.writerow(table)
+            writer.writerows(zip(*table.values(), strict=True))
         for row in self.done():
             recording = self.recording(row.id)
             recording.to_csv(folder / "recordings" / f"{row.id:05}.csv")
-            courses = {name: self.course(row.id, name) for name in metrics}
+            courses = {name: self.course(row.id, name) for name in self.meta["metrics"]}
             write_courses(folder / "courses" / f"{row.id:05}.csv", recording.time, courses)
+
+    def _table(self) -> dict[str, list[Any]]:
+        """One row per scenario, by column; None where there is no value."""
+        rows, done = self.rows(), [row.id for row in self.done()]
+        table: dict[str, list[Any]] = {key: [getattr(row, key) for row in rows] for key in ("id", "round", "state")}
+        for name in self.space.names:
+            table[name] = [row.values[name] for row in rows]
+        for name in self.meta["metrics"]:
+            scores = dict(zip(done, self.scores(name).tolist(), strict=True))
+            table[name] = [scores.get(row.id) for row in rows]
+        for name in self.analyses():
+            arrays, _ = self.analysis(name)
+            labels = dict(zip(arrays["ids"].tolist(), arrays["labels"].tolist(), strict=True))
+            table[f"cluster by {name}"] = [labels.get(row.id) for row in rows]
+        table["error"] = [row.error for row in rows]
+        return table
+
+    def _found(self, question: str, *values: Any) -> list[Any]:
+        with _sentences(self.path):
+            return self._connection.execute(question, values).fetchall()
 
     def _require_metric(self, metric: str) -> None:
         if metric not in self.meta["metrics"]:
@@ -325,8 +358,16 @@ def _sentences(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be used as a study ({error}).") from error
 
 
+def _connected(path: Path) -> sqlite3.Connection:
+    # A reader of a file in WAL mode has to make its shared memory beside it. Where it cannot, nobody writes either.
+    alone = not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
+    location = f"{path.resolve().as_uri()}?{'immutable=1' if alone else 'mode=rw'}"
+    return sqlite3.connect(location, uri=True, timeout=30.0)
+
+
 def _locked(path: Path) -> IO[bytes]:
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         lock = open(path.with_name(path.name + ".lock"), "ab")  # noqa: SIM115 - held as long as the study is open
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
@@ -336,6 +377,15 @@ def _locked(path: Path) -> IO[bytes]:
         lock.close()
         raise InputError(f"{path}: another cornercase is writing to it; wait until it has ended.") from None
     return lock
+
+
+def _write_parquet(path: Path, table: Mapping[str, list[Any]]) -> None:
+    try:
+        arrow, files = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    except ImportError:
+        raise InputError(f"{path}: Parquet needs pyarrow; install it with 'pip install cornercase[parquet]'.") from None
+    with written_whole(path) as temporary:
+        files.write_table(arrow.table(dict(table)), temporary)
 
 
 def _packed(arrays: Mapping[str, Any]) -> bytes:
