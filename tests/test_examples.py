@@ -8,6 +8,7 @@ from lxml import etree
 from scipy.stats import qmc
 
 from conftest import EXAMPLES
+from cornercase.drivers import named_driver
 from cornercase.metrics import METRICS
 from cornercase.pipeline import demonstration, explore_scenario
 from cornercase.scenario.xml import read_xml
@@ -107,3 +108,13 @@ def test_accidents_form_a_cluster_of_their_own_by_ego_trajectory(tmp_path):
     of_crashes = set(labels[crashed].tolist())
     assert len(of_crashes) == 1
     assert crashed[labels == of_crashes.pop()].all()
+
+
+def test_the_more_aggressive_the_ego_the_more_collisions(t_intersection):
+    collisions = []
+    for preset in ("cautious", "normal", "aggressive"):
+        simulator = BuiltinSimulator(on_collision="stop", drivers={"Ego": named_driver(preset)})
+        _, recordings = sample(t_intersection, simulator, 256)
+        collisions.append(sum(bool(recording.collisions) for recording in recordings))
+    assert collisions[0] < collisions[1] < collisions[2]
+    assert collisions[2] >= 10

@@ -130,7 +130,7 @@ _DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
     },
     "t-intersection": {
         "other": "C",
-        "metrics": ("distance", "traffic-quality", "wttc"),
+        "metrics": ("ttc", "distance", "traffic-quality", "wttc"),
         "budget": 300,
         "on_collision": "stop",
     },

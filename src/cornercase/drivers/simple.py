@@ -11,7 +11,7 @@ from cornercase.typing import FloatArray
 class SimpleDriver:
     """Goes at the speed that the scenario asks for, and brakes for what is straight ahead in its own lane.
 
-    It looks neither left nor right: other traffic of the kind that a test puts in an ego's way. The distance is
+    It is inattentive, and looks neither left nor right: other traffic of the kind that a test puts in an ego's way. The distance is
     kept by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
 
     Parameters
@@ -35,10 +35,10 @@ class SimpleDriver:
         *,
         acceleration: float = 3.0,
         comfortable_deceleration: float = 3.0,
-        max_deceleration: float = 6.0,
+        max_deceleration: float = 4.0,
         time_headway: float = 0.8,
         min_gap: float = 1.5,
-        reaction_time: float = 1.0,
+        reaction_time: float = 2.5,
         sight_range: float = 60.0,
     ) -> None:
         self._acceleration, self._deceleration = acceleration, comfortable_deceleration
