@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +81,70 @@ def test_show_and_export(demo, tmp_path):
     with Study.open(demo / "study.db", readonly=True) as study:
         assert same_recording(read_recording(tmp_path / "recordings" / "00007.csv"), study.recording(7))
         assert [float(row["wttc"]) for row in rows] == study.scores("wttc").tolist()
+
+
+def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(demo, tmp_path):
+    arguments = ["demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", str(tmp_path)]
+    # As a job in the background the process would inherit that the signal is ignored.
+    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    program += "from cornercase.cli import main; main()"
+    running = subprocess.Popen(
+        [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 100
+    while time.monotonic() < deadline and not (tmp_path / "study.db").exists():
+        time.sleep(0.05)
+    running.send_signal(signal.SIGINT)
+    said, errors = running.communicate(timeout=100)
+    assert running.returncode == 130, errors
+    assert "the same command goes on" in said
+    assert "Traceback" not in errors
+    assert cornercase(*arguments).returncode == 0
+    with Study.open(demo / "study.db", readonly=True) as one, Study.open(tmp_path / "study.db", readonly=True) as two:
+        np.testing.assert_array_equal(one.points(), two.points())
+        np.testing.assert_array_equal(one.scores("wttc"), two.scores("wttc"))
+
+
+CATEGORICAL = f"""<OpenSCENARIO>
+  <FileHeader revMajor="1" revMinor="2" date="2026-11-20T00:00:00" author="t" description="t"/>
+  <ParameterValueDistribution>
+    <ScenarioFile filepath="{X}"/>
+    <Deterministic>
+      <DeterministicSingleParameterDistribution parameterName="ego_start">
+        <DistributionSet><Element value="30"/><Element value="40"/><Element value="50"/></DistributionSet>
+      </DeterministicSingleParameterDistribution>
+      <DeterministicSingleParameterDistribution parameterName="pedestrian_wait">
+        <DistributionRange stepWidth="1"><Range lowerLimit="0" upperLimit="4"/></DistributionRange>
+      </DeterministicSingleParameterDistribution>
+    </Deterministic>
+  </ParameterValueDistribution>
+</OpenSCENARIO>
+"""
+
+
+@pytest.mark.parametrize("kind", ["categorical", "one parameter", "two scenarios"])
+def test_odd_spaces_from_end_to_end(kind, tmp_path):
+    study, page = tmp_path / "s.db", tmp_path / "r.html"
+    space = tmp_path / "c.xosc"
+    space.write_text(CATEGORICAL)
+    varied = ["--space", space] if kind == "categorical" else [X, "--range", "ego_start=20:60"]
+    budget = 2 if kind == "two scenarios" else 20
+    for command in (
+        ["explore", *varied, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--budget", budget, "-o", study],
+        ["analyze", study],
+        ["reduce", study, "-o", tmp_path / "reduced"],
+        ["report", study, "-o", page],
+    ):
+        result = cornercase(*command)
+        assert result.returncode == 0, result.stderr
+    manifest = json.loads((tmp_path / "reduced" / "manifest.json").read_text())
+    assert manifest["run"] == {"categorical": 15, "one parameter": 20, "two scenarios": 2}[kind]
+    assert 1 <= manifest["kept"] <= manifest["run"]
+    text = page.read_text()
+    assert "Where it gets critical" in text
+    for item in manifest["scenarios"]:
+        assert item["file"] in text
+        assert (tmp_path / "reduced" / item["file"]).is_file()
 
 
 def test_analyze_by_hand(demo):

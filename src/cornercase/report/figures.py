@@ -19,6 +19,7 @@ from cornercase.typing import FloatArray, IntArray
 _COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "*", "X")
 _NOISE: Final = "#999999"
+_LONGEST: Final = 16
 
 
 def look(label: int) -> tuple[str, str, str]:
@@ -37,8 +38,18 @@ def png(figure: Figure) -> bytes:
 
 
 def axis_name(parameter: Parameter) -> str:
-    """Name with unit."""
-    return f"{parameter.name} [{parameter.unit or '–'}]"
+    """Name, with the unit where it is known."""
+    return f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
+
+
+def _name_axis(axis: Any, parameter: Parameter) -> None:
+    axis.set_label_text(axis_name(parameter))
+    if parameter.choices:
+        axis.set_ticks(range(len(parameter.choices)), [_shortened(choice) for choice in parameter.choices])
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 
 def criticality(values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric) -> Figure:
@@ -63,8 +74,11 @@ def criticality(values: FloatArray, parameters: Sequence[Parameter], scores: Flo
     for axis, (i, j) in zip(axes, pairs, strict=False):
         y = scores[order] if i == j else values[order, j]
         points = axis.scatter(values[order, i], y, c=scores[order], cmap=colours, s=22, linewidths=0)
-        axis.set_xlabel(axis_name(parameters[i]))
-        axis.set_ylabel(_score_name(metric) if i == j else axis_name(parameters[j]))
+        _name_axis(axis.xaxis, parameters[i])
+        if i == j:
+            axis.set_ylabel(_score_name(metric))
+        else:
+            _name_axis(axis.yaxis, parameters[j])
     for axis in axes[len(pairs) :]:
         axis.set_visible(False)
     figure.colorbar(points, ax=list(axes), label=_score_name(metric), shrink=0.9)
@@ -105,8 +119,11 @@ def clusters(
         setter(f"component {k + 1} [–]")
     space.set_title("kernel space")
     plane.set_title("parameter space")
-    plane.set_xlabel(axis_name(parameters[i]))
-    plane.set_ylabel("component 1 [–]" if i == j else axis_name(parameters[j]))
+    _name_axis(plane.xaxis, parameters[i])
+    if i == j:
+        plane.set_ylabel("component 1 [–]")
+    else:
+        _name_axis(plane.yaxis, parameters[j])
     plane.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure
 
@@ -185,10 +202,8 @@ def hulls(
                     *place(members).T, c=colour, marker=marker, s=size, edgecolors="black", linewidths=0.6,
                     label=f"{role}, {name}",
                 )  # fmt: skip
-    axis.set_xlabel(axis_name(parameters[chosen[0]]))
-    axis.set_ylabel(axis_name(parameters[chosen[1]]) if len(chosen) > 1 else "")
-    if solid:
-        axis.set_zlabel(axis_name(parameters[chosen[2]]))
+    for one, k in zip((axis.xaxis, axis.yaxis, *([axis.zaxis] if solid else [])), chosen, strict=False):
+        _name_axis(one, parameters[k])
     axis.legend(loc="center left", bbox_to_anchor=(1.05, 0.5), frameon=False)
     return figure
 

@@ -132,7 +132,7 @@ class _Page:
                 figure,
                 f"criticality-{metric.name}",
                 f"Each scenario that was run, by its {metric.name} score. The most critical one is scenario"
-                f" {self._rows[worst].id} with {scores[worst]:.3g} {metric.unit} ({at}).",
+                f" {self._rows[worst].id} with {scores[worst]:.3g}{_unit(metric)} ({at}).",
             )
 
     def _clustering(self, name: str) -> Iterable[str]:
@@ -206,7 +206,7 @@ class _Page:
             "hulls",
             f"Hull of each cluster by {reduction['by']}, archetypes on it, and the prototype (star) of each.",
         )
-        parameters = [f"{p.name} [{p.unit or '–'}]" for p in self._study.space.parameters]
+        parameters = [figures.axis_name(p) for p in self._study.space.parameters]
         yield _table(
             ["file", "cluster", "role", *parameters, *(f"{m.name} [{m.unit}]" for m in self._metrics), "why"],
             [
@@ -290,6 +290,10 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[in
 
     body = "".join(f"<tr>{line(cells, 'td')}</tr>" for cells in rows)
     return f"<div class='wide'><table><tr>{line(head, 'th')}</tr>{body}</table></div>"
+
+
+def _unit(metric: Metric) -> str:
+    return "" if metric.unit == "1" else f" {metric.unit}"
 
 
 def _number(value: float | str) -> str:
