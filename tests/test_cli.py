@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -147,6 +148,18 @@ def test_odd_spaces_from_end_to_end(kind, tmp_path):
         assert (tmp_path / "reduced" / item["file"]).is_file()
 
 
+def test_a_pipe_is_not_replaced_and_a_link_is_followed(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "real.csv").write_text("before")
+    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
+    result = cornercase("simulate", X, "-o", tmp_path / "pipe")
+    assert result.returncode == 2
+    assert (tmp_path / "pipe").is_fifo()
+    assert cornercase("simulate", X, "-o", tmp_path / "link.csv").returncode == 0
+    assert (tmp_path / "link.csv").is_symlink()
+    assert (tmp_path / "real.csv").read_text().startswith("time")
+
+
 def test_analyze_by_hand(demo):
     result = cornercase(
         "analyze", demo / "study.db", "--by", "wttc", "--gamma", "2", "--eps", "0.3", "--min-samples", "4"
@@ -201,6 +214,7 @@ BAD = {
     "no study": (("report", "{tmp}/absent.db", "-o", "{tmp}/r.html"), "no such study"),
     "not writable": ((*EXPLORE, "-o", "/proc/nowhere/s.db"), "cannot be written"),
     "full disk": (("simulate", X, "-o", "/dev/full/r.csv"), "cannot be written"),
+    "a folder": (("simulate", X, "-o", "{tmp}"), "is not a file"),
     "half a pair": (("simulate", X, "--set", "ego_start", "-o", "{tmp}/r.csv"), "NAME=VALUE"),
     "no option": (("explore", X), "Missing option"),
 }

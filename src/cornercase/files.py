@@ -23,9 +23,15 @@ def written_whole(path: Path | str) -> Iterator[Path]:
     Raises
     ------
     InputError
-        The folder is not writable or the disk is full; nothing is left behind.
+        The folder is not writable, the disk is full, or something that is no file has the name; nothing is left
+        behind.
     """
     path = Path(path)
+    # A folder, a pipe or a device must not be replaced by a file.
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a file; choose another name.")
+    # What a link points to is written, not the link.
+    path = path.resolve()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
