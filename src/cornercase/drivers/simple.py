@@ -11,8 +11,8 @@ from cornercase.typing import FloatArray
 class SimpleDriver:
     """Goes at the speed that the scenario asks for, and brakes for what is straight ahead in its own lane.
 
-    It is inattentive, and looks neither left nor right: other traffic of the kind that a test puts in an ego's way. The distance is
-    kept by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
+    It is inattentive, and looks neither left nor right: other traffic of the kind that a test puts in an ego's way.
+    The distance is kept by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
 
     Parameters
     ----------
