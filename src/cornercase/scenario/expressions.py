@@ -6,6 +6,7 @@ numbers, booleans and strings, with the standard's functions. Nothing of an expr
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
@@ -58,7 +59,7 @@ _FUNCTIONS: Final[dict[str, tuple[int, Callable[..., Operand]]]] = {
     "tan": (1, np.tan),
 }
 
-_CONSTANTS: Final[dict[str, bool]] = {"true": True, "false": False}
+_CONSTANTS: Final[dict[str, bool | float]] = {"true": True, "false": False, "pi": math.pi, "e": math.e}
 
 
 def evaluate(expression: str, values: Mapping[str, Operand]) -> Operand:
@@ -165,7 +166,7 @@ class _Parser:
             raise self._error(f"'{word}' is not expected")
         if self._peek() == "(":
             return self._call(word, depth)
-        if word in _CONSTANTS:
+        if word in _CONSTANTS and word not in self._values:
             return _CONSTANTS[word]
         if word not in self._values:
             raise self._error(f"there is no parameter '{word}', {suggestion(word, self._values).rstrip('.')}")

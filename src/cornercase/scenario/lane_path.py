@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -31,6 +31,8 @@ class LanePath:
         Index of the road, and lane.
     along : ndarray of bool, shape (P,)
         Whether the path runs along the road's s.
+    first, last : int
+        Samples between which the lane lies that the path was asked for.
     """
 
     distance: FloatArray
@@ -42,6 +44,8 @@ class LanePath:
     road: IntArray
     lane: IntArray
     along: BoolArray
+    first: int = 0
+    last: int = -1
 
     @classmethod
     def of_points(
@@ -84,7 +88,17 @@ class LanePath:
         return x - offset * np.sin(heading), y + offset * np.cos(heading), heading, curvature
 
 
-def join(pieces: Sequence[LanePath]) -> LanePath:
-    """Path along several pieces, each of which starts where the one before ends."""
+def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
+    """Path along several pieces, each of which starts where the one before ends; `asked` is the piece asked for."""
     arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in ("x", "y", "s", "road", "lane", "along")]
-    return LanePath.of_points(*arrays)
+    path = LanePath.of_points(*arrays)
+    # Where pieces do not quite meet, the way between them counts too.
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(arrays[0]), np.diff(arrays[1])))])
+    begins = sum(len(piece.x) for piece in pieces[:asked])
+    span = travelled[begins], travelled[begins + len(pieces[asked].x) - 1]
+    first = int(np.searchsorted(path.distance, span[0] - 1e-9))
+    last = int(np.searchsorted(path.distance, span[1] + 1e-9)) - 1
+    # The sample where two pieces meet is of the one before.
+    mine = (path.road == pieces[asked].road[0]) & (path.lane == pieces[asked].lane[0])
+    inside = first + np.flatnonzero(mine[first : last + 1])
+    return replace(path, first=int(inside[0]), last=int(inside[-1])) if inside.size else replace(path, first=first)

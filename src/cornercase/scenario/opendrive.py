@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from heapq import heappop, heappush
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from lxml import etree
@@ -20,6 +20,9 @@ from cornercase.scenario.xml import read_xml
 from cornercase.typing import BoolArray, FloatArray, IntArray
 
 _LONGEST_PATH: Final = 5000.0
+_LONGEST_BACK: Final = 500.0
+_LONGEST_LOOP: Final = 3000.0
+_JUMP: Final = 0.3
 _MOST_ROADS: Final = 500
 _DRIVABLE: Final = ("driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp")
 
@@ -43,6 +46,19 @@ class Place(NamedTuple):
     offset: FloatArray
 
 
+class Stretch(NamedTuple):
+    """A lane of one lane section, travelled along the road's s or against it."""
+
+    road: int
+    section: int
+    lane: int
+    along: bool
+
+    def reversed(self) -> Stretch:
+        """Return the same, travelled the other way."""
+        return self._replace(along=not self.along)
+
+
 @dataclass(frozen=True)
 class Lane:
     """A lane of one lane section."""
@@ -52,6 +68,11 @@ class Lane:
     borders: tuple[Polynomial, ...]
     predecessor: int | None
     successor: int | None
+
+    @property
+    def drivable(self) -> bool:
+        """Whether vehicles may drive on it."""
+        return self.kind in _DRIVABLE
 
 
 @dataclass(frozen=True)
@@ -109,7 +130,7 @@ class Road:
 
     def along(self, lane: int) -> bool:
         """Whether traffic on the lane runs along s."""
-        return (lane < 0) == self.right_hand
+        return lane == 0 or (lane < 0) == self.right_hand
 
     def _edges(self, section: int, lane: int, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         start, lanes = self.sections[section]
@@ -219,6 +240,45 @@ class RoadNetwork:
         x, y, heading = one.at(s, t + offset)
         return x, y, heading if one.along(lane) else heading + np.pi
 
+    def lane_at(self, road: int, s: FloatArray, t: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Lane that holds, or is nearest to, points of a road, and their offset from its centre, each (N,)."""
+        one = self.roads[road]
+        lane, offset = np.zeros(len(s), dtype=np.int64), np.zeros(len(s))
+        best = np.full(len(s), np.inf)
+        section = one.section_at(s)
+        for k in np.unique(section):
+            for number in one.sections[int(k)][1]:
+                rows = np.flatnonzero(section == k)
+                beside = t[rows] - one.center(int(k), number, s[rows])
+                cost = np.abs(beside) - 0.5 * one.width(int(k), number, s[rows])
+                rows = rows[nearer := cost < best[rows]]
+                lane[rows], offset[rows], best[rows] = number, beside[nearer], cost[nearer]
+        return lane, offset
+
+    def along_route(
+        self, waypoints: list[tuple[int, int, float]], way: FloatArray
+    ) -> tuple[IntArray, FloatArray, BoolArray]:
+        """Road, s, and whether the route runs along s, after a way in m from the first waypoint, each (N,)."""
+        road, lane, s = waypoints[0]
+        section = int(self.roads[road].section_at(np.array([s]))[0])
+        walk = self._walk(
+            Stretch(road, section, lane, self.runs_along(road, lane)), [goal for goal, _, _ in waypoints], _LONGEST_PATH
+        )
+        roads, begins, starts, directions = [], [], [], []
+        length = 0.0
+        for k, here in enumerate(walk):
+            start, end = self._span(here)
+            first = (s if k == 0 else start) if here.along else (s if k == 0 else end)
+            roads.append(here.road)
+            begins.append(length)
+            starts.append(first)
+            directions.append(here.along)
+            length += (end - first) if here.along else (first - start)
+        leg = np.clip(np.searchsorted(begins, way, "right") - 1, 0, len(roads) - 1)
+        along = np.array(directions)[leg]
+        beyond = way - np.array(begins)[leg]
+        return np.array(roads)[leg], np.array(starts)[leg] + np.where(along, beyond, -beyond), along
+
     def locate(self, x: FloatArray, y: FloatArray) -> Place:
         """Where points are on the roads; a lane that holds the point beats a nearer one, driving beats others."""
         tree, road, lane, s, half, bad = self._samples
@@ -240,12 +300,90 @@ class RoadNetwork:
                 place.offset[rows] = dy * np.cos(heading) - dx * np.sin(heading)
         return place
 
-    def path_of_lane(self, road: int, lane: int, via: tuple[tuple[int, int, float], ...] = ()) -> LanePath | None:
-        """Centre line from the beginning of a lane through all that follow it.
+    def locate_from(self, last: IntArray, x: FloatArray, y: FloatArray) -> Place:
+        """Where points are on the roads, given the road of each a moment ago, or -1.
+
+        Where roads overlap, as in a junction, a point stays on its road as long as it can, and otherwise goes over to
+        the first in the file that holds it.
+        """
+        road, s, offset = last.copy(), np.zeros(len(x)), np.zeros(len(x))
+        lane = np.zeros(len(x), dtype=np.int64)
+        lost = ~self._stay(last, x, y, lane, s, offset)
+        if lost.any():
+            at = np.flatnonzero(lost)
+            new = self.locate(x[at], y[at])
+            road[at], lane[at], s[at], offset[at] = new.road, new.lane, new.s, new.offset
+            # Only overlapping roads are worth a second look.
+            for r in self._overlapping:
+                rows = at[r < road[at]]
+                found = self._stay(
+                    np.full(len(rows), r), x[rows], y[rows], *(parts := [a[rows] for a in (lane, s, offset)])
+                )
+                road[rows[found]] = r
+                for whole, part in zip((lane, s, offset), parts, strict=True):
+                    whole[rows[found]] = part[found]
+        return Place(road, lane, s, offset)
+
+    def _stay(
+        self, road: IntArray, x: FloatArray, y: FloatArray, lane: IntArray, s: FloatArray, offset: FloatArray
+    ) -> BoolArray:
+        """Fill in lane, s and offset of points on given roads; whether each lies within its road."""
+        inside = np.zeros(len(x), dtype=np.bool_)
+        for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
+            rows = np.flatnonzero((road == r) & np.isfinite(x))
+            one, (tree, samples) = self.roads[r], self._reference(int(r))
+            along = samples[tree.query(np.stack([x[rows], y[rows]], axis=1))[1]]
+            for _ in range(2):
+                px, py, heading = one.reference(along)
+                along = along + (x[rows] - px) * np.cos(heading) + (y[rows] - py) * np.sin(heading)
+            within = (along >= 0.0) & (along <= one.length)
+            along = np.clip(along, 0.0, one.length)
+            px, py, heading = one.reference(along)
+            t = (y[rows] - py) * np.cos(heading) - (x[rows] - px) * np.sin(heading)
+            number, beside = self.lane_at(int(r), along, t)
+            section = one.section_at(along)
+            width = np.zeros(len(rows))
+            for k, ln in sorted({*zip(section.tolist(), number.tolist(), strict=True)}):
+                mine = (section == k) & (number == ln)
+                width[mine] = one.width(k, ln, along[mine])
+            good = within & (np.abs(beside) <= 0.5 * width)
+            inside[rows] = good
+            lane[rows[good]], s[rows[good]], offset[rows[good]] = number[good], along[good], beside[good]
+        return inside
+
+    def _reference(self, road: int) -> tuple[cKDTree, FloatArray]:
+        if road not in self._trees:
+            length = self.roads[road].length
+            s = np.linspace(0.0, length, max(2, int(length) + 1))
+            x, y, _ = self.roads[road].reference(s)
+            self._trees[road] = cKDTree(np.stack([x, y], axis=1)), s
+        return self._trees[road]
+
+    @cached_property
+    def _trees(self) -> dict[int, tuple[cKDTree, FloatArray]]:
+        return {}
+
+    @cached_property
+    def _overlapping(self) -> list[int]:
+        return [i for i, road in enumerate(self.roads) if road.junction not in ("-1", "")]
+
+    def path_of_lane(
+        self,
+        road: int,
+        lane: int,
+        s: float,
+        along: bool,
+        via: tuple[tuple[int, int, float], ...] = (),
+    ) -> LanePath | None:
+        """Centre line of a lane and of those that follow it, and of those before it for who drives backwards.
 
         Parameters
         ----------
         road, lane : int
+        s : float
+            Place on the road at which the lane has this number, in m.
+        along : bool
+            Whether the path runs along the road's s there, or against it.
         via : tuple of (road, lane, s)
             Roads to pass; they choose the exits of junctions. Beyond them, and without any, it goes as straight on
             as possible.
@@ -253,79 +391,155 @@ class RoadNetwork:
         Returns
         -------
         LanePath or None
-            None where there is no such lane, or the roads to pass cannot be reached.
+            Its ``origin`` is the distance at which the piece that holds `s` begins. None where there is no such lane.
         """
-        if not self.has_lane(road, lane):
-            return None
-        goals = [goal for goal, _, _ in via]
-        pieces, length, here = [], 0.0, (road, lane)
-        for _ in range(_MOST_ROADS):
-            goals = goals[1:] if goals and goals[0] == here[0] else goals
-            piece = self._piece(*here)
-            pieces.append(piece)
-            length += piece.distance[-1]
-            options = self._exits(*here)
-            if not options or length > _LONGEST_PATH:
-                break
-            if goals:
-                ways = {option: self._hops(option, goals[0]) for option in options}
-                chosen = min(options, key=lambda option: (ways[option], options.index(option)))
-                if not np.isfinite(ways[chosen]):
-                    return None
-            else:
-                chosen = min(options, key=lambda option: (self._bend(*option), options.index(option)))
-            here = chosen
-        return None if goals else join(pieces)
-
-    def _piece(self, road: int, lane: int) -> LanePath:
         one = self.roads[road]
-        s = np.linspace(0.0, one.length, max(2, int(np.ceil(one.length / STEP)) + 1))
-        along = one.along(lane)
-        x, y, _ = self.world(road, lane, s, np.zeros(len(s)))
-        order = slice(None) if along else slice(None, None, -1)
+        section = int(one.section_at(np.array([s]))[0])
+        if lane == 0 or lane not in one.sections[section][1]:
+            return None
+        here = Stretch(road, section, lane, along)
+        key = (here, via)
+        if key not in self._paths:
+            # The road it starts on may be among those to pass, as it is in most routes.
+            ahead = self._walk(here, [goal for goal, _, _ in via], _LONGEST_PATH)
+            behind = [piece.reversed() for piece in self._walk(here.reversed(), [], _LONGEST_BACK)[1:]][::-1]
+            before = [self._piece(piece) for piece in behind]
+            after = [self._piece(piece) for piece in ahead]
+            # A lane that opens beside another names it as the one before, but does not go on from its middle.
+            kept, start = list[LanePath](), after[0]
+            for piece in reversed(before):
+                if np.hypot(piece.x[-1] - start.x[0], piece.y[-1] - start.y[0]) > _JUMP:
+                    break
+                kept.insert(0, piece)
+                start = piece
+            self._paths[key] = join([*kept, *after], len(kept))
+        return self._paths[key]
+
+    def _walk(self, here: Stretch, goals: list[int], longest: float) -> list[Stretch]:
+        """Stretches from `here` on, through the goals where they can be reached."""
+        found, length, seen = [here], 0.0, {here}
+        for _ in range(_MOST_ROADS):
+            goals = goals[1:] if goals and goals[0] == here.road else goals
+            start, end = self._span(here)
+            length += end - start
+            options = self.exits(here)
+            if not options or length > longest:
+                break
+            ways = [self._way(option, goals[0]) if goals else np.inf for option in options]
+            if np.isfinite(min(ways)):
+                here = options[int(np.argmin(ways))]
+            else:
+                bends = [self._bend(option.road) for option in options]
+                here = options[int(np.argmin(bends))]
+            if here in seen and length > _LONGEST_LOOP:
+                break
+            seen.add(here)
+            found.append(here)
+        return found
+
+    def _span(self, here: Stretch) -> tuple[float, float]:
+        one = self.roads[here.road]
+        start = max(one.sections[here.section][0], 0.0)
+        end = one.sections[here.section + 1][0] if here.section + 1 < len(one.sections) else one.length
+        return start, max(end, start)
+
+    def _piece(self, here: Stretch) -> LanePath:
+        one = self.roads[here.road]
+        start, end = self._span(here)
+        s = np.linspace(start, end, max(2, int(np.ceil((end - start) / STEP)) + 1))
+        x, y, _ = one.at(s, one.center(here.section, here.lane, s))
+        order = slice(None) if here.along else slice(None, None, -1)
+        n = len(s)
         return LanePath.of_points(
-            x[order], y[order], s[order], np.full(len(s), road), np.full(len(s), lane), np.full(len(s), along)
+            x[order], y[order], s[order], np.full(n, here.road), np.full(n, here.lane), np.full(n, here.along)
         )
 
-    def _exits(self, road: int, lane: int) -> list[tuple[int, int]]:
-        """Lanes that follow at the end of a lane, in the direction of its traffic."""
-        one = self.roads[road]
-        along = one.along(lane)
-        link = one.successor if along else one.predecessor
-        section = one.sections[-1 if along else 0][1]
-        if link is None or lane not in section:
+    def exits(self, here: Stretch) -> list[Stretch]:
+        """Stretches of lane that follow in the direction of travel."""
+        one = self.roads[here.road]
+        lane = one.sections[here.section][1].get(here.lane)
+        linked = None if lane is None else (lane.successor if here.along else lane.predecessor)
+        following = here.section + (1 if here.along else -1)
+        if 0 <= following < len(one.sections):
+            lanes = one.sections[following][1]
+            number = linked if linked is not None else here.lane
+            return [Stretch(here.road, following, number, here.along)] if number in lanes else []
+        link = one.successor if here.along else one.predecessor
+        if link is None:
             return []
         if link.kind == "road":
-            linked = section[lane].successor if along else section[lane].predecessor
-            return self._existing([(link.element, linked)])
-        found = []
-        for incoming, connecting, contact, links in self.connections.get(link.element, ()):
-            if incoming == one.name and lane in links:
-                found.append((connecting, links[lane]))
-            elif incoming == one.name and not links and contact == "start":
-                found.append((connecting, lane))
-        return self._existing(found)
+            return self._enter(link.element, linked, link.contact)
+        # A connecting road's own links tell more than the junction's: at which end of this road they are, and they
+        # hold for who drives against the traffic, too.
+        end = "end" if here.along else "start"
+        found = list[Stretch]()
+        for name, contact in self._connecting.get((link.element, one.name, end), ()):
+            road = self.roads[self._index[name]]
+            lanes = road.sections[0 if contact == "start" else -1][1]
+            for number, other in lanes.items():
+                if (other.predecessor if contact == "start" else other.successor) == here.lane:
+                    found += self._enter(name, number, contact)
+        if not found:
+            for incoming, connecting, contact, links in self.connections.get(link.element, ()):
+                if incoming == one.name and (here.lane in links or not links):
+                    found += self._enter(connecting, links.get(here.lane, here.lane), contact)
+        return list(dict.fromkeys(found))
 
-    def _existing(self, found: Sequence[tuple[str, int | None]]) -> list[tuple[int, int]]:
-        return [
-            (self._index[name], lane)
-            for name, lane in found
-            if name in self._index and lane is not None and self.has_lane(self._index[name], lane)
-        ]
+    def _enter(self, name: str, lane: int | None, contact: str) -> list[Stretch]:
+        if name not in self._index or lane is None:
+            return []
+        road = self._index[name]
+        sections = self.roads[road].sections
+        section = 0 if contact != "end" else len(sections) - 1
+        return [Stretch(road, section, lane, contact != "end")] if lane in sections[section][1] else []
 
-    def _hops(self, start: tuple[int, int], goal: int) -> float:
-        seen, queue = {start}, deque([(start, 0)])
+    @cached_property
+    def _connecting(self) -> dict[tuple[str, str, str], list[tuple[str, str]]]:
+        """Roads of a junction that begin or end at the end of a road, with their own end that meets it."""
+        found: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
+        for road in self.roads:
+            if road.junction in ("-1", ""):
+                continue
+            for link, contact in ((road.predecessor, "start"), (road.successor, "end")):
+                if link is not None and link.kind == "road":
+                    key = (road.junction, link.element, link.contact or "end")
+                    found.setdefault(key, []).append((road.name, contact))
+        return found
+
+    @cached_property
+    def _paths(self) -> dict[Any, LanePath]:
+        return {}
+
+    def _way(self, start: Stretch, goal: int) -> float:
+        """Length in m of the roads before a goal; lanes do not matter, as a route never changes them."""
+        done, queue = set[tuple[int, bool]](), [(0.0, start.road, start.along)]
         while queue:
-            here, hops = queue.popleft()
-            if here[0] == goal:
-                return hops
-            for option in self._exits(*here):
-                if option not in seen:
-                    seen.add(option)
-                    queue.append((option, hops + 1))
+            way, road, along = heappop(queue)
+            if road == goal:
+                return way
+            if (road, along) in done:
+                continue
+            done.add((road, along))
+            for option in self._road_exits(road, along):
+                if option not in done:
+                    heappush(queue, (way + self.roads[road].length, *option))
         return float("inf")
 
-    def _bend(self, road: int, lane: int) -> float:
+    def _road_exits(self, road: int, along: bool) -> list[tuple[int, bool]]:
+        one = self.roads[road]
+        link = one.successor if along else one.predecessor
+        if link is None:
+            return []
+        if link.kind == "road":
+            return [(self._index[link.element], link.contact != "end")] if link.element in self._index else []
+        key = (link.element, one.name, "end" if along else "start")
+        found = [(self._index[name], contact == "start") for name, contact in self._connecting.get(key, ())]
+        for incoming, connecting, contact, _ in self.connections.get(link.element, ()):
+            if incoming == one.name and connecting in self._index:
+                found.append((self._index[connecting], contact == "start"))
+        return list(dict.fromkeys(found))
+
+    def _bend(self, road: int) -> float:
         ends = np.array([0.0, self.lengths[road]])
         heading = self.roads[road].reference(ends)[2]
         return float(abs(heading[1] - heading[0]))
@@ -344,7 +558,7 @@ class RoadNetwork:
                     lane.append(np.full(len(s), number))
                     where.append(s)
                     half.append(0.5 * one.width(k, number, s))
-                    bad.append(np.full(len(s), one_lane.kind not in _DRIVABLE))
+                    bad.append(np.full(len(s), not one_lane.drivable))
         return (
             cKDTree(np.concatenate(points)),
             np.concatenate(road),

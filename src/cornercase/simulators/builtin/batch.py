@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from lxml import etree
@@ -14,6 +15,7 @@ from cornercase.scenario.opendrive import RoadNetwork
 from cornercase.scenario.openscenario import Scenario, driver_property
 from cornercase.scenario.space import Value
 from cornercase.simulators.builtin.driving import Driving
+from cornercase.simulators.builtin.positions import entities_in
 from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.storyboard import Storyboard
 from cornercase.simulators.builtin.world import Entity, World
@@ -53,12 +55,17 @@ class Batch:
         stop_at_collision: bool,
         drivers: Mapping[str, Driver | str],
     ) -> None:
-        scope = Scope.of_file(str(scenario.path), scenario.root, values)
+        scope = Scope.of_file(str(scenario.path), scenario.root, values, scenario.catalog_entry)
         file = scenario.root.find("RoadNetwork/LogicFile")
         road_file = "" if file is None else scope.text(file, "filepath", "")
         network = RoadNetwork.read(scenario.beside(road_file, "road file")) if road_file else None
         objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
         self._world = World(tuple(_entity(e, scenario, scope) for e in objects), len(values), network)
+        self._world.selections = _selections(scenario.root, self._world, scope)
+        self._world.parameters = {name: _held(value, scope.scenarios) for name, value in scope.values.items()}
+        self._world.variables = scope.declared(
+            scenario.root, "VariableDeclarations/VariableDeclaration", "variableType"
+        )
         self._time_step, self._duration = time_step, duration
         self._stop_at_collision = stop_at_collision
         asked = {e.get("name", ""): driver_property(e) for e in objects}
@@ -94,7 +101,6 @@ class Batch:
             rows.append(self._row())
             instants[world.running] += 1
             self._find_collisions(contacts)
-            world.running &= ~self._storyboard.over()
             dt = self._time_step
         history = np.stack(rows) if rows else np.zeros((0, 5, len(world.entities), world.scenarios))
         return [self._result(i, history, int(instants[i]), contacts[i]) for i in range(world.scenarios)]
@@ -143,6 +149,35 @@ class Batch:
         )
 
 
+def _held(value: Any, scenarios: int) -> Any:
+    if isinstance(value, bool | np.bool_ | str):
+        text = str(value).lower() if not isinstance(value, str) else value
+        return np.full(scenarios, text)
+    array = np.asarray(value)
+    if array.dtype.kind == "b":
+        return np.broadcast_to(np.where(array, "true", "false"), (scenarios,)).copy()
+    return np.broadcast_to(array.astype(np.float64), (scenarios,)).copy()
+
+
+def _selections(root: etree._Element, world: World, scope: Scope) -> dict[str, list[int]]:
+    """Rows of the members of each entity selection, of entities named or of a type."""
+    found: dict[str, list[int]] = {}
+    for selection in root.iterfind("Entities/EntitySelection"):
+        members = selection.find("Members")
+        if members is None:
+            continue
+        rows = entities_in(members, scope, world)
+        for by_type in members.iterfind("ByType"):
+            kind = scope.text(by_type, "objectType")
+            rows += [k for k, one in enumerate(world.entities) if _object_type(one.kind) == kind and k not in rows]
+        found[scope.text(selection, "name")] = rows
+    return found
+
+
+def _object_type(kind: str) -> str:
+    return {"pedestrian": "pedestrian", "misc": "miscellaneous"}.get(kind, "vehicle")
+
+
 def _driver(driver: Driver | str, scenario: Scenario) -> Driver:
     if not isinstance(driver, str):
         return driver
@@ -158,9 +193,7 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
     name = element.get("name", "")
     body = next((e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None)
     if body is not None and body.tag == "CatalogReference":
-        reference = body
-        body = scenario.catalog_entry(scope.text(reference, "catalogName"), scope.text(reference, "entryName"))
-        scope = scope.within(body, reference.find("ParameterAssignments"))
+        body, scope = scope.from_catalog(body)
     elif body is not None:
         scope = scope.within(body)
     if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
@@ -174,11 +207,16 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
     kind = {"Pedestrian": "pedestrian", "MiscObject": "misc"}.get(body.tag) or scope.text(
         body, "vehicleCategory", "car"
     )
-    limits = [np.inf] * 3
+    # What is no vehicle and no pedestrian cannot move by itself.
+    limits = [0.0 if body.tag == "MiscObject" else np.inf, np.inf, np.inf]
     performance = body.find("Performance")
     if performance is not None:
         limits = [scope.one_number(performance, a, np.inf) for a in ("maxSpeed", "maxAcceleration", "maxDeceleration")]
     length, width = scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width")
     if not (length > 0 and width > 0):
         raise InputError(f"{scenario.path}: the bounding box of '{name}' needs a positive length and width.")
-    return Entity(name, kind, length, width, scope.one_number(center, "x"), *limits)
+    slides = any(
+        item.get("name") == "ignoreHeadingForTrajMotion" and scope.text(item, "value") == "true"
+        for item in body.iterfind("Properties/Property")
+    )
+    return Entity(name, kind, length, width, scope.one_number(center, "x"), limits[0], limits[1], limits[2], slides)

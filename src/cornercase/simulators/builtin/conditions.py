@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError, suggestion
-from cornercase.simulators.builtin.positions import entity_index, read_position
+from cornercase.simulators.builtin.entity_conditions import BY_ENTITY, TOLERANCE, EntityTest, rule_of
+from cornercase.simulators.builtin.positions import entities_in
 from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import BoolArray, FloatArray
@@ -18,22 +19,6 @@ if TYPE_CHECKING:
     from cornercase.simulators.builtin.storyboard import Element
 
 Test = Callable[[World], BoolArray]
-
-_TOLERANCE: Final = 1e-6
-
-
-def _equal(a: Any, b: Any) -> Any:
-    return np.abs(a - b) <= _TOLERANCE
-
-
-_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
-    "greaterThan": lambda a, b: a > b + _TOLERANCE,
-    "lessThan": lambda a, b: a < b - _TOLERANCE,
-    "equalTo": _equal,
-    "greaterOrEqual": lambda a, b: a >= b - _TOLERANCE,
-    "lessOrEqual": lambda a, b: a <= b + _TOLERANCE,
-    "notEqualTo": lambda a, b: ~_equal(a, b),
-}
 
 
 class Elements(Protocol):
@@ -81,7 +66,7 @@ class Condition:
             return result & where
         self._times.append(world.time)
         self._held.append(result & where)
-        then = np.searchsorted(self._times, world.time - self._delay + _TOLERANCE, "right") - 1
+        then = np.searchsorted(self._times, world.time - self._delay + TOLERANCE, "right") - 1
         delayed = np.zeros_like(where)
         for frame in np.unique(then[then >= 0]):
             delayed |= self._held[frame] & (then == frame)
@@ -151,8 +136,8 @@ def _read_test(condition: etree._Element, scope: Scope, world: World, elements: 
     if kind is not None and kind.tag == "ByEntityCondition":
         holder = kind.find("EntityCondition")
         inner = None if holder is None else next(iter(holder.iterchildren("*")), None)
-        if inner is not None and inner.tag in _BY_ENTITY:
-            test = _BY_ENTITY[inner.tag](inner, scope, world)
+        if inner is not None and inner.tag in BY_ENTITY:
+            test = BY_ENTITY[inner.tag](inner, scope, world)
             return _of_triggering_entities(kind, scope, world, test)
     else:
         inner = None if kind is None else next(iter(kind.iterchildren("*")), None)
@@ -161,11 +146,8 @@ def _read_test(condition: etree._Element, scope: Scope, world: World, elements: 
     tag = condition.tag if inner is None else inner.tag
     raise InputError(
         f"{scope.source}, line {condition.sourceline}: <{tag}> is not supported by the builtin simulator; it reads"
-        f" {', '.join((*_BY_VALUE, *_BY_ENTITY))}."
+        f" {', '.join((*_BY_VALUE, *BY_ENTITY))}."
     )
-
-
-EntityTest = Callable[[World, int], BoolArray]
 
 
 def _of_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
@@ -173,7 +155,9 @@ def _of_triggering_entities(element: etree._Element, scope: Scope, world: World,
     if holder is None:
         raise InputError(f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>.")
     every = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
-    entities = [entity_index(e, scope, world) for e in holder.iterfind("EntityRef")]
+    entities = entities_in(holder, scope, world)
+    if not entities:
+        raise InputError(f"{scope.source}, line {holder.sourceline}: <TriggeringEntities> names no entity.")
 
     def of_all(world: World) -> BoolArray:
         result = np.stack([test(world, e) & world.present[e] for e in entities])
@@ -182,15 +166,8 @@ def _of_triggering_entities(element: etree._Element, scope: Scope, world: World,
     return of_all
 
 
-def _rule(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
-    rule = scope.text(element, "rule", "equalTo")
-    if rule not in _RULES:
-        raise InputError(f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}")
-    return _RULES[rule]
-
-
 def _simulation_time(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    rule, value, n = _rule(element, scope), scope.number(element, "value"), scope.scenarios
+    rule, value, n = rule_of(element, scope), scope.number(element, "value"), scope.scenarios
     return lambda world: np.asarray(rule(np.full(n, world.time), value))
 
 
@@ -208,132 +185,47 @@ def _element_state(element: etree._Element, scope: Scope, world: World, elements
     return holds
 
 
-def _parameter(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    name, n = scope.text(element, "parameterRef").lstrip("$"), scope.scenarios
-    if name not in scope.values:
+def _held(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    kind = "variableRef" if element.tag == "VariableCondition" else "parameterRef"
+    values = world.variables if kind == "variableRef" else world.parameters
+    name = scope.text(element, kind) if not element.get(kind, "").startswith("$") else element.get(kind, "")[1:]
+    if name not in values:
+        what = "variable" if kind == "variableRef" else "parameter"
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: there is no parameter '{name}';"
-            f" {suggestion(name, scope.values)}"
+            f"{scope.source}, line {element.sourceline}: there is no {what} '{name}'; {suggestion(name, values)}"
         )
-    held = scope.values[name]
-    if isinstance(held, str | bool):
-        text = str(held).lower() if isinstance(held, bool) else held
-        same = text == scope.text(element, "value")
-        result = np.full(n, same if scope.text(element, "rule", "equalTo") == "equalTo" else not same)
-    else:
-        result = np.broadcast_to(_rule(element, scope)(held, scope.number(element, "value")), (n,)).copy()
+    if values[name].dtype.kind == "f":
+        rule, value = rule_of(element, scope), scope.number(element, "value")
+        return lambda world: np.asarray(rule(values[name], value))
+    text, rule_name = scope.text(element, "value"), scope.text(element, "rule", "equalTo")
+    if text in ("0", "1") and set(np.unique(values[name])) <= {"true", "false"}:
+        text = "true" if text == "1" else "false"
+    # Words have an order too: that of their letters, as in esmini.
+    orders: dict[str, Callable[[Any, Any], Any]] = {
+        "equalTo": np.equal,
+        "notEqualTo": np.not_equal,
+        "lessThan": np.less,
+        "lessOrEqual": np.less_equal,
+        "greaterThan": np.greater,
+        "greaterOrEqual": np.greater_equal,
+    }
+    compare = orders[rule_name]
+    return lambda world: np.asarray(compare(values[name], text))
+
+
+def _never(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    # Traffic signals and what a user's own program would set do not change here.
+    result = np.zeros(scope.scenarios, dtype=np.bool_)
     return lambda world: result
 
-
-def _traveled(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    value = scope.number(element, "value")
-    return lambda world, e: np.asarray(world.odometer[e] >= value - _TOLERANCE)
-
-
-def _reach_position(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    holder = element.find("Position")
-    if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>.")
-    position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
-
-    def reached(world: World, e: int) -> BoolArray:
-        pose = position(world)
-        return np.asarray(np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance)
-
-    return reached
-
-
-def _speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    rule, value = _rule(element, scope), scope.number(element, "value")
-    return lambda world, e: np.asarray(rule(world.speed[e], value))
-
-
-def _relative_speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    rule, value, other = (
-        _rule(element, scope),
-        scope.number(element, "value"),
-        entity_index(element, scope, world),
-    )
-    return lambda world, e: np.asarray(rule(world.speed[e] - world.speed[other], value))
-
-
-def _acceleration(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    rule, value = _rule(element, scope), scope.number(element, "value")
-    return lambda world, e: np.asarray(rule(world.acceleration[e], value))
-
-
-def _stand_still(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    duration = scope.number(element, "duration")
-    return lambda world, e: np.asarray(world.time - world.standing_since[e] > duration)
-
-
-def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    if element.find("EntityRef") is None:
-        by_type = element.find("ByType")
-        if by_type is None:
-            raise InputError(f"{scope.source}, line {element.sourceline}: <CollisionCondition> names no entity.")
-        raise InputError(
-            f"{scope.source}, line {element.sourceline}: <CollisionCondition> by type is not supported by the builtin"
-            " simulator; name an entity with <EntityRef>."
-        )
-    other = entity_index(element.find("EntityRef"), scope, world)  # type: ignore[arg-type]
-    return lambda world, e: world.touching[e, other].copy()
-
-
-def _relative_distance(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    kind = scope.text(element, "relativeDistanceType", "euclidianDistance")
-    system = scope.text(element, "coordinateSystem", "entity")
-    if system != "entity" or kind not in _ALONG:
-        raise InputError(
-            f"{scope.source}, line {element.sourceline}: <RelativeDistanceCondition> in the {system} system of kind"
-            f" {kind} is not supported by the builtin simulator; use the entity system."
-        )
-    other = entity_index(element, scope, world)
-    rule, value = _rule(element, scope), scope.number(element, "value")
-    free = scope.flag(element, "freespace", False)
-    if free:
-        raise InputError(
-            f'{scope.source}, line {element.sourceline}: <RelativeDistanceCondition> with freespace="true" is not'
-            " supported by the builtin simulator."
-        )
-    measure = _ALONG[kind]
-    return lambda world, e: np.asarray(rule(measure(world, e, other), value))
-
-
-def _euclidean(world: World, e: int, other: int) -> FloatArray:
-    return np.asarray(np.hypot(world.x[other] - world.x[e], world.y[other] - world.y[e]))
-
-
-def _longitudinal(world: World, e: int, other: int) -> FloatArray:
-    dx, dy = world.x[other] - world.x[e], world.y[other] - world.y[e]
-    return np.asarray(np.abs(dx * np.cos(world.heading[e]) + dy * np.sin(world.heading[e])))
-
-
-def _lateral(world: World, e: int, other: int) -> FloatArray:
-    dx, dy = world.x[other] - world.x[e], world.y[other] - world.y[e]
-    return np.asarray(np.abs(dy * np.cos(world.heading[e]) - dx * np.sin(world.heading[e])))
-
-
-_ALONG: Final[Mapping[str, Callable[[World, int, int], FloatArray]]] = {
-    "euclidianDistance": _euclidean,
-    "cartesianDistance": _euclidean,
-    "longitudinal": _longitudinal,
-    "lateral": _lateral,
-}
 
 _BY_VALUE: Final[dict[str, Callable[[etree._Element, Scope, World, Elements], Test]]] = {
     "SimulationTimeCondition": _simulation_time,
     "StoryboardElementStateCondition": _element_state,
-    "ParameterCondition": _parameter,
-}
-
-_BY_ENTITY: Final[dict[str, Callable[[etree._Element, Scope, World], EntityTest]]] = {
-    "TraveledDistanceCondition": _traveled,
-    "ReachPositionCondition": _reach_position,
-    "SpeedCondition": _speed,
-    "RelativeSpeedCondition": _relative_speed,
-    "AccelerationCondition": _acceleration,
-    "StandStillCondition": _stand_still,
-    "CollisionCondition": _collision,
-    "RelativeDistanceCondition": _relative_distance,
+    "ParameterCondition": _held,
+    "VariableCondition": _held,
+    "UserDefinedValueCondition": _never,
+    "TrafficSignalCondition": _never,
+    "TrafficSignalControllerCondition": _never,
+    "TimeOfDayCondition": _never,
 }

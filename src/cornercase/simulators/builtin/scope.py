@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,9 @@ from cornercase.errors import InputError, suggestion
 from cornercase.scenario.expressions import evaluate, names_in
 from cornercase.scenario.space import Value
 from cornercase.typing import FloatArray
+
+Catalogs = Callable[[str, str], etree._Element]
+"""Name of a catalog and of an entry to the entry."""
 
 _NUMERIC = {"double", "integer", "int", "unsignedInt", "unsignedShort"}
 
@@ -44,16 +47,30 @@ class Scope:
         For each parameter, the parameters of the logical scenario that its value depends on.
     """
 
-    def __init__(self, source: str, scenarios: int, values: Mapping[str, Any], origins: Mapping[str, set[str]]) -> None:
+    def __init__(
+        self,
+        source: str,
+        scenarios: int,
+        values: Mapping[str, Any],
+        origins: Mapping[str, set[str]],
+        catalogs: Catalogs | None = None,
+    ) -> None:
         self.source = source
         self.scenarios = scenarios
         self.values = dict(values)
         self._origins = dict(origins)
+        self._catalogs = catalogs
 
     @classmethod
-    def of_file(cls, source: str, root: etree._Element, concretes: Sequence[Mapping[str, Value]]) -> Scope:
+    def of_file(
+        cls,
+        source: str,
+        root: etree._Element,
+        concretes: Sequence[Mapping[str, Value]],
+        catalogs: Catalogs | None = None,
+    ) -> Scope:
         """Scope of a scenario file's parameter declarations, for the given concrete scenarios."""
-        scope = cls(source, len(concretes), {}, {})
+        scope = cls(source, len(concretes), {}, {}, catalogs)
         names = {name for values in concretes for name in values}
         for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
             name = declaration.get("name", "")
@@ -79,7 +96,7 @@ class Scope:
 
     def within(self, element: etree._Element, assignments: etree._Element | None = None) -> Scope:
         """Scope of a catalog entry or maneuver: its own declarations, overwritten by assignments from here."""
-        inner = Scope(self.source, self.scenarios, self.values, self._origins)
+        inner = Scope(self.source, self.scenarios, self.values, self._origins, self._catalogs)
         for declaration in element.iterfind("ParameterDeclarations/ParameterDeclaration"):
             inner._declare(declaration)
         if assignments is not None:
@@ -89,6 +106,55 @@ class Scope:
                 inner.values[name] = self._value(text, assignment)
                 inner._origins[name] = self.origins(text)
         return inner
+
+    def declared(self, root: etree._Element, path: str, kind: str) -> dict[str, Any]:
+        """Values of declarations such as variables', as arrays of numbers or of texts, each (N,)."""
+        values: dict[str, Any] = {}
+        for declaration in root.iterfind(path):
+            numeric = declaration.get(kind, "string") in _NUMERIC
+            if numeric:
+                values[declaration.get("name", "")] = self.number(declaration, "value")
+            else:
+                text = self.text(declaration, "value")
+                text = {"1": "true", "0": "false"}.get(text, text) if declaration.get(kind) == "boolean" else text
+                values[declaration.get("name", "")] = np.full(self.scenarios, text)
+        return values
+
+    def referred(self, holder: etree._Element, tag: str) -> tuple[etree._Element, Scope]:
+        """Element of a kind that stands in `holder` or in a catalog that it refers to, and the scope to read it in.
+
+        Raises
+        ------
+        InputError
+            There is neither.
+        """
+        element = holder.find(tag)
+        if element is not None:
+            return element, self.within(element)
+        reference = holder.find("CatalogReference")
+        if reference is None or self._catalogs is None:
+            raise InputError(
+                f"{self.source}, line {holder.sourceline}: <{holder.tag}> holds neither a <{tag}> nor a"
+                " <CatalogReference>."
+            )
+        return self.from_catalog(reference, tag)
+
+    def from_catalog(self, reference: etree._Element, *tags: str) -> tuple[etree._Element, Scope]:
+        """Entry that a ``CatalogReference`` names, and the scope to read it in.
+
+        Raises
+        ------
+        InputError
+            There is no such entry, or it is not of a kind in `tags`.
+        """
+        assert self._catalogs is not None
+        element = self._catalogs(self.text(reference, "catalogName"), self.text(reference, "entryName"))
+        if tags and element.tag not in tags:
+            raise InputError(
+                f"{self.source}, line {reference.sourceline}: the catalog entry '{self.text(reference, 'entryName')}'"
+                f" is a <{element.tag}>, where a <{tags[0]}> is needed."
+            )
+        return element, self.within(element, reference.find("ParameterAssignments"))
 
     def origins(self, text: str) -> set[str]:
         """Parameters of the logical scenario that an attribute's text depends on."""
@@ -150,7 +216,7 @@ class Scope:
         text = text.strip()
         try:
             if text.startswith("${") and text.endswith("}"):
-                return evaluate(text[2:-1], self.values)
+                return _rounded(evaluate(text[2:-1], self.values))
             if text.startswith("$"):
                 return evaluate(text, self.values)
         except InputError as error:
@@ -166,6 +232,12 @@ class Scope:
     def _error(self, element: etree._Element, attribute: str, why: str) -> InputError:
         line = f", line {element.sourceline}" if element.sourceline else ""
         return InputError(f"{self.source}{line}: {attribute} of <{element.tag}> {why}.")
+
+
+def _rounded(value: Any) -> Any:
+    # esmini hands the results of expressions on as texts with six decimals; events may hang on the last of them.
+    array = np.asarray(value)
+    return np.round(array, 6)[()] if array.dtype.kind == "f" else value
 
 
 def _typed(text: str, kind: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Final, TypeVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from cornercase.errors import InputError
 from cornercase.scenario.openscenario import Scenario
 from cornercase.simulators.builtin.actions import Action, read_action
 from cornercase.simulators.builtin.conditions import Trigger, read_trigger
-from cornercase.simulators.builtin.positions import entity_index
+from cornercase.simulators.builtin.positions import entities_in, entity_index
 from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import BoolArray
@@ -34,8 +35,8 @@ _TRANSITIONS: Final = {
 class Element:
     """A storyboard element.
 
-    A transition is seen from the element's turn in one frame until its turn in the next: elements later in the
-    file see a start in the same frame. An end takes effect only at the next turn.
+    A transition is seen until the end of the frame in which it takes effect: elements later in the file see a start in
+    the same frame. An end takes effect at the beginning of the next frame, for all.
 
     Parameters
     ----------
@@ -114,17 +115,19 @@ class Event(Element):
         self.actions = actions
         self.priority = "parallel"
         self._trigger = trigger
+        self._times = times
         self._left = np.full(scenarios, times)
 
-    def step(self, world: World, dt: float, parent: BoolArray, siblings: Sequence[Event]) -> None:
-        self.turn()
-        for action in self.actions:
-            action.turn()
+    def update(self, world: World, parent: BoolArray, siblings: Sequence[Event]) -> None:
+        """Start where the trigger fires."""
         waiting = parent & (self._after == STANDBY) & (self._left > 0)
         if waiting.any():
             fired = waiting if self._trigger is None else self._trigger.fires(world, waiting)
             if fired.any():
                 self._start(world, fired, siblings)
+
+    def step(self, world: World, dt: float) -> None:
+        """Let the actions act for one time step."""
         for action in self.actions:
             action.step(world, dt)
         done = self.running()
@@ -132,6 +135,11 @@ class Event(Element):
             done &= action.complete()
         self.end(done & (self._left == 0))
         self.end(done & (self._left > 0), STANDBY)
+
+    def reset(self, where: BoolArray) -> None:
+        """Make the event ready to run again in the scenarios of a mask, as often as at first."""
+        self.end(where, STANDBY)
+        self._left[where] = self._times
 
     def stop(self, where: BoolArray) -> None:
         where = where & (self._after != COMPLETE)
@@ -168,6 +176,8 @@ class Group(Element):
     children : list of Group or Event
     start, stop : Trigger, optional
         Without a start trigger it starts with its parent.
+    times : int
+        How often it runs.
     """
 
     def __init__(
@@ -178,28 +188,47 @@ class Group(Element):
         children: Sequence[Group] | Sequence[Event],
         start: Trigger | None = None,
         stop: Trigger | None = None,
+        times: int = 1,
     ) -> None:
         super().__init__(kind, name, scenarios)
         self.children = children
         self._start, self._stop = start, stop
+        self._left = np.full(scenarios, times)
+        self._here = np.zeros(scenarios, dtype=np.bool_)
 
-    def step(self, world: World, dt: float, parent: BoolArray) -> None:
-        """Advance the element and all below it by one frame, where its parent runs."""
-        self.turn()
+    def update(self, world: World, parent: BoolArray) -> None:
+        """Evaluate the triggers of the element and of all below it, where its parent runs."""
         waiting = parent & (self._after == STANDBY)
         if waiting.any():
             self.begin(waiting if self._start is None else self._start.fires(world, waiting))
         if self._stop is not None and not self._stop.empty:
             self.stop(self._stop.fires(world, self.running() & parent))
-        here = self.running() & parent
-        done = here.copy()
+        self._here = self.running() & parent
         for child in self.children:
             if isinstance(child, Event):
-                child.step(world, dt, here, self.children)  # type: ignore[arg-type]
+                child.update(world, self._here, self.children)  # type: ignore[arg-type]
             else:
-                child.step(world, dt, here)
+                child.update(world, self._here)
+
+    def step(self, world: World, dt: float) -> None:
+        """Let all actions below the element act for one time step, and see whether it has ended."""
+        done = self._here & self.running()
+        for child in self.children:
+            child.step(world, dt)
             done &= child.complete()
-        self.end(done)
+        self._left[done] -= 1
+        again = done & (self._left > 0)
+        self.end(done & ~again)
+        if again.any():
+            self.end(again, STANDBY)
+            for child in self.children:
+                child.reset(again)
+
+    def reset(self, where: BoolArray) -> None:
+        """Make the element, and all below it, ready to run again in the scenarios of a mask."""
+        self.end(where, STANDBY)
+        for child in self.children:
+            child.reset(where)
 
     def stop(self, where: BoolArray) -> None:
         """End the element and all below it in the scenarios of a mask."""
@@ -227,7 +256,8 @@ class Storyboard:
 
     def __init__(self, scenario: Scenario, scope: Scope, world: World) -> None:
         self._scenario, self._world = scenario, world
-        self._elements: dict[tuple[str, str], Element] = {}
+        self._elements: dict[tuple[str, str], list[tuple[Element, tuple[str, ...]]]] = {}
+        self._parents: list[str] = []
         root = scenario.root.find("Storyboard")
         assert root is not None
         self._init = list(self._read_init(root, scope))
@@ -236,7 +266,13 @@ class Storyboard:
 
     def named(self, kind: str, name: str) -> Element | None:
         """Element of a kind and name; names may be given with those of the parents, as ``Act::Group``."""
-        return self._elements.get((kind, name)) or self._elements.get((kind, name.split("::")[-1]))
+        path = tuple(name.split("::"))
+        for element, parents in self._elements.get((kind, path[-1]), ()):
+            # A name may leave out parents between those that it gives.
+            given = iter(parents)
+            if all(part in given for part in path[:-1]):
+                return element
+        return None
 
     def step(self, dt: float) -> None:
         """Advance by one frame: triggers at the present time, then the actions."""
@@ -246,77 +282,73 @@ class Storyboard:
                 action.start(world, world.running.copy())
         else:
             world.running &= ~self._stop.fires(world, world.running.copy())
+        for known in self._elements.values():
+            for element, _ in known:
+                element.turn()
+        for story in self.stories:
+            story.update(world, world.running)
         for action in self._init:
             action.turn()
             action.step(world, dt)
         for story in self.stories:
-            story.step(world, dt, world.running)
-
-    def over(self) -> BoolArray:
-        """Scenarios in which all stories have ended and no stop trigger is left to wait for, shape (N,)."""
-        done = np.full(self._world.scenarios, bool(self.stories) and self._stop.empty)
-        for story in self.stories:
-            done &= story.complete()
-        return done
+            story.step(world, dt)
 
     def _read_init(self, root: etree._Element, scope: Scope) -> Iterator[RunningAction]:
         actions = root.find("Init/Actions")
-        for element in () if actions is None else actions.iterchildren("*"):
-            if element.tag != "Private":
-                action = read_action(element, scope, self._world, None)
-                yield RunningAction("init", scope.scenarios, action)
-                continue
-            entity = entity_index(element, scope, self._world)
-            for item in element.iterfind("PrivateAction"):
-                yield RunningAction("init", scope.scenarios, read_action(item, scope, self._world, entity))
+        if actions is None:
+            return
+        for element in (*actions.iterfind("GlobalAction"), *actions.iterfind("UserDefinedAction")):
+            yield RunningAction("init", scope.scenarios, read_action(element, scope, self._world, None))
+        for private in _in_order_of_reference(list(actions.iterfind("Private")), scope):
+            for entity in self._entities(private, scope):
+                for item in private.iterfind("PrivateAction"):
+                    yield RunningAction("init", scope.scenarios, read_action(item, scope, self._world, entity))
+
+    def _entities(self, element: etree._Element, scope: Scope) -> list[int]:
+        members = self._world.selections.get(scope.text(element, "entityRef"))
+        return [entity_index(element, scope, self._world)] if members is None else members
 
     def _read_story(self, story: etree._Element, scope: Scope) -> Group:
         scope = scope.within(story)
-        acts = []
-        for act in story.iterfind("Act"):
+        name = story.get("name", "")
+        with self._inside(name):
+            acts = [self._read_act(act, scope) for act in story.iterfind("Act")]
+        return self._known(Group("story", name, scope.scenarios, acts))
+
+    def _read_act(self, act: etree._Element, scope: Scope) -> Group:
+        name = act.get("name", "")
+        with self._inside(name):
             groups = [self._read_group(group, scope) for group in act.iterfind("ManeuverGroup")]
-            start, stop = act.find("StartTrigger"), act.find("StopTrigger")
-            acts.append(
-                self._known(
-                    Group(
-                        "act",
-                        act.get("name", ""),
-                        scope.scenarios,
-                        groups,
-                        # An act without start trigger starts with its story, one with an empty one never does.
-                        None if start is None else read_trigger(start, scope, self._world, self),
-                        read_trigger(stop, scope, self._world, self),
-                    )
-                )
-            )
-        return self._known(Group("story", story.get("name", ""), scope.scenarios, acts))
+        start = self._start_trigger(act, scope)
+        stop = read_trigger(act.find("StopTrigger"), scope, self._world, self)
+        return self._known(Group("act", name, scope.scenarios, groups, start, stop))
+
+    def _start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
+        """Start trigger of an act or event; None, which fires at once, for a missing or an empty one."""
+        trigger = read_trigger(element.find("StartTrigger"), scope, self._world, self)
+        return None if trigger.empty else trigger
 
     def _read_group(self, group: etree._Element, scope: Scope) -> Group:
-        if int(scope.one_number(group, "maximumExecutionCount", 1.0)) != 1:
-            raise InputError(
-                f"{scope.source}, line {group.sourceline}: a <ManeuverGroup> that runs more than once is not supported"
-                " by the builtin simulator."
-            )
-        holder = group.find("Actors")
+        name, holder = group.get("name", ""), group.find("Actors")
         if holder is not None and scope.flag(holder, "selectTriggeringEntities", False):
             raise InputError(
                 f"{scope.source}, line {holder.sourceline}: selectTriggeringEntities is not supported by the builtin"
                 " simulator; name the actors with <EntityRef>."
             )
-        actors = [entity_index(e, scope, self._world) for e in group.iterfind("Actors/EntityRef")]
+        actors = [] if holder is None else entities_in(holder, scope, self._world)
         maneuvers = []
         for element in group.iterchildren("Maneuver", "CatalogReference"):
-            maneuver, inner = element, scope
             if element.tag == "CatalogReference":
-                maneuver = self._scenario.catalog_entry(
-                    scope.text(element, "catalogName"), scope.text(element, "entryName")
-                )
-                inner = scope.within(maneuver, element.find("ParameterAssignments"))
+                maneuver, inner = scope.from_catalog(element, "Maneuver")
             else:
-                inner = scope.within(maneuver)
-            events = [self._read_event(event, inner, actors) for event in maneuver.iterfind("Event")]
-            maneuvers.append(self._known(Group("maneuver", maneuver.get("name", ""), scope.scenarios, events)))
-        return self._known(Group("maneuverGroup", group.get("name", ""), scope.scenarios, maneuvers))
+                maneuver, inner = element, scope.within(element)
+            own = maneuver.get("name", "")
+            with self._inside(name), self._inside(own):
+                events = [self._read_event(event, inner, actors) for event in maneuver.iterfind("Event")]
+            with self._inside(name):
+                maneuvers.append(self._known(Group("maneuver", own, scope.scenarios, events)))
+        times = int(scope.one_number(group, "maximumExecutionCount", 1.0))
+        return self._known(Group("maneuverGroup", name, scope.scenarios, maneuvers, times=times))
 
     def _read_event(self, event: etree._Element, scope: Scope, actors: list[int]) -> Event:
         actions = []
@@ -326,9 +358,9 @@ class Storyboard:
                 for actor in actors if element.tag == "PrivateAction" else [None]:
                     running = RunningAction(name, scope.scenarios, read_action(element, scope, self._world, actor))
                     actions.append(running)
-                    self._known(running)
-        start = event.find("StartTrigger")
-        trigger = None if start is None else read_trigger(start, scope, self._world, self)
+                    with self._inside(event.get("name", "")):
+                        self._known(running)
+        trigger = self._start_trigger(event, scope)
         times = int(scope.one_number(event, "maximumExecutionCount", 1.0))
         result = Event(event.get("name", ""), scope.scenarios, actions, trigger, times)
         result.priority = scope.text(event, "priority", "parallel")
@@ -336,5 +368,39 @@ class Storyboard:
         return result
 
     def _known(self, element: E) -> E:
-        self._elements.setdefault((element.kind, element.name), element)
+        self._elements.setdefault((element.kind, element.name), []).append((element, tuple(self._parents)))
         return element
+
+    @contextmanager
+    def _inside(self, name: str) -> Iterator[None]:
+        self._parents.append(name)
+        try:
+            yield
+        finally:
+            self._parents.pop()
+
+
+def _in_order_of_reference(privates: list[etree._Element], scope: Scope) -> list[etree._Element]:
+    """Init blocks, those whose teleport is relative to an entity after the block of that entity."""
+    ordered: list[etree._Element] = []
+    placed: set[str] = set()
+    names = {private.get("entityRef", "") for private in privates}
+    left = list(privates)
+    while left:
+        ready = [one for one in left if _references(one, scope) & names <= placed | {one.get("entityRef", "")}]
+        # Two that refer to each other keep the file's order.
+        for one in ready or left[:1]:
+            ordered.append(one)
+            placed.add(one.get("entityRef", ""))
+            left.remove(one)
+    return ordered
+
+
+def _references(private: etree._Element, scope: Scope) -> set[str]:
+    kinds = ("RelativeLanePosition", "RelativeRoadPosition", "RelativeObjectPosition", "RelativeWorldPosition")
+    return {
+        scope.text(position, "entityRef")
+        for teleport in private.iter("TeleportAction")
+        for kind in kinds
+        for position in teleport.iter(kind)
+    }
