@@ -128,6 +128,16 @@ class Road:
         inner, outer = self._edges(section, lane, s)
         return np.asarray(np.abs(outer - inner))
 
+    def margins(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lateral coordinates t of the road's right and left edge, each (N,)."""
+        right, left = np.zeros(len(s)), np.zeros(len(s))
+        section = self.section_at(s)
+        for k in np.unique(section):
+            rows, lanes = section == k, self.sections[int(k)][1]
+            right[rows] = self._edges(int(k), min((*lanes, 0)), s[rows])[1]
+            left[rows] = self._edges(int(k), max((*lanes, 0)), s[rows])[1]
+        return right, left
+
     def along(self, lane: int) -> bool:
         """Whether traffic on the lane runs along s."""
         return lane == 0 or (lane < 0) == self.right_hand
@@ -300,55 +310,45 @@ class RoadNetwork:
                 place.offset[rows] = dy * np.cos(heading) - dx * np.sin(heading)
         return place
 
-    def locate_from(self, last: IntArray, x: FloatArray, y: FloatArray) -> Place:
-        """Where points are on the roads, given the road of each a moment ago, or -1.
+    def road_from(
+        self, last: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray
+    ) -> tuple[IntArray, FloatArray]:
+        """Road of points and their s on it, given the road of each, or -1, and its s a moment ago; all (N,).
 
         Where roads overlap, as in a junction, a point stays on its road as long as it can, and otherwise goes over to
         the first in the file that holds it.
         """
-        road, s, offset = last.copy(), np.zeros(len(x)), np.zeros(len(x))
-        lane = np.zeros(len(x), dtype=np.int64)
-        lost = ~self._stay(last, x, y, lane, s, offset)
+        road, s = last.copy(), last_s.copy()
+        lost = ~self._holds(last, x, y, s)
         if lost.any():
             at = np.flatnonzero(lost)
             new = self.locate(x[at], y[at])
-            road[at], lane[at], s[at], offset[at] = new.road, new.lane, new.s, new.offset
-            # Only overlapping roads are worth a second look.
+            road[at], s[at] = new.road, new.s
             for r in self._overlapping:
                 rows = at[r < road[at]]
-                found = self._stay(
-                    np.full(len(rows), r), x[rows], y[rows], *(parts := [a[rows] for a in (lane, s, offset)])
-                )
-                road[rows[found]] = r
-                for whole, part in zip((lane, s, offset), parts, strict=True):
-                    whole[rows[found]] = part[found]
-        return Place(road, lane, s, offset)
+                tree, places = self._reference(r)
+                along = places[tree.query(np.stack([x[rows], y[rows]], axis=1))[1]] if rows.size else s[rows]
+                found = self._holds(np.full(len(rows), r), x[rows], y[rows], along)
+                road[rows[found]], s[rows[found]] = r, along[found]
+        return road, s
 
-    def _stay(
-        self, road: IntArray, x: FloatArray, y: FloatArray, lane: IntArray, s: FloatArray, offset: FloatArray
-    ) -> BoolArray:
-        """Fill in lane, s and offset of points on given roads; whether each lies within its road."""
+    def _holds(self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray) -> BoolArray:
+        """Whether points lie on given roads; `s`, a first guess, becomes their s where they do."""
         inside = np.zeros(len(x), dtype=np.bool_)
         for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
             rows = np.flatnonzero((road == r) & np.isfinite(x))
-            one, (tree, samples) = self.roads[r], self._reference(int(r))
-            along = samples[tree.query(np.stack([x[rows], y[rows]], axis=1))[1]]
+            one, along = self.roads[r], s[rows]
             for _ in range(2):
-                px, py, heading = one.reference(along)
-                along = along + (x[rows] - px) * np.cos(heading) + (y[rows] - py) * np.sin(heading)
+                px, py, heading = one.reference(np.clip(along, 0.0, one.length))
+                dx, dy, cos, sin = x[rows] - px, y[rows] - py, np.cos(heading), np.sin(heading)
+                along = np.clip(along, 0.0, one.length) + dx * cos + dy * sin
+            t = dy * cos - dx * sin
             within = (along >= 0.0) & (along <= one.length)
             along = np.clip(along, 0.0, one.length)
-            px, py, heading = one.reference(along)
-            t = (y[rows] - py) * np.cos(heading) - (x[rows] - px) * np.sin(heading)
-            number, beside = self.lane_at(int(r), along, t)
-            section = one.section_at(along)
-            width = np.zeros(len(rows))
-            for k, ln in sorted({*zip(section.tolist(), number.tolist(), strict=True)}):
-                mine = (section == k) & (number == ln)
-                width[mine] = one.width(k, ln, along[mine])
-            good = within & (np.abs(beside) <= 0.5 * width)
+            right, left = one.margins(along)
+            good = within & (t >= right) & (t <= left)
             inside[rows] = good
-            lane[rows[good]], s[rows[good]], offset[rows[good]] = number[good], along[good], beside[good]
+            s[rows[good]] = along[good]
         return inside
 
     def _reference(self, road: int) -> tuple[cKDTree, FloatArray]:

@@ -15,6 +15,7 @@ from cornercase.scenario.opendrive import RoadNetwork
 from cornercase.scenario.openscenario import Scenario, driver_property
 from cornercase.scenario.space import Value
 from cornercase.simulators.builtin.driving import Driving
+from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.positions import entities_in
 from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.storyboard import Storyboard
@@ -84,31 +85,28 @@ class Batch:
         -------
         list of Recording or SimulationError, length N
         """
-        world, rows = self._world, list[FloatArray]()
+        world, steps = self._world, 0
+        history = History((5, len(world.entities), world.scenarios))
         instants = np.zeros(world.scenarios, dtype=np.int64)
         contacts: list[list[Collision]] = [[] for _ in range(world.scenarios)]
         dt = 0.0
-        while world.running.any() and len(rows) * self._time_step < self._duration + self._time_step * 1.5:
+        while world.running.any() and steps * self._time_step < self._duration + self._time_step * 1.5:
             before = world.speed.copy()
             self._storyboard.step(dt)
             for driving in self._driving:
                 driving.step(dt)
             world.move(dt)
             # Counting steps rather than adding them up keeps 0.05 s steps on the instants one expects.
-            world.time = len(rows) * self._time_step
+            world.time = steps * self._time_step
+            steps += 1
             if dt > 0:
                 world.acceleration = (world.speed - before) / dt
-            rows.append(self._row())
+            history.add((world.x, world.y, world.heading, world.speed, world.acceleration), world.present)
             instants[world.running] += 1
             self._find_collisions(contacts)
             dt = self._time_step
-        history = np.stack(rows) if rows else np.zeros((0, 5, len(world.entities), world.scenarios))
-        return [self._result(i, history, int(instants[i]), contacts[i]) for i in range(world.scenarios)]
-
-    def _row(self) -> FloatArray:
-        world = self._world
-        state = np.stack([world.x, world.y, world.heading, world.speed, world.acceleration])
-        return np.where(world.present, state, np.nan)
+        table = history.table()
+        return [self._result(i, table[i], int(instants[i]), contacts[i]) for i in range(world.scenarios)]
 
     def _find_collisions(self, contacts: list[list[Collision]]) -> None:
         world = self._world
@@ -129,7 +127,7 @@ class Batch:
         world = self._world
         if i in world.errors:
             return SimulationError(world.errors[i])
-        motion = history[:instants, :, :, i].transpose(1, 2, 0).copy()
+        motion = history[..., :instants]
         if not np.isfinite(motion[0]).any():
             return SimulationError("no entity is ever placed on the map")
         x, y, heading, speed, acceleration = motion

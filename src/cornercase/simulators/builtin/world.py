@@ -95,6 +95,8 @@ class World:
         Route that the entity was given, as index into `routes`.
     last_road : ndarray of int64, shape (E, N)
         Road on which an entity that follows no lane was when that was last asked, or -1.
+    last_s : ndarray of float64, shape (E, N)
+        Its s there, in m.
     at_end_since : ndarray of float64, shape (E, N)
         Time at which the entity came to the end of its road; infinite before.
     variables, parameters : dict of str to ndarray, each (N,)
@@ -134,7 +136,7 @@ class World:
         self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
         self.route = np.zeros(shape, dtype=np.int64)
         self.at_end_since = np.full(shape, np.inf)
-        self.last_road = np.full(shape, -1)
+        self.last_road, self.last_s = np.full(shape, -1), np.zeros(shape)
         self.variables: dict[str, Any] = {}
         self.parameters: dict[str, Any] = {}
         self.selections: dict[str, list[int]] = {}
@@ -170,7 +172,7 @@ class World:
         # A jump is no way.
         self._from_x[entity][where], self._from_y[entity][where] = pose.x[where], pose.y[where]
         self.present[entity] |= where
-        self.moved[entity] |= where
+        self.moved[entity] |= where & (self.time > 0.0)
         # Who follows a trajectory goes on with it.
         self.attach(entity, where & ((self.track[entity] == FREE) | self.on_lane(entity)), pose)
 
@@ -411,19 +413,18 @@ class World:
                 result[rows] = (y - at_y) * np.cos(heading) - (x - at_x) * np.sin(heading)
         return np.asarray(result)
 
-    def along_road(self, entity: int) -> FloatArray:
-        """Cosine between an entity's heading and the road that it is on, without sign, shape (N,)."""
-        if self.network is None:
-            return np.ones(self.scenarios)
-        on_lane = self.on_lane(entity)
-        if on_lane.all():
-            return np.asarray(np.abs(np.cos(self.turn[entity])))
-        place = self.network.locate_from(self.last_road[entity], self.x[entity], self.y[entity])
-        self.last_road[entity] = place.road
-        pose = Pose(self.x[entity], self.y[entity], self.heading[entity], *place)
-        return np.where(
-            on_lane, np.abs(np.cos(self.turn[entity])), np.abs(np.cos(pose.heading - self.road_heading(pose)))
-        )
+    def along_road(self, entity: int, where: BoolArray) -> FloatArray:
+        """Cosine between an entity's heading and the road that it is on, without sign, shape (N,); 1 elsewhere."""
+        angle = np.where(where, self.turn[entity], 0.0)
+        at = np.flatnonzero(where & ~self.on_lane(entity))
+        if self.network is not None and at.size:
+            x, y, heading = self.x[entity][at], self.y[entity][at], self.heading[entity][at]
+            road, s = self.network.road_from(self.last_road[entity][at], self.last_s[entity][at], x, y)
+            self.last_road[entity][at], self.last_s[entity][at] = road, s
+            for one in np.unique(road):
+                mine = road == one
+                angle[at[mine]] = heading[mine] - self.network.roads[int(one)].reference(s[mine])[2]
+        return np.asarray(np.abs(np.cos(angle)))
 
     def lateral_speed(self, entity: int) -> FloatArray:
         """Speed across the entity's track in m/s, shape (N,); positive to the left."""
@@ -438,7 +439,7 @@ class World:
             way = np.sign(way) * np.sqrt(np.maximum(way**2 - self.sideways[e] ** 2, 0.0))
             way = np.where(rows & ~self.moved[e], way, 0.0)
             for k, track in enumerate(self.tracks[e]):
-                at = np.flatnonzero(rows & (self.track[e] == k))
+                at = np.flatnonzero(rows & ~self.moved[e] & (self.track[e] == k))
                 if at.size:
                     self._advance(e, track, at, way[at])
             free = rows & (self.track[e] == FREE)
