@@ -319,7 +319,7 @@ class RoadNetwork:
         the first in the file that holds it.
         """
         road, s = last.copy(), last_s.copy()
-        lost = ~self._holds(last, x, y, s)
+        lost = ~self._holds(last, x, y, s, 1)
         if lost.any():
             at = np.flatnonzero(lost)
             new = self.locate(x[at], y[at])
@@ -328,17 +328,17 @@ class RoadNetwork:
                 rows = at[r < road[at]]
                 tree, places = self._reference(r)
                 along = places[tree.query(np.stack([x[rows], y[rows]], axis=1))[1]] if rows.size else s[rows]
-                found = self._holds(np.full(len(rows), r), x[rows], y[rows], along)
+                found = self._holds(np.full(len(rows), r), x[rows], y[rows], along, 2)
                 road[rows[found]], s[rows[found]] = r, along[found]
         return road, s
 
-    def _holds(self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray) -> BoolArray:
+    def _holds(self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, projections: int) -> BoolArray:
         """Whether points lie on given roads; `s`, a first guess, becomes their s where they do."""
         inside = np.zeros(len(x), dtype=np.bool_)
         for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
             rows = np.flatnonzero((road == r) & np.isfinite(x))
             one, along = self.roads[r], s[rows]
-            for _ in range(2):
+            for _ in range(projections):
                 px, py, heading = one.reference(np.clip(along, 0.0, one.length))
                 dx, dy, cos, sin = x[rows] - px, y[rows] - py, np.cos(heading), np.sin(heading)
                 along = np.clip(along, 0.0, one.length) + dx * cos + dy * sin
