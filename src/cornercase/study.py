@@ -327,8 +327,8 @@ class Study:
         """One row per scenario, by column; None where there is no value."""
         rows, done = self.rows(), [row.id for row in self.done()]
         table: dict[str, list[Any]] = {key: [getattr(row, key) for row in rows] for key in ("id", "round", "state")}
-        for name in self.space.names:
-            table[name] = [row.values[name] for row in rows]
+        for parameter in self.space.parameters:
+            table[parameter.name] = [parameter.read(row.values) for row in rows]
         for name in self.meta["metrics"]:
             scores = dict(zip(done, self.scores(name).tolist(), strict=True))
             table[name] = [scores.get(row.id) for row in rows]

@@ -71,7 +71,7 @@ class _Page:
         self._values: FloatArray = np.array(
             [
                 [
-                    p.choices.index(str(row.values[p.name])) if p.choices else row.values[p.name]
+                    p.choices.index(str(p.read(row.values))) if p.choices else p.read(row.values)
                     for p in study.space.parameters
                 ]
                 for row in self._rows
@@ -214,7 +214,7 @@ class _Page:
                     item["file"],
                     str(item["cluster"]),
                     item["role"],
-                    *(_number(item["values"][name]) for name in self._study.space.names),
+                    *(_number(p.read(item["values"])) for p in self._study.space.parameters),
                     *(f"{item['scores'][m.name]:.3g}" for m in self._metrics),
                     item["why"],
                 ]

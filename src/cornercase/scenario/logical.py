@@ -75,7 +75,7 @@ class LogicalScenario:
         if varied is None:
             raise InputError(f"{scenario}: nothing is varied; give a --space file or a --range NAME=LOW:HIGH.")
         file = Scenario.read(scenario)
-        file.require_parameters(list(varied.names))
+        file.require_parameters(list(varied.assigns))
         return cls(Path(scenario), varied, file.fingerprint())
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:

@@ -39,6 +39,9 @@ class Parameter:
     distribution : Distribution or None
         Turns the unit interval into values by its inverse distribution function, so that a likely value has a large
         share of it; None means uniform.
+    sets : tuple of tuple of (str, str)
+        For each choice, the scenario's parameters that it sets together, and their values; empty where it sets but the
+        one of its own name.
     """
 
     name: str
@@ -48,6 +51,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     unit: str = ""
     distribution: Distribution | None = None
+    sets: tuple[tuple[tuple[str, str], ...], ...] = ()
 
     @property
     def size(self) -> int | None:
@@ -55,6 +59,22 @@ class Parameter:
         if self.choices:
             return len(self.choices)
         return None if self.step is None else int(np.floor((self.high - self.low) / self.step + 1e-9)) + 1
+
+    def assigned(self, u: float) -> dict[str, Value]:
+        """Parameters of the scenario, and their values, at a place of the unit interval."""
+        if not self.sets:
+            return {self.name: self.value(u)}
+        (k,) = self.numbers(np.array([u])).tolist()
+        return dict(self.sets[k])
+
+    def read(self, values: Mapping[str, Value]) -> Value:
+        """Value among those of a concrete scenario; for values set together, the choice that they are."""
+        if not self.sets:
+            return values[self.name]
+        for choice, members in zip(self.choices, self.sets, strict=True):
+            if all(str(values.get(name)) == value for name, value in members):
+                return choice
+        raise InputError(f"No value set of {self.name} has these values.")
 
     def value(self, u: float) -> Value:
         """Value at a place of the unit interval."""
@@ -121,6 +141,11 @@ class ParameterSpace:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
+    def assigns(self) -> tuple[str, ...]:
+        """Names of all parameters of the scenario that a point gives values to."""
+        return tuple(name for p in self.parameters for name in (dict(p.sets[0]) if p.sets else (p.name,)))
+
+    @property
     def dimension(self) -> int:
         """Number of parameters."""
         return len(self.parameters)
@@ -159,11 +184,8 @@ class ParameterSpace:
         """
         distribution = _distribution_element(path)
         parameters = []
-        if distribution.find(".//DeterministicMultiParameterDistribution") is not None:
-            raise InputError(
-                f"{path}: value sets of several parameters are not read (<DeterministicMultiParameterDistribution>);"
-                " vary the parameters one by one."
-            )
+        for element in distribution.iterfind(".//DeterministicMultiParameterDistribution"):
+            parameters.append(_value_sets(element, str(path)))
         for element in distribution.iterfind(".//DeterministicSingleParameterDistribution"):
             parameters.append(_deterministic(element, str(path)))
         for element in distribution.iterfind(".//StochasticDistribution"):
@@ -173,7 +195,7 @@ class ParameterSpace:
             parameters.append(Parameter(name, law.low, law.high, step, choices, distribution=law))
         if not parameters:
             raise InputError(f"{path}: varies no parameter.")
-        _require_names([parameter.name for parameter in parameters], str(path))
+        _require_names(cls(parameters).assigns, str(path))
         return cls([_with_unit(parameter, distribution) for parameter in parameters])
 
     @staticmethod
@@ -187,8 +209,10 @@ class ParameterSpace:
 
     def with_ranges(self, ranges: Sequence[str]) -> ParameterSpace:
         """Space with parameters added, or replaced where the name is the same."""
-        merged = {parameter.name: parameter for parameter in self.parameters}
-        for parameter in ParameterSpace.from_ranges(ranges).parameters if ranges else ():
+        new = ParameterSpace.from_ranges(ranges).parameters if ranges else ()
+        kept = [_without(parameter, {one.name for one in new}) for parameter in self.parameters]
+        merged = {parameter.name: parameter for parameter in kept if parameter is not None}
+        for parameter in new:
             before = merged.get(parameter.name)
             merged[parameter.name] = parameter if before is None else replace(parameter, unit=before.unit)
         return ParameterSpace(list(merged.values()))
@@ -196,14 +220,18 @@ class ParameterSpace:
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
         """Values at points of the unit cube, shape (n, d)."""
         return [
-            {parameter.name: parameter.value(float(u)) for parameter, u in zip(self.parameters, point, strict=True)}
+            {
+                name: value
+                for parameter, u in zip(self.parameters, point, strict=True)
+                for name, value in parameter.assigned(float(u)).items()
+            }
             for point in np.clip(points, 0.0, 1.0)
         ]
 
     def points(self, values: Sequence[Mapping[str, Value]]) -> FloatArray:
         """Points of the unit cube of values, shape (n, d)."""
         return np.array(
-            [[parameter.unit_place(one[parameter.name]) for parameter in self.parameters] for one in values]
+            [[parameter.unit_place(parameter.read(one)) for parameter in self.parameters] for one in values]
         ).reshape(-1, self.dimension)
 
     def snap(self, points: FloatArray) -> FloatArray:
@@ -242,6 +270,7 @@ class ParameterSpace:
                 "choices": list(p.choices),
                 "unit": p.unit,
                 "distribution": None if p.distribution is None else p.distribution.to_json(),
+                "sets": [dict(members) for members in p.sets],
             }
             for p in self.parameters
         ]
@@ -259,10 +288,45 @@ class ParameterSpace:
                     tuple(p["choices"]),
                     p["unit"],
                     None if p["distribution"] is None else from_json(p["distribution"]),
+                    tuple(tuple(members.items()) for members in p.get("sets", ())),
                 )
                 for p in plain
             ]
         )
+
+
+def _value_sets(element: Any, path: str) -> Parameter:
+    """Parameters whose values go together, as one with a choice for each set."""
+    sets = []
+    for one in element.iterfind("ValueSetDistribution/ParameterValueSet"):
+        members = [(e.get("parameterRef", "").lstrip("$"), e.get("value", "")) for e in one.iterchildren("*")]
+        sets.append(tuple(sorted(members)))
+    names = [name for name, _ in sets[0]] if sets else []
+    if not names or any([name for name, _ in members] != names for members in sets):
+        raise InputError(
+            f"{path}: each <ParameterValueSet> of a distribution must set the same parameters, at least one."
+        )
+    return _of_sets(tuple(dict.fromkeys(sets)))
+
+
+def _of_sets(sets: tuple[tuple[tuple[str, str], ...], ...]) -> Parameter:
+    # What is the same in all sets says nothing about one of them.
+    telling = [k for k in range(len(sets[0])) if len({members[k] for members in sets}) > 1] or [0]
+    labels = tuple(", ".join(members[k][1] for k in telling) for members in sets)
+    if len(set(labels)) < len(labels):
+        labels = tuple(f"{k + 1}: {label}" for k, label in enumerate(labels))
+    name = ", ".join(sets[0][k][0] for k in telling)
+    return Parameter(name, 0.0, len(sets) - 1.0, None, labels, sets=sets)
+
+
+def _without(parameter: Parameter, names: set[str]) -> Parameter | None:
+    """Parameter without those of its members that are varied by themselves; None where nothing is left."""
+    if not parameter.sets:
+        return parameter
+    sets = tuple(
+        dict.fromkeys(tuple(member for member in members if member[0] not in names) for members in parameter.sets)
+    )
+    return _of_sets(sets) if sets[0] else None
 
 
 def _parse_range(text: str) -> Parameter:

@@ -106,7 +106,8 @@ class BuiltinSimulator:
                 self._drivers,
             )
         except VariesError as varies:
-            if not varies.names or varies.names <= known:
+            differing = {tuple(concretes[i].values.get(name) for name in sorted(varies.names)) for i in chosen}
+            if len(differing) < 2:
                 raise InputError(f"{scenario.path}: an attribute that must be one value {varies}.") from None
             known |= varies.names
             for group in self._groups(concretes, chosen):

@@ -81,7 +81,7 @@ class Scope:
             default = declaration.get("value", "")
             texts = [values.get(name, default) for values in concretes]
             if kind in _NUMERIC:
-                scope.values[name] = np.array([scope._float(text, declaration) for text in texts])
+                scope.values[name] = np.array([scope._number(text, declaration) for text in texts])
             else:
                 different = {str(text) for text in texts}
                 if len(different) > 1:
@@ -222,6 +222,10 @@ class Scope:
         except InputError as error:
             raise self._error(element, attribute, f"cannot be evaluated. {error}") from None
         return text
+
+    def _number(self, value: Value, element: etree._Element) -> float:
+        """Value given for a parameter, which may be an expression itself."""
+        return self._float(self._value(value, element) if isinstance(value, str) else value, element)
 
     def _float(self, text: Value, element: etree._Element, attribute: str = "value") -> float:
         try:
