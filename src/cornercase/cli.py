@@ -76,6 +76,9 @@ def explore(
         list[str] | None,
         typer.Option("--range", metavar="NAME=LOW:HIGH[:STEP]", help="Adds or replaces a parameter."),
     ] = None,
+    continuous: Annotated[
+        bool, typer.Option("--continuous", help="Search ranges that have steps as intervals.")
+    ] = False,
     optimizer: Annotated[str, typer.Option(metavar="NAME", help="bayes, sobol, grid or random.")] = "bayes",
     budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=1)] = 200,
     batch: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios per round.", min=1)] = 10,
@@ -107,7 +110,7 @@ def explore(
     _explore(
         explore_scenario,
         Exploration(
-            LogicalScenario.read(scenario, space, ranges or ()),
+            LogicalScenario.read(scenario, space, ranges or (), continuous),
             ego=ego,
             other=other,
             metrics=tuple(metric),
@@ -126,6 +129,44 @@ def explore(
         ),
         output,
     )
+
+
+@app.command()
+def check(
+    scenario: ScenarioFile,
+    *,
+    space: Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")] = None,
+) -> None:
+    """Tell what a scenario file holds, what of it has no effect here, and whether it is valid and can be run.
+
+    \b
+    Example:
+      cornercase check examples/x_intersection/x_intersection.xosc \\
+          --space examples/x_intersection/x_intersection.space.xosc
+    """
+    from cornercase.scenario.check import check_scenario
+
+    found = check_scenario(scenario, space)
+    for key, count in found.contents.items():
+        _out.print(f"{key}: {count}")
+    _out.print(f"parameters: {', '.join(found.parameters) or 'none'}", markup=False)
+    if found.variables:
+        _out.print(f"variables: {', '.join(found.variables)}", markup=False)
+    if found.ignored:
+        _out.print("without effect: " + ", ".join(f"{tag} ({count})" for tag, count in found.ignored.items()))
+    if found.schema is None:
+        _out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'", markup=False)
+    else:
+        _out.print(f"schema {found.schema}: {'valid' if not found.invalid else 'not valid'}")
+    for line in (*found.invalid, *found.trouble):
+        _out.print(f"  {line}", markup=False)
+    for line in found.space:
+        _out.print(f"varied: {line}", markup=False)
+    if found.space:
+        _out.print(f"concrete scenarios: {'infinitely many' if found.size is None else found.size}")
+    _out.print("can be run" if not found.trouble else "cannot be run")
+    if not found.good:
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -35,7 +35,8 @@ class GridOptimizer:
                 break
             steps[grown] += 1
         grid = space.lattice(steps)
-        self._points = grid[_spread_out(steps)]
+        grid = grid[_spread_out(steps)]
+        self._points = grid[space.admits(grid)]
 
     def ask(self, n: int) -> FloatArray:
         """Return the next at most `n` points of the grid, shape (m, d)."""

@@ -34,7 +34,7 @@ class SequenceOptimizer:
         self._told: set[bytes] = set()
         self._sequence = np.zeros((0, space.dimension))
         self._keys: list[bytes] = []
-        self._first, self._over = 0, False
+        self._first, self._drawn, self._over = 0, 0, False
         self._random = np.random.default_rng(seed)
         self._sobol = qmc.Sobol(space.dimension, scramble=True, seed=np.random.default_rng(seed))
 
@@ -57,19 +57,21 @@ class SequenceOptimizer:
 
     def _lengthen(self) -> bool:
         """Draw as many points again; False when there are no more."""
-        size, drawn = self._space.size, len(self._keys)
-        if self._over or drawn >= _MOST + 4 * len(self._told):
+        size = self._space.size
+        if self._over or self._drawn >= _MOST + 4 * len(self._told):
             return False
-        if size is not None and size <= _MOST // 4 and drawn >= 4 * size:
+        if size is not None and size <= _MOST // 4 and self._drawn >= 4 * size:
             points = np.random.default_rng(self._seed).permutation(self._space.lattice())
             self._over = True
         else:
-            count = max(_CHUNK, drawn)
+            count = max(_CHUNK, self._drawn)
+            self._drawn += count
             points = self._space.snap(
                 self._sobol.random(count)
                 if self.name == "sobol"
                 else self._random.random((count, self._space.dimension))
             )
+        points = points[self._space.admits(points)]
         self._sequence = np.concatenate([self._sequence, points])
         self._keys += [point.tobytes() for point in points]
         return True

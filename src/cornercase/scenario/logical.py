@@ -6,9 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from cornercase.errors import InputError
 from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.scope import Scope, VariesError
 from cornercase.scenario.space import ParameterSpace, Value
+from cornercase.typing import BoolArray
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,24 @@ class ConcreteScenario:
 
     path: Path
     values: Mapping[str, Value] = field(default_factory=dict)
+
+
+def admitted(file: Scenario, values: Sequence[Mapping[str, Value]]) -> BoolArray:
+    """Which concrete scenarios fulfil the constraint groups of a file's parameters, shape (n,)."""
+    result = np.ones(len(values), dtype=np.bool_)
+    try:
+        scope = Scope.of_file(str(file.path), file.root, values)
+    except VariesError as varies:
+        # Texts have one value for all; so each combination of them is looked at by itself.
+        names = sorted(varies.names)
+        keys = [tuple(str(one.get(name)) for name in names) for one in values]
+        for key in dict.fromkeys(keys):
+            rows = [i for i, one in enumerate(keys) if one == key]
+            result[rows] = admitted(file, [values[i] for i in rows])
+        return result
+    for broken in scope.violations(file.root).values():
+        result &= ~broken
+    return result
 
 
 @dataclass(frozen=True)
@@ -47,7 +69,11 @@ class LogicalScenario:
 
     @classmethod
     def read(
-        cls, scenario: Path | str | None, space: Path | str | None = None, ranges: Sequence[str] = ()
+        cls,
+        scenario: Path | str | None,
+        space: Path | str | None = None,
+        ranges: Sequence[str] = (),
+        continuous: bool = False,
     ) -> LogicalScenario:
         """Read a logical scenario.
 
@@ -59,6 +85,8 @@ class LogicalScenario:
             ParameterValueDistribution file.
         ranges : sequence of str
             ``NAME=LOW:HIGH[:STEP]``; they add to the space or replace what it says.
+        continuous : bool, default False
+            Search ranges that have steps as intervals.
 
         Raises
         ------
@@ -76,6 +104,10 @@ class LogicalScenario:
             raise InputError(f"{scenario}: nothing is varied; give a --space file or a --range NAME=LOW:HIGH.")
         file = Scenario.read(scenario)
         file.require_parameters(list(varied.assigns))
+        varied = varied.continuous() if continuous else varied
+        if file.root.find("ParameterDeclarations/ParameterDeclaration/ConstraintGroup") is not None:
+            whole = varied
+            varied = varied.limited(lambda points: admitted(file, whole.values(points)))
         return cls(Path(scenario), varied, file.fingerprint())
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:

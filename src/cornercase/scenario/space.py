@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,9 +14,12 @@ import numpy as np
 from cornercase.errors import InputError
 from cornercase.scenario.distributions import Distribution, from_json, read_distribution
 from cornercase.scenario.xml import read_xml
-from cornercase.typing import FloatArray, IntArray
+from cornercase.typing import BoolArray, FloatArray, IntArray
 
 Value = float | str
+
+# So many points are looked at to see whether constraints leave anything.
+_SAMPLED = 2048
 
 _RANGE = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::(?P<step>[^:]+))?")
 
@@ -59,6 +62,11 @@ class Parameter:
         if self.choices:
             return len(self.choices)
         return None if self.step is None else int(np.floor((self.high - self.low) / self.step + 1e-9)) + 1
+
+    @property
+    def assigns(self) -> tuple[str, ...]:
+        """Names of the scenario's parameters that it gives values to."""
+        return tuple(dict(self.sets[0])) if self.sets else (self.name,)
 
     def assigned(self, u: float) -> dict[str, Value]:
         """Parameters of the scenario, and their values, at a place of the unit interval."""
@@ -125,10 +133,15 @@ class ParameterSpace:
     ----------
     parameters : sequence of Parameter
         At least one; no name twice.
+    admits : callable, optional
+        Points, shape (n, d), to whether each stands for a scenario that may be, shape (n,); by default all do.
     """
 
-    def __init__(self, parameters: Sequence[Parameter]) -> None:
+    def __init__(
+        self, parameters: Sequence[Parameter], admits: Callable[[FloatArray], BoolArray] | None = None
+    ) -> None:
         self.parameters = tuple(parameters)
+        self._admits = admits
         if not self.parameters:
             raise InputError("The parameter space is empty; vary at least one parameter.")
         for name in self.names:
@@ -143,7 +156,7 @@ class ParameterSpace:
     @property
     def assigns(self) -> tuple[str, ...]:
         """Names of all parameters of the scenario that a point gives values to."""
-        return tuple(name for p in self.parameters for name in (dict(p.sets[0]) if p.sets else (p.name,)))
+        return tuple(name for parameter in self.parameters for name in parameter.assigns)
 
     @property
     def dimension(self) -> int:
@@ -195,7 +208,7 @@ class ParameterSpace:
             parameters.append(Parameter(name, law.low, law.high, step, choices, distribution=law))
         if not parameters:
             raise InputError(f"{path}: varies no parameter.")
-        _require_names(cls(parameters).assigns, str(path))
+        _require_names([name for p in parameters for name in p.assigns], str(path))
         return cls([_with_unit(parameter, distribution) for parameter in parameters])
 
     @staticmethod
@@ -217,6 +230,34 @@ class ParameterSpace:
             merged[parameter.name] = parameter if before is None else replace(parameter, unit=before.unit)
         return ParameterSpace(list(merged.values()))
 
+    def continuous(self) -> ParameterSpace:
+        """Space in which ranges with steps are intervals."""
+        return ParameterSpace([replace(one, step=None) if not one.choices else one for one in self.parameters])
+
+    def limited(self, admits: Callable[[FloatArray], BoolArray]) -> ParameterSpace:
+        """Space without what `admits` does not admit.
+
+        Raises
+        ------
+        InputError
+            Hardly anything would be left of it.
+        """
+        space = ParameterSpace(self.parameters, admits)
+        few = self.size is not None and self.size <= _SAMPLED
+        some = self.lattice() if few else np.random.default_rng(0).random((_SAMPLED, self.dimension))
+        if not space.admits(self.snap(some)).any():
+            raise InputError(
+                f"None of {len(some)} concrete scenarios fulfils the constraints of the scenario's parameters; vary"
+                " them within their constraints."
+            )
+        return space
+
+    def admits(self, points: FloatArray) -> BoolArray:
+        """Whether points stand for scenarios that may be, shape (n,)."""
+        if self._admits is None or len(points) == 0:
+            return np.ones(len(points), dtype=np.bool_)
+        return self._admits(points)
+
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
         """Values at points of the unit cube, shape (n, d)."""
         return [
@@ -233,6 +274,14 @@ class ParameterSpace:
         return np.array(
             [[parameter.unit_place(parameter.read(one)) for parameter in self.parameters] for one in values]
         ).reshape(-1, self.dimension)
+
+    def middle(self) -> FloatArray:
+        """Point in the middle of the space that it admits, shape (1, d)."""
+        points = np.concatenate(
+            [np.full((1, self.dimension), 0.5), np.random.default_rng(0).random((_SAMPLED, self.dimension))]
+        )
+        points = self.snap(points)
+        return points[self.admits(points)][:1]
 
     def snap(self, points: FloatArray) -> FloatArray:
         """Points of what is really run, shape (n, d): the middle of each step or choice."""

@@ -9,8 +9,8 @@ from cornercase.errors import InputError, SimulationError
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.scope import VariesError
 from cornercase.simulators.builtin.batch import Batch
-from cornercase.simulators.builtin.scope import VariesError
 
 # A batch keeps the whole motion of its scenarios; this many take about 300 MB for four entities and 400 instants.
 _LARGEST_BATCH = 4096

@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError, suggestion
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.following import FollowTrajectoryAction
 from cornercase.simulators.builtin.lateral import LaneChangeAction, LaneOffsetAction, LateralDistanceAction
 from cornercase.simulators.builtin.longitudinal import (
@@ -17,7 +18,6 @@ from cornercase.simulators.builtin.longitudinal import (
     child,
 )
 from cornercase.simulators.builtin.positions import entity_index, read_position, read_route
-from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.speed_profile import SpeedProfileAction
 from cornercase.simulators.builtin.synchronise import SynchronizeAction
 from cornercase.simulators.builtin.world import World

@@ -13,11 +13,11 @@ from cornercase.errors import InputError, SimulationError, suggestion
 from cornercase.recording import Collision, Recording
 from cornercase.scenario.opendrive import RoadNetwork
 from cornercase.scenario.openscenario import Scenario, driver_property
+from cornercase.scenario.scope import Scope
 from cornercase.scenario.space import Value
 from cornercase.simulators.builtin.driving import Driving
 from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.positions import entities_in
-from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.storyboard import Storyboard
 from cornercase.simulators.builtin.world import Entity, World
 from cornercase.typing import BoolArray, FloatArray
@@ -67,6 +67,8 @@ class Batch:
         self._world.variables = scope.declared(
             scenario.root, "VariableDeclarations/VariableDeclaration", "variableType"
         )
+        for name, broken in scope.violations(scenario.root).items():
+            self._world.fail(broken, f"the value of {name} breaks a constraint of its declaration")
         self._time_step, self._duration = time_step, duration
         self._stop_at_collision = stop_at_collision
         asked = {e.get("name", ""): driver_property(e) for e in objects}

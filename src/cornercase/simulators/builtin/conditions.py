@@ -9,9 +9,9 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError, suggestion
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.entity_conditions import BY_ENTITY, TOLERANCE, EntityTest, rule_of
 from cornercase.simulators.builtin.positions import entities_in
-from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import BoolArray, FloatArray
 
@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from cornercase.simulators.builtin.storyboard import Element
 
 Test = Callable[[World], BoolArray]
+
+# What only a user's own program, a traffic light or the hour of the day could make true.
+NEVER_TRUE: Final = (
+    "UserDefinedValueCondition", "TrafficSignalCondition", "TrafficSignalControllerCondition", "TimeOfDayCondition",
+)  # fmt: skip
 
 
 class Elements(Protocol):
@@ -224,8 +229,5 @@ _BY_VALUE: Final[dict[str, Callable[[etree._Element, Scope, World, Elements], Te
     "StoryboardElementStateCondition": _element_state,
     "ParameterCondition": _held,
     "VariableCondition": _held,
-    "UserDefinedValueCondition": _never,
-    "TrafficSignalCondition": _never,
-    "TrafficSignalControllerCondition": _never,
-    "TimeOfDayCondition": _never,
+    **dict.fromkeys(NEVER_TRUE, _never),
 }

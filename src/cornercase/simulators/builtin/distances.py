@@ -9,7 +9,7 @@ from lxml import etree
 
 from cornercase.errors import InputError
 from cornercase.geometry import box_corners
-from cornercase.simulators.builtin.scope import Scope
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.tracks import Pose
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import FloatArray

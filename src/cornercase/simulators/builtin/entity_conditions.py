@@ -9,9 +9,9 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError, suggestion
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.distances import Gap, read_gap
 from cornercase.simulators.builtin.positions import entities_in, entity_index, read_position
-from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import BoolArray, FloatArray
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from lxml import etree
 
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.longitudinal import identities
-from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.shapes import read_trajectory
 from cornercase.simulators.builtin.trajectories import Trajectory
 from cornercase.simulators.builtin.world import LATERAL, LONGITUDINAL, World

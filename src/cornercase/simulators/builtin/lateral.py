@@ -8,9 +8,9 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.longitudinal import child, identities
 from cornercase.simulators.builtin.positions import entity_index, shifted_lane
-from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.transitions import (
     Transition,
     require_shape,

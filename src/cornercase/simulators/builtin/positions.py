@@ -10,7 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError, suggestion
-from cornercase.simulators.builtin.scope import Scope
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.tracks import Pose
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import FloatArray, IntArray

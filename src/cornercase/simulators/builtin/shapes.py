@@ -8,8 +8,8 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.positions import read_position
-from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.trajectories import ClothoidSpline, Polyline, Trajectory, nurbs_points
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import FloatArray

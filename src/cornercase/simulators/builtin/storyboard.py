@@ -11,10 +11,10 @@ from lxml import etree
 
 from cornercase.errors import InputError
 from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.actions import Action, read_action
 from cornercase.simulators.builtin.conditions import Trigger, read_trigger
 from cornercase.simulators.builtin.positions import entities_in, entity_index
-from cornercase.simulators.builtin.scope import Scope
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import BoolArray
 

@@ -8,7 +8,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError
-from cornercase.simulators.builtin.scope import Scope
+from cornercase.scenario.scope import Scope
 from cornercase.typing import FloatArray
 
 # The largest slope of a transition from 0 to 1 over unit time.

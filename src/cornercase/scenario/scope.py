@@ -9,9 +9,10 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError, suggestion
+from cornercase.scenario.constraints import violations
 from cornercase.scenario.expressions import evaluate, names_in
 from cornercase.scenario.space import Value
-from cornercase.typing import FloatArray
+from cornercase.typing import BoolArray, FloatArray
 
 Catalogs = Callable[[str, str], etree._Element]
 """Name of a catalog and of an entry to the entry."""
@@ -119,6 +120,13 @@ class Scope:
                 text = {"1": "true", "0": "false"}.get(text, text) if declaration.get(kind) == "boolean" else text
                 values[declaration.get("name", "")] = np.full(self.scenarios, text)
         return values
+
+    def violations(self, root: etree._Element) -> dict[str, BoolArray]:
+        """Where parameters break the constraints of their declarations, each (N,); without those that never do."""
+        return violations(root, self.source, self.scenarios, self.values.__getitem__, self._bound)
+
+    def _bound(self, text: str) -> Any:
+        return evaluate(text.strip()[2:-1], self.values) if text.strip().startswith("${") else text
 
     def referred(self, holder: etree._Element, tag: str) -> tuple[etree._Element, Scope]:
         """Element of a kind that stands in `holder` or in a catalog that it refers to, and the scope to read it in.
