@@ -211,20 +211,30 @@ def write_concrete(
             if element.get("name") == name:
                 _set_driver(element, driver)
 
-    road = scenario._parameter_text(scenario.logic_file())
     logic_file = root.find("RoadNetwork/LogicFile")
-    if road and logic_file is not None and not scenario.logic_file().startswith("$"):
-        source = scenario.beside(road, "road file")
+    if logic_file is not None and logic_file.get("filepath"):
+        holder, attribute = _holder(root, logic_file, "filepath")
+        source = scenario.beside(holder.get(attribute, ""), "road file")
         _copy(source, target.parent / source.name)
-        logic_file.set("filepath", source.name)
+        holder.set(attribute, source.name)
     for directory in root.iterfind("CatalogLocations//Directory"):
-        folder = scenario.beside(directory.get("path", ""), "catalog location")
+        holder, attribute = _holder(root, directory, "path")
+        folder = scenario.beside(holder.get(attribute, ""), "catalog location")
         for file in sorted(folder.glob("*.xosc")):
             _copy(file, target.parent / "catalogs" / folder.name / file.name)
-        directory.set("path", f"catalogs/{folder.name}")
+        holder.set(attribute, f"catalogs/{folder.name}")
 
     with written_whole(target) as temporary:
         tree.write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
+
+
+def _holder(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:
+    """Where a path really stands: in the attribute, or in the declaration of the parameter that it names."""
+    text = element.get(attribute, "")
+    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+        if text == f"${declaration.get('name')}":
+            return declaration, "value"
+    return element, attribute
 
 
 def value_text(value: Value) -> str:
