@@ -19,6 +19,7 @@ Operand = Any  # float, bool or str, or an array of them over concrete scenarios
 
 _MOST_CHARACTERS: Final = 10_000
 _MOST_NESTED: Final = 100
+_MOST_SHOWN: Final = 100
 
 _TOKEN: Final = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|\$?(?P<name>[A-Za-z_][\w.]*)"
@@ -88,7 +89,7 @@ def evaluate(expression: str, values: Mapping[str, Operand]) -> Operand:
         with np.errstate(all="ignore"):
             result = parser.binary(0, 0)
     except TypeError:
-        raise InputError(f"The expression '{expression}' mixes text and numbers.") from None
+        raise InputError(f"The expression '{_shortened(expression)}' mixes text and numbers.") from None
     parser.end()
     return result
 
@@ -110,10 +111,15 @@ def _tokens(expression: str) -> Iterator[tuple[str, str]]:
     while expression[position:].strip():
         match = _TOKEN.match(expression, position)
         if match is None:
-            raise InputError(f"The expression '{expression}' cannot be read at '{expression[position:].strip()[:20]}'.")
+            rest = expression[position:].strip()[:20]
+            raise InputError(f"The expression '{_shortened(expression)}' cannot be read at '{rest}'.")
         position = match.end()
         kind = str(match.lastgroup)
         yield kind, match.group(kind)
+
+
+def _shortened(expression: str) -> str:
+    return expression if len(expression) <= _MOST_SHOWN else f"{expression[:_MOST_SHOWN]}…"
 
 
 class _Parser:
@@ -125,7 +131,7 @@ class _Parser:
 
     def binary(self, weakest: int, depth: int) -> Operand:
         if depth > _MOST_NESTED:
-            raise InputError(f"The expression '{self._expression[:60]}…' is nested more than {_MOST_NESTED} deep.")
+            raise self._error(f"it is nested more than {_MOST_NESTED} deep")
         left = self._unary(depth)
         while (word := self._peek()) in _BINARY and _BINARY[word][0] > weakest:
             self._next += 1
@@ -195,4 +201,4 @@ class _Parser:
         self._next += 1
 
     def _error(self, why: str) -> InputError:
-        return InputError(f"The expression '{self._expression}' cannot be read: {why}.")
+        return InputError(f"The expression '{_shortened(self._expression)}' cannot be read: {why}.")

@@ -19,6 +19,7 @@ from cornercase.scenario.reference_line import Geometry, read_geometry
 from cornercase.scenario.xml import read_xml
 from cornercase.typing import BoolArray, FloatArray, IntArray
 
+_LONGEST_ROAD: Final = 1e5
 _LONGEST_PATH: Final = 5000.0
 _LONGEST_BACK: Final = 500.0
 _LONGEST_LOOP: Final = 3000.0
@@ -573,6 +574,8 @@ def _road(element: etree._Element, where: str) -> Road:
     length = _float(element, "length", where)
     if length <= 0:
         raise InputError(f"{where}: has the length {length:g} m; it must be above 0.")
+    if length > _LONGEST_ROAD:
+        raise InputError(f"{where}: is {length:g} m long; at most {_LONGEST_ROAD:g} m are read.")
     geometries = tuple(
         sorted((read_geometry(e, where) for e in element.iterfind("planView/geometry")), key=lambda g: g.s)
     )

@@ -17,6 +17,7 @@ from cornercase.typing import BoolArray, FloatArray
 Catalogs = Callable[[str, str], etree._Element]
 """Name of a catalog and of an entry to the entry."""
 
+_DEEPEST = 20
 _NUMERIC = {"double", "integer", "int", "unsignedInt", "unsignedShort"}
 
 
@@ -61,6 +62,8 @@ class Scope:
         self.values = dict(values)
         self._origins = dict(origins)
         self._catalogs = catalogs
+        self._depth = 0
+        self._undefined = np.zeros(scenarios, dtype=np.bool_)
 
     @classmethod
     def of_file(
@@ -98,6 +101,7 @@ class Scope:
     def within(self, element: etree._Element, assignments: etree._Element | None = None) -> Scope:
         """Scope of a catalog entry or maneuver: its own declarations, overwritten by assignments from here."""
         inner = Scope(self.source, self.scenarios, self.values, self._origins, self._catalogs)
+        inner._depth, inner._undefined = self._depth, self._undefined
         for declaration in element.iterfind("ParameterDeclarations/ParameterDeclaration"):
             inner._declare(declaration)
         if assignments is not None:
@@ -156,13 +160,20 @@ class Scope:
             There is no such entry, or it is not of a kind in `tags`.
         """
         assert self._catalogs is not None
+        if self._depth > _DEEPEST:
+            raise InputError(
+                f"{self.source}, line {reference.sourceline}: catalog entries refer to each other more than {_DEEPEST}"
+                " deep, or in a circle."
+            )
         element = self._catalogs(self.text(reference, "catalogName"), self.text(reference, "entryName"))
         if tags and element.tag not in tags:
             raise InputError(
                 f"{self.source}, line {reference.sourceline}: the catalog entry '{self.text(reference, 'entryName')}'"
                 f" is a <{element.tag}>, where a <{tags[0]}> is needed."
             )
-        return element, self.within(element, reference.find("ParameterAssignments"))
+        inner = self.within(element, reference.find("ParameterAssignments"))
+        inner._depth += 1
+        return element, inner
 
     def origins(self, text: str) -> set[str]:
         """Parameters of the logical scenario that an attribute's text depends on."""
@@ -178,7 +189,16 @@ class Scope:
         value = self._value(text, element, attribute)
         if isinstance(value, str):
             value = self._float(value, element, attribute)
+        elif isinstance(value, np.ndarray | np.floating | float):
+            broken = ~np.isfinite(value)
+            if broken.all():
+                raise self._error(element, attribute, f"is '{text[:60]}', which has no finite value")
+            self._undefined |= broken
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.scenarios,)).copy()
+
+    def without_value(self) -> BoolArray:
+        """Scenarios in which a number that was read is not finite, shape (N,)."""
+        return self._undefined.copy()
 
     def one_number(self, element: etree._Element, attribute: str, default: float | None = None) -> float:
         """Attribute as one number; raises `VariesError` where it is not the same for all scenarios."""

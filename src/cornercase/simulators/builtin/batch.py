@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from lxml import etree
@@ -21,6 +21,8 @@ from cornercase.simulators.builtin.positions import entities_in
 from cornercase.simulators.builtin.storyboard import Storyboard
 from cornercase.simulators.builtin.world import Entity, World
 from cornercase.typing import BoolArray, FloatArray
+
+_MOST_ENTITIES: Final = 500
 
 
 class Batch:
@@ -61,6 +63,10 @@ class Batch:
         road_file = "" if file is None else scope.text(file, "filepath", "")
         network = RoadNetwork.read(scenario.beside(road_file, "road file")) if road_file else None
         objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
+        if len(objects) > _MOST_ENTITIES:
+            raise InputError(
+                f"{scenario.path}: has {len(objects)} entities; the builtin simulator moves {_MOST_ENTITIES}."
+            )
         self._world = World(tuple(_entity(e, scenario, scope) for e in objects), len(values), network)
         self._world.selections = _selections(scenario.root, self._world, scope)
         self._world.parameters = {name: _held(value, scope.scenarios) for name, value in scope.values.items()}
@@ -79,6 +85,7 @@ class Batch:
             if driver is not None
         ]
         self._storyboard = Storyboard(scenario, scope, self._world)
+        self._world.fail(scope.without_value(), "an expression has no finite value")
 
     def run(self) -> list[Recording | SimulationError]:
         """Step until every scenario has ended.

@@ -1,0 +1,181 @@
+"""Files made to do harm: one sentence each, soon, and in little memory."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+
+import pytest
+
+from conftest import ROAD, car, scenario_file, speed_action, teleport
+
+INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("10")}</Private>'
+
+
+def speed(value):
+    return f'<Private entityRef="Ego">{teleport("10")}{speed_action(value)}</Private>'
+
+
+def declared(value):
+    return f'<ParameterDeclaration name="v" parameterType="double" value="{value}"/>'
+
+
+def with_text(folder, change):
+    path = scenario_file(folder, init=INIT)
+    path.write_text(change(path.read_text()))
+    return path
+
+
+def with_road(folder, change):
+    path = scenario_file(folder, init=INIT)
+    (folder / "road.xodr").write_text(change(ROAD))
+    return path
+
+
+BOMB = "<!DOCTYPE a [<!ENTITY a0 'ha'>" + "".join(f"<!ENTITY a{i} '{10 * f'&a{i - 1};'}'>" for i in range(1, 12))
+
+CATALOG = """<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a" description="d"/>
+<Catalog name="C"><Route name="R" closed="false">
+<Waypoint routeStrategy="shortest"><Position><RoutePosition><RouteRef><CatalogReference catalogName="C" entryName="R"/>
+</RouteRef><InRoutePosition><FromLaneCoordinates pathS="0" laneId="-1"/></InRoutePosition></RoutePosition></Position></Waypoint>
+<Waypoint routeStrategy="shortest"><Position><LanePosition roadId="1" laneId="-1" s="5"/></Position></Waypoint>
+</Route></Catalog></OpenSCENARIO>"""
+
+
+def cyclic_catalog(folder):
+    (folder / "catalogs").mkdir()
+    (folder / "catalogs" / "c.xosc").write_text(CATALOG)
+    route = """<PrivateAction><RoutingAction><AssignRouteAction><CatalogReference catalogName="C" entryName="R"/>
+</AssignRouteAction></RoutingAction></PrivateAction>"""
+    path = scenario_file(folder, init=f'<Private entityRef="Ego">{teleport("10")}{route}</Private>')
+    path.write_text(
+        path.read_text().replace(
+            "<CatalogLocations/>",
+            '<CatalogLocations><RouteCatalog><Directory path="catalogs"/></RouteCatalog></CatalogLocations>',
+        )
+    )
+    return path
+
+
+def ring(link):
+    """Return a road whose end is its own beginning."""
+    return ROAD.replace("<planView>", f"<link>{link}</link><planView>").replace(
+        '<lane id="-1" type="driving">',
+        '<lane id="-1" type="driving"><link><predecessor id="-1"/><successor id="-1"/></link>',
+    )
+
+
+HOSTILE = {
+    "entity expansion": (
+        lambda f: with_text(f, lambda t: BOMB + "]>" + t.replace('description="d"', 'description="&a11;"')),
+        "not well-formed|document type",
+    ),
+    "entity expansion in a text": (
+        lambda f: with_text(f, lambda t: BOMB + "]>" + t.replace("<CatalogLocations/>", "<CatalogLocations/>&a11;")),
+        "not well-formed|document type",
+    ),
+    "external entity": (
+        lambda f: with_text(
+            f,
+            lambda t: (
+                "<!DOCTYPE a [<!ENTITY x SYSTEM 'file:///etc/hostname'>]>"
+                + t.replace("<CatalogLocations/>", "<CatalogLocations/>&x;")
+            ),
+        ),
+        "document type",
+    ),
+    "road by URL": (
+        lambda f: with_text(f, lambda t: t.replace("road.xodr", "http://198.51.100.1/road.xodr")),
+        "network address",
+    ),
+    "road by file URL": (
+        lambda f: with_text(f, lambda t: t.replace("road.xodr", "file:///etc/hostname")),
+        "network address",
+    ),
+    "road on another machine": (
+        lambda f: with_text(f, lambda t: t.replace("road.xodr", "\\\\198.51.100.1\\road.xodr")),
+        "network address",
+    ),
+    "10,000-deep nesting": (
+        lambda f: with_text(f, lambda t: t.replace("<CatalogLocations/>", 10_000 * "<a>" + 10_000 * "</a>")),
+        "not well-formed|nested",
+    ),
+    "1,000-deep nesting": (
+        lambda f: with_text(f, lambda t: t.replace("<CatalogLocations/>", 1_000 * "<a>" + 1_000 * "</a>")),
+        "not well-formed|nested",
+    ),
+    "code in an expression": (
+        lambda f: scenario_file(f, init=speed("${__import__('os').system('touch harm')}")),
+        "cannot be",
+    ),
+    "attributes in an expression": (
+        lambda f: scenario_file(f, init=speed("${(1).__class__}"), parameters=declared("1")),
+        "cannot be",
+    ),
+    "a power without end": (
+        lambda f: scenario_file(f, init=speed("${pow(10,pow(10,pow(10,10)))}")),
+        "finite|off the map|number|no value",
+    ),
+    "an expression nested deep": (
+        lambda f: scenario_file(f, init=speed("${" + 4000 * "(" + "1" + 4000 * ")" + "}")),
+        "nested|too deep",
+    ),
+    "a long expression": (lambda f: scenario_file(f, init=speed("${1" + 60_000 * "+1" + "}")), "characters"),
+    "many minus signs": (lambda f: scenario_file(f, init=speed("${" + 5000 * "-" + "1}")), "nested|too deep"),
+    "parameters in a circle": (
+        lambda f: scenario_file(f, init=speed("$v"), parameters=declared("$w") + declared("$v").replace('"v"', '"w"')),
+        "there is no parameter",
+    ),
+    "catalogs in a circle": (cyclic_catalog, "circle"),
+    "a road of length 0": (lambda f: with_road(f, lambda t: t.replace('length="500"', 'length="0"')), "length"),
+    "a road of negative length": (lambda f: with_road(f, lambda t: t.replace('length="500"', 'length="-5"')), "length"),
+    "a road of length NaN": (lambda f: with_road(f, lambda t: t.replace('length="500"', 'length="nan"')), "finite"),
+    "a road without end": (lambda f: with_road(f, lambda t: t.replace('length="500"', 'length="1e300"')), "long"),
+    "a road at infinity": (lambda f: with_road(f, lambda t: t.replace('x="0"', 'x="inf"')), "finite"),
+    "a width of NaN": (lambda f: with_road(f, lambda t: t.replace('a="4"', 'a="nan"')), "finite"),
+    "half a million cars": (
+        lambda f: scenario_file(f, init=INIT, entities="".join(car(f"c{i}") for i in range(20_000)) + car("Ego")),
+        "entities",
+    ),
+}
+
+
+def limits():
+    resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+    resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
+
+
+def run(*arguments):
+    command = [sys.executable, "-c", "from cornercase.cli import main; main()", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, preexec_fn=limits)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_is_refused_in_one_sentence(tmp_path, name):
+    make, said = HOSTILE[name]
+    folder = tmp_path / "in"
+    folder.mkdir()
+    result = run("simulate", make(folder), "--duration", "2", "-o", tmp_path / "r.csv")
+    assert result.returncode == 2, result.stderr
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("cornercase: ")
+    assert any(word in lines[0] for word in said.split("|")), lines[0]
+    assert len(lines[0]) < 1500
+    assert not (tmp_path / "r.csv").exists()
+    assert not list(tmp_path.rglob("harm"))
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        '<successor elementType="road" elementId="1" contactPoint="start"/>',
+        '<successor elementType="road" elementId="1" contactPoint="end"/>',
+        '<predecessor elementType="road" elementId="1" contactPoint="end"/>'
+        '<successor elementType="road" elementId="1" contactPoint="start"/>',
+    ],
+)
+def test_roads_linked_in_a_circle_come_to_an_end(tmp_path, link):
+    result = run("simulate", with_road(tmp_path, lambda _: ring(link)), "--duration", "2", "-o", tmp_path / "r.csv")
+    assert result.returncode == 0, result.stderr
