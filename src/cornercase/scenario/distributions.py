@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 from lxml import etree
-from scipy import stats
+from scipy.special import gammaln, ndtri, xlogy
 
 from cornercase.errors import InputError
 from cornercase.typing import FloatArray
@@ -63,7 +63,7 @@ class Distribution:
         """Bounds of the values' shares of the unit interval, shape (n + 1,); for the discrete kinds."""
         if self.kind == "set":
             return _cumulated(np.array(self.numbers))
-        return _cumulated(stats.poisson.pmf(np.arange(self.low, self.high + 1.0), self.numbers[0]))
+        return _cumulated(_poisson(self.low, self.high, self.numbers[0]))
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -83,7 +83,16 @@ class Distribution:
 
 @lru_cache(maxsize=256)
 def _cut_normal(low: float, high: float, mean: float, deviation: float) -> Any:
+    # The package takes half a second to load, and few files need it.
+    from scipy import stats
+
     return stats.truncnorm(low, high, loc=mean, scale=deviation)
+
+
+def _poisson(low: float, high: float, mean: float) -> FloatArray:
+    """Probability of each count from `low` to `high`."""
+    counts = np.arange(low, high + 1.0)
+    return np.asarray(np.exp(xlogy(counts, mean) - mean - gammaln(counts + 1.0)))
 
 
 def _logarithm(value: float) -> float:
@@ -131,7 +140,7 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution,
         raise InputError(f"{where}: the variance must be above 0.")
     kind, deviation = _KINDS[tag], float(np.sqrt(variance))
     if span is None:
-        low, high = (float(stats.norm.ppf(share, mean, deviation)) for share in (1e-4, 1 - 1e-4))
+        low, high = (mean + deviation * float(ndtri(share)) for share in (1e-4, 1 - 1e-4))
         if kind == "lognormal":
             low, high = float(np.exp(low)), float(np.exp(high))
     else:
@@ -168,18 +177,25 @@ def _read_poisson(element: etree._Element, where: str) -> Distribution:
     if not mean > 0:
         raise InputError(f"{where}: the expected value of a Poisson distribution must be above 0.")
     if span is None:
-        low, high = (float(stats.poisson.ppf(share, mean)) for share in (1e-4, 1 - 1e-4))
+        low, high = _poisson_bounds(mean)
     else:
         low, high = _bounds(span, where)
     low, high = max(float(np.ceil(low)), 0.0), float(np.floor(high))
     if high - low > _MOST_COUNTS:
         raise InputError(f"{where}: a Poisson distribution may have {_MOST_COUNTS} values at most; narrow its range.")
     # Counts that hardly ever occur have no place on the unit interval.
-    shares = stats.poisson.pmf(np.arange(low, high + 1.0), mean)
+    shares = _poisson(low, high, mean)
     kept = np.flatnonzero(shares > _LEAST_SHARE * shares.sum())
     if kept.size == 0:
         raise InputError(f"{where}: hardly any count lies in the range; move it to {mean:g}.")
     return Distribution("poisson", low + float(kept[0]), low + float(kept[-1]), (mean,))
+
+
+def _poisson_bounds(mean: float) -> tuple[float, float]:
+    """Counts between which all but 0.02 % lie."""
+    from scipy import stats
+
+    return float(stats.poisson.ppf(1e-4, mean)), float(stats.poisson.ppf(1 - 1e-4, mean))
 
 
 def _bounds(element: etree._Element | None, where: str) -> tuple[float, float]:
