@@ -31,16 +31,19 @@ class FollowTrajectoryAction:
             self._scale, self._shift = scope.number(timing, "scale", 1.0), scope.number(timing, "offset", 0.0)
         self._skip = scope.number(element, "initialDistanceOffset", 0.0)
         self._since = np.zeros(scope.scenarios)
-        self._tracks: list[Trajectory] = []
-        self._mine = np.full(scope.scenarios, -1)
+        self._track: Trajectory | None = None
         # Whether who drives forwards goes along the trajectory or against it.
         self._sign = np.ones(scope.scenarios)
 
     def start(self, world: World, where: BoolArray) -> None:
         e, rows = self._entity, np.flatnonzero(where)
         track = self._shape(world, self._smooth, self._scale, self._shift, e)
-        self._tracks.append(track)
-        self._mine[where] = len(self._tracks) - 1
+        # One track for all scenarios, whenever each of them starts: an entity's tracks are gone through in each step.
+        if self._track is None:
+            self._track = track
+        else:
+            self._track.adopt(track, where)  # type: ignore[arg-type]
+            track = self._track
         world.claim(LATERAL, e, self._id, where)
         if self._scale is not None:
             world.claim(LONGITUDINAL, e, self._id, where)
@@ -69,16 +72,15 @@ class FollowTrajectoryAction:
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
         acting = where & world.controls(LATERAL, e, self._id)
+        track = self._track
+        if track is None or not acting.any():
+            return np.asarray(where & ~acting)
+        timed = acting & world.controls(LONGITUDINAL, e, self._id) & (self._scale is not None)
         arrived = np.zeros_like(where)
-        for k, track in enumerate(self._tracks):
-            mine = acting & (self._mine == k)
-            if mine.any():
-                timed = self._scale is not None and world.controls(LONGITUDINAL, e, self._id) & mine
-                if np.any(timed):
-                    arrived |= self._keep_time(world, track, dt, np.asarray(timed))
-                free = mine & ~np.asarray(timed)
-                if free.any():
-                    arrived |= self._go(world, track, dt, free)
+        if timed.any():
+            arrived |= self._keep_time(world, track, dt, timed)
+        if (acting & ~timed).any():
+            arrived |= self._go(world, track, dt, acting & ~timed)
         return np.asarray(where & (arrived | ~acting))
 
     def _keep_time(self, world: World, track: Trajectory, dt: float, rows: BoolArray) -> BoolArray:

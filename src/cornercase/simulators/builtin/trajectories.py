@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import BSpline
 from scipy.special import fresnel
 
 from cornercase.typing import BoolArray, FloatArray, IntArray
@@ -89,6 +88,12 @@ class Polyline:
         best = gap.argmin(axis=1)
         each = np.arange(len(x))
         return np.asarray(distance[each, best] + part[each, best] * np.diff(distance)[each, best])
+
+    def adopt(self, other: Polyline, rows: BoolArray) -> None:
+        """Take over how `other` runs in the scenarios of a mask."""
+        for name in ("x", "y", "heading", "time", "distance", "_length", "lengths", "_direction", "_facing", "_speeds"):
+            if getattr(self, name) is not None:
+                getattr(self, name)[rows] = getattr(other, name)[rows]
 
     def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:
         """Whether the file says the heading there, shape (R,)."""
@@ -223,6 +228,12 @@ class ClothoidSpline:
             best = np.clip(best + (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading), 0.0, self.lengths[rows])
         return best
 
+    def adopt(self, other: ClothoidSpline, rows: BoolArray) -> None:
+        """Take over how `other` runs in the scenarios of a mask."""
+        for name in ("_start", "_rate", "_begin", "lengths", "_x", "_y", "_heading", "_clock"):
+            if getattr(self, name) is not None:
+                getattr(self, name)[rows] = getattr(other, name)[rows]
+
     def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:
         return np.zeros(len(rows), dtype=np.bool_)
 
@@ -303,6 +314,9 @@ def nurbs_points(
     -------
     tuple of ndarray of float64, each (N, samples)
     """
+    # Loaded here, as it takes a while and few files have such curves.
+    from scipy.interpolate import BSpline
+
     basis = BSpline(knots, np.eye(len(weights)), order - 1)
     u = np.linspace(knots[order - 1], knots[len(weights)], samples)
     value, slope = basis(u) * weights, basis(u, 1) * weights
