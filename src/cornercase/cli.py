@@ -25,6 +25,7 @@ app = typer.Typer(
 )
 
 _out = Console(soft_wrap=True, highlight=False)
+_err = Console(stderr=True, soft_wrap=True, highlight=False)
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
@@ -106,11 +107,15 @@ def explore(
     """
     from cornercase.pipeline import Exploration, explore_scenario
     from cornercase.scenario.logical import LogicalScenario
+    from cornercase.scenario.openscenario import Scenario
 
+    logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
+    if simulator == "builtin":
+        _notice(Scenario.read(logical.path))
     _explore(
         explore_scenario,
         Exploration(
-            LogicalScenario.read(scenario, space, ranges or (), continuous),
+            logical,
             ego=ego,
             other=other,
             metrics=tuple(metric),
@@ -195,7 +200,9 @@ def simulate(
     from cornercase.simulators.builtin import BuiltinSimulator
 
     pairs = _pairs(values or (), "--set")
-    Scenario.read(scenario).require_parameters(list(pairs))
+    read = Scenario.read(scenario)
+    read.require_parameters(list(pairs))
+    _notice(read)
     simulator = BuiltinSimulator(
         time_step=time_step,
         duration=duration,
@@ -414,6 +421,15 @@ def main() -> None:
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _notice(scenario: Any) -> None:
+    """Say once which actions and conditions of a file have no effect here."""
+    from cornercase.scenario.check import without_effect
+
+    ignored = without_effect(scenario)
+    if ignored:
+        _err.print(f"Without effect here: {', '.join(ignored)}.", markup=False)
 
 
 def _explore(run: Any, exploration: Any, study: Path) -> None:

@@ -77,8 +77,6 @@ def check_scenario(path: Path | str, space: Path | str | None = None) -> Check:
         A file is missing, is not XML, or is neither.
     """
     from cornercase.simulators.builtin import BuiltinSimulator
-    from cornercase.simulators.builtin.actions import WITHOUT_EFFECT
-    from cornercase.simulators.builtin.conditions import NEVER_TRUE
 
     scenario = Scenario.read(path)
     tags = Counter(str(e.tag) for e in scenario.root.iter() if isinstance(e.tag, str))
@@ -99,18 +97,26 @@ def check_scenario(path: Path | str, space: Path | str | None = None) -> Check:
     if space is not None:
         _, more = _validate(read_xml(Path(space)))
         invalid += [f"{space}: {one}" for one in more]
-    ignored = {tag: tags[tag] for tag in (*WITHOUT_EFFECT, *NEVER_TRUE) if tags[tag]}
     return Check(
         {tag: tags[tag] for tag in _COUNTED},
         scenario.parameters,
         tuple(e.get("name", "") for e in scenario.root.iterfind("VariableDeclarations/VariableDeclaration")),
-        ignored,
+        without_effect(scenario),
         version,
         tuple(invalid),
         tuple(lines),
         size,
         tuple(trouble),
     )
+
+
+def without_effect(scenario: Scenario) -> dict[str, int]:
+    """Actions and conditions of a file that change nothing in the builtin simulator, and how many of each."""
+    from cornercase.simulators.builtin.actions import WITHOUT_EFFECT
+    from cornercase.simulators.builtin.conditions import NEVER_TRUE
+
+    tags = Counter(str(e.tag) for e in scenario.root.iter() if isinstance(e.tag, str))
+    return {tag: tags[tag] for tag in (*WITHOUT_EFFECT, *NEVER_TRUE) if tags[tag]}
 
 
 def _line(parameter: Parameter) -> str:
