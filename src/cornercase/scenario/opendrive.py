@@ -24,6 +24,8 @@ _LONGEST_PATH: Final = 5000.0
 _LONGEST_BACK: Final = 500.0
 _LONGEST_LOOP: Final = 3000.0
 _JUMP: Final = 0.3
+# So far beside it, in m, an entity still counts as on the road that it was on; esmini's figure.
+_SLACK: Final = 2.0
 _MOST_ROADS: Final = 500
 _DRIVABLE: Final = ("driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp")
 
@@ -312,28 +314,34 @@ class RoadNetwork:
         return place
 
     def road_from(
-        self, last: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray
+        self, last: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
     ) -> tuple[IntArray, FloatArray]:
         """Road of points and their s on it, given the road of each, or -1, and its s a moment ago; all (N,).
 
         Where roads overlap, as in a junction, a point stays on its road as long as it can, and otherwise goes over to
-        the first in the file that holds it.
+        the one that runs most like its heading.
         """
         road, s = last.copy(), last_s.copy()
-        lost = ~self._holds(last, x, y, s, 1)
+        lost = ~self._holds(last, x, y, s, 1, _SLACK)
         if lost.any():
             at = np.flatnonzero(lost)
             new = self.locate(x[at], y[at])
             road[at], s[at] = new.road, new.s
-            for r in self._overlapping:
-                rows = at[r < road[at]]
+            apart = np.full(len(at), np.inf)
+            inside = np.isin(road[at], self._overlapping)
+            for r in self._overlapping if inside.any() else ():
                 tree, places = self._reference(r)
-                along = places[tree.query(np.stack([x[rows], y[rows]], axis=1))[1]] if rows.size else s[rows]
-                found = self._holds(np.full(len(rows), r), x[rows], y[rows], along, 2)
-                road[rows[found]], s[rows[found]] = r, along[found]
+                along = places[tree.query(np.stack([x[at], y[at]], axis=1))[1]]
+                found = self._holds(np.full(len(at), r), x[at], y[at], along, 2, 0.0) & inside
+                turn = np.abs(np.sin(heading[at] - self.roads[r].reference(along)[2]))
+                better = found & (turn < apart)
+                apart[better] = turn[better]
+                road[at[better]], s[at[better]] = r, along[better]
         return road, s
 
-    def _holds(self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, projections: int) -> BoolArray:
+    def _holds(
+        self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, projections: int, slack: float
+    ) -> BoolArray:
         """Whether points lie on given roads; `s`, a first guess, becomes their s where they do."""
         inside = np.zeros(len(x), dtype=np.bool_)
         for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
@@ -347,7 +355,7 @@ class RoadNetwork:
             within = (along >= 0.0) & (along <= one.length)
             along = np.clip(along, 0.0, one.length)
             right, left = one.margins(along)
-            good = within & (t >= right) & (t <= left)
+            good = within & (t >= right - slack) & (t <= left + slack)
             inside[rows] = good
             s[rows[good]] = along[good]
         return inside

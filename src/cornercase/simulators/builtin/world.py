@@ -419,7 +419,7 @@ class World:
         at = np.flatnonzero(where & ~self.on_lane(entity))
         if self.network is not None and at.size:
             x, y, heading = self.x[entity][at], self.y[entity][at], self.heading[entity][at]
-            road, s = self.network.road_from(self.last_road[entity][at], self.last_s[entity][at], x, y)
+            road, s = self.network.road_from(self.last_road[entity][at], self.last_s[entity][at], x, y, heading)
             self.last_road[entity][at], self.last_s[entity][at] = road, s
             for one in np.unique(road):
                 mine = road == one
