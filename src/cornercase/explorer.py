@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -18,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from cornercase.errors import InputError, SimulationError
+from cornercase.interrupts import noted_interrupts
 from cornercase.metrics.base import Metric
 from cornercase.optimizers.base import Optimizer
 from cornercase.scenario.logical import LogicalScenario
@@ -94,7 +92,6 @@ class ScenarioExplorer:
         self._patience, self._max_seconds = patience, max_seconds
         self._spent: dict[str, float] = {}
         self._best, self._stale = np.inf, 0
-        self._interrupted = False
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion is fulfilled.
@@ -110,8 +107,8 @@ class ScenarioExplorer:
         """
         bar = _Bar(self._budget, self._metrics[0].unit) if progress else None
         try:
-            with self._noting_interrupts():
-                reason = self._run(bar)
+            with noted_interrupts() as check:
+                reason = self._run(bar, check)
         except KeyboardInterrupt:
             return ExplorationResult(self._ended(), "it was interrupted", interrupted=True)
         finally:
@@ -120,35 +117,11 @@ class ScenarioExplorer:
             self._note_time()
         return ExplorationResult(self._ended(), reason)
 
-    @contextmanager
-    def _noting_interrupts(self) -> Iterator[None]:
-        """Remember Ctrl-C: one that falls into a callback of compiled code would be lost."""
-        usual = signal.default_int_handler
-        alone = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is usual
-        if not alone:
-            yield
-            return
-
-        def note(number: int, frame: FrameType | None) -> None:
-            self._interrupted = True
-            usual(number, frame)
-
-        signal.signal(signal.SIGINT, note)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, usual)
-
-    def _check_interrupt(self) -> None:
-        if self._interrupted:
-            self._interrupted = False
-            raise KeyboardInterrupt
-
-    def _run(self, bar: _Bar | None) -> str:
+    def _run(self, bar: _Bar | None, check_interrupt: Callable[[], None]) -> str:
         begun = time.monotonic()
         done, number = self._go_on(bar)
         while True:
-            self._check_interrupt()
+            check_interrupt()
             self._show(bar, done, self._best)
             if done >= self._budget:
                 return f"the budget of {self._budget} scenarios is used up"

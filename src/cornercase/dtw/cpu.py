@@ -27,6 +27,7 @@ from numba import njit
 
 from cornercase.dtw import simd
 from cornercase.dtw.simd import absolute, add, load, minimum, multiply, root, spread, store, subtract, within
+from cornercase.interrupts import noted_interrupts
 from cornercase.typing import IntArray
 
 # Cells of one tile: some milliseconds of work, so that threads end together and Ctrl-C is heard soon.
@@ -101,7 +102,13 @@ def distance_matrix(
         )
         return int(lengths[rows.start : rows.stop].sum() * block.lengths.sum())
 
-    _run_all(run, _tiles(blocks, lengths), n_jobs, advance)
+    with noted_interrupts() as check:
+
+        def told(cells: int) -> None:
+            advance(cells)
+            check()
+
+        _run_all(run, _tiles(blocks, lengths), n_jobs, told)
     return out
 
 
