@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cornercase.dtw import cpu, distance_matrix
+from cornercase.dtw import cpu, distance_matrix, distances_to, pairs
 from cornercase.errors import InputError
 
 
@@ -56,7 +56,7 @@ def check(series, found, local_cost, window, **tolerance):
 
 
 @settings(max_examples=50, deadline=None)
-@given(series=sets_of_series(st.integers(1, 3)), local_cost=costs, window=windows)
+@given(series=sets_of_series(st.integers(1, 8)), local_cost=costs, window=windows)
 def test_is_the_definition(series, local_cost, window):
     found = distance_matrix(series, local_cost=local_cost, window=window, n_jobs=2)
     assert found.dtype == np.float64
@@ -156,11 +156,11 @@ def test_interrupt_ends_between_tiles(monkeypatch):
             started.append(True)
             _thread.interrupt_main()
 
-    total = sum(1 for _ in _tiles_of(series))
     done = []
     with pytest.raises(KeyboardInterrupt):
-        cpu.distance_matrix(
+        cpu.distances(
             [one[:, None] for one in series],
+            None,
             squared=False,
             window=None,
             dtype="float64",
@@ -168,14 +168,9 @@ def test_interrupt_ends_between_tiles(monkeypatch):
             advance=lambda cells: (done.append(cells), interrupt()),
         )
     assert started
-    assert len(done) < total / 4
+    # The whole matrix is 75 blocks, each of one tile at least.
+    assert len(done) < 20
     assert threading.active_count() < 10
-
-
-def _tiles_of(series):
-    lengths = np.array([len(one) for one in series])
-    blocks = [cpu._Block(first, lengths[first : first + 8], np.empty(0)) for first in range(0, len(series), 8)]
-    return cpu._tiles(blocks, lengths)
 
 
 def test_few_series():
@@ -207,7 +202,8 @@ def test_progress_reaches_the_end(capsys):
         ([[1.0], [2.0]], {"n_jobs": 0}, "n_jobs is 0"),
         ([[1.0], [2.0]], {"local_cost": "manhattan"}, "local_cost is 'manhattan'"),
         ([[1.0], [2.0]], {"dtype": "int32"}, "dtype is 'int32'"),
-        ([[1.0], [2.0]], {"device": "cuda"}, "extra 'gpu'"),
+        ([np.zeros((4, 9))], {}, "up to 8 are known"),
+        ([[1.0], [2.0]], {"resume": True}, "give out"),
         ([[1.0], [2.0]], {"device": "tpu"}, "device is 'tpu'"),
     ],
 )
@@ -216,3 +212,135 @@ def test_refuses_in_one_sentence(series, options, words):
         distance_matrix(series, **options)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=25, deadline=None)
+@given(data=st.data(), local_cost=costs, window=windows, dtype=st.sampled_from(["float64", "float32"]))
+def test_distances_to_landmarks_are_the_definition(data, local_cost, window, dtype):
+    dims = data.draw(st.integers(1, 8))
+    series = data.draw(sets_of_series(st.just(dims)))
+    landmarks = data.draw(sets_of_series(st.just(dims)))
+    found = distances_to(series, landmarks, local_cost=local_cost, window=window, dtype=dtype, n_jobs=2)
+    expected = [[defined(x, y, squared=local_cost == "squared", window=window) for y in landmarks] for x in series]
+    assert found.dtype == dtype
+    tolerance = {"rtol": 1e-13, "atol": 1e-13} if dtype == "float64" else {"rtol": 1e-4, "atol": 1e-3}
+    np.testing.assert_allclose(found, expected, **tolerance)
+
+
+@pytest.mark.parametrize("window", [None, 7])
+def test_landmarks_among_the_series_have_the_bits_of_the_matrix(window):
+    rng = np.random.default_rng(5)
+    series = [rng.normal(size=(rng.integers(1, 50), 2)) for _ in range(40)]
+    matrix = distance_matrix(series, window=window)
+    for landmarks in ([3], [0, 17, 39], range(40)):
+        found = distances_to(series, [series[j] for j in landmarks], window=window)
+        assert np.array_equal(found, matrix[:, list(landmarks)])
+    assert distances_to(series, []).shape == (40, 0)
+    assert distances_to([], series).shape == (0, 40)
+
+
+@pytest.mark.parametrize(
+    ("series", "landmarks", "options", "words"),
+    [
+        ([[1.0]], [[1.0], [np.nan]], {}, "Landmark 1 is not finite at instant 0"),
+        ([[1.0], [np.nan]], [[1.0]], {}, "Series 1 is not finite at instant 0"),
+        ([[1.0]], [[[1.0, 2.0]]], {}, "Landmark 0 has 2 dimensions where series 0 has 1"),
+        ([[0.0]], [[1.0], [1e300]], {"dtype": "float32"}, "Landmark 1 is too large for float32"),
+        ([[1e200], [0.0]], [[0.0], [-1e200]], {"local_cost": "squared"}, "series 0 and landmark 0"),
+    ],
+)
+def test_landmarks_are_refused_in_one_sentence(series, landmarks, options, words):
+    with pytest.raises(InputError) as caught:
+        distances_to(series, landmarks, **options)
+    assert words in str(caught.value)
+
+
+def cells_computed(monkeypatch):
+    """Count the cells that reach the kernels from here on."""
+    counted = []
+    run = cpu.distances
+
+    def counting(rows, columns, **options):
+        counted.append(pairs.cells(rows, columns))
+        return run(rows, columns, **options)
+
+    monkeypatch.setattr(cpu, "distances", counting)
+    return counted
+
+
+def test_copies_are_computed_once(monkeypatch):
+    counted = cells_computed(monkeypatch)
+    rng = np.random.default_rng(6)
+    different = [rng.normal(size=(30, 2)) for _ in range(5)]
+    places = rng.integers(0, 5, size=60)
+    series = [different[i].copy() for i in places]
+    expected = distance_matrix(different)
+    assert np.array_equal(distance_matrix(series), expected[np.ix_(places, places)])
+    assert np.array_equal(distances_to(series, different), expected[places])
+    assert counted == [10 * 900, 10 * 900, 25 * 900]
+    assert not distance_matrix([different[0]] * 7).any()
+
+
+@st.composite
+def resting(draw):
+    """Sets that all begin, or end, or both, with some instants at one point; few values, so rests recur inside."""
+    dims = draw(st.integers(1, 2))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    begin, end = draw(st.booleans()), draw(st.booleans())
+    scale = draw(st.sampled_from([1.0, 0.1]))
+    series = []
+    for _ in range(draw(st.integers(2, 12))):
+        parts = [rng.integers(-1, 2, size=(rng.integers(0 if begin or end else 1, 9), dims))]
+        if begin:
+            parts.insert(0, np.tile(np.ones((1, dims)), (rng.integers(1, 7), 1)))
+        if end:
+            parts.append(np.tile(np.zeros((1, dims)), (rng.integers(1, 7), 1)))
+        series.append(np.concatenate(parts) * scale)
+    return series
+
+
+@settings(max_examples=100, deadline=None)
+@given(series=resting(), local_cost=costs, dtype=st.sampled_from(["float64", "float32"]))
+def test_cut_rests_change_no_bit(series, local_cost, dtype):
+    options = {"squared": local_cost == "squared", "window": None, "dtype": dtype, "n_jobs": 1}
+    whole = cpu.distances(series, None, **options, advance=lambda done: None)
+    short, _ = pairs.without_common_rests(series, None)
+    assert np.array_equal(cpu.distances(short, None, **options, advance=lambda done: None), whole)
+    if dtype == "float64":
+        assert np.array_equal(distance_matrix(series, local_cost=local_cost), whole)
+
+
+def test_courses_that_rest_at_their_cap_cost_less(monkeypatch):
+    counted = cells_computed(monkeypatch)
+    rng = np.random.default_rng(7)
+    middle = [rng.uniform(0.0, 9.0, size=20) for _ in range(4)]
+    courses = [np.concatenate((np.full(50 + i, 10.0), one, np.full(30, 10.0))) for i, one in enumerate(middle)]
+    expected = all_pairs([one[:, None] for one in courses], squared=False, window=None)
+    np.testing.assert_allclose(distance_matrix(courses), expected, rtol=1e-13)
+    assert counted == [6 * 22**2]
+    # With a window instants count, so nothing may be cut off.
+    banded = all_pairs([one[:, None] for one in courses], squared=False, window=3)
+    np.testing.assert_allclose(distance_matrix(courses, window=3), banded, rtol=1e-13)
+
+
+def test_the_first_call_says_that_it_compiles(tmp_path):
+    program = (
+        "import numpy as np; from cornercase.dtw import distance_matrix; "
+        "distance_matrix([[0.0, 1.0], [2.0]]); distance_matrix([[0.0, 1.0], [2.0]])"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    said = [
+        subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    assert said[0].stderr == "Compiling the DTW kernel for 1-D series in float64: some seconds, once on this machine.\n"
+    assert said[1].stderr == ""
+
+
+def test_works_where_numba_can_write_nowhere(tmp_path):
+    # A file in the place of the folder refuses even a superuser.
+    (tmp_path / "file").touch()
+    program = "from cornercase.dtw import distance_matrix; print(distance_matrix([[0.0, 1.0], [3.0]])[0, 1])"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "file" / "folder")}
+    run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert run.stdout == "5.0\n", run.stderr

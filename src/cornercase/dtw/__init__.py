@@ -7,6 +7,7 @@ optimization for spoken word recognition, 1978, without slope constraint and wei
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
@@ -14,10 +15,13 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cornercase.dtw import cpu
+from cornercase.dtw import cpu, disk, pairs
+from cornercase.dtw.pairs import Settings
 from cornercase.errors import InputError
 
-__all__ = ["distance_matrix"]
+__all__ = ["distance_matrix", "distances_to"]
+
+MAX_DIMENSIONS = 8
 
 
 def distance_matrix(
@@ -29,6 +33,8 @@ def distance_matrix(
     n_jobs: int | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
     progress: bool = False,
+    out: str | os.PathLike[str] | disk.FloatMap | None = None,
+    resume: bool = False,
 ) -> npt.NDArray[np.floating[Any]]:
     """Dynamic time warping distance between all pairs of series.
 
@@ -51,66 +57,131 @@ def distance_matrix(
     n_jobs : int, optional
         Number of threads; as many as the process has CPUs if not given. Does not change the result.
     device : {"cpu", "cuda"}
-        Where to compute; this version knows the CPU only.
+        Where to compute. ``"cuda"`` needs an NVIDIA GPU and the extra `gpu`; the last digits may differ there.
     progress : bool
         Show a progress bar on standard error.
+    out : path or numpy.memmap of `dtype`, shape (n, n), optional
+        For a matrix that does not fit in memory: the path of a file to make (NumPy's format, ``numpy.load(path,
+        mmap_mode="r")`` reads it), or a map onto one. A second file, ``.progress``, stands beside it.
+    resume : bool
+        Go on with `out` where an earlier call with the same series and options was ended, however it was. What
+        is in the file already is not computed again; nothing there is nothing done.
 
     Returns
     -------
     ndarray of `dtype`, shape (n, n)
-        Symmetric to the bit, zero on the diagonal.
+        Symmetric to the bit, zero on the diagonal. The map where `out` is given.
 
     Raises
     ------
     InputError
         A series is empty, not numeric, not finite or of another number of dimensions than the first (the
-        message names its index), an option is not one of those above, or a distance is too large for `dtype`.
+        message names its index), an option is not one of those above, a distance is too large for `dtype`, there
+        is no GPU, or `out` does not fit or holds something else.
 
     Examples
     --------
     >>> distance_matrix([[0.0, 1.0, 1.0], [0.0, 1.0], [2.0, 2.0]]).tolist()
     [[0.0, 0.0, 4.0], [0.0, 0.0, 3.0], [4.0, 3.0, 0.0]]
     """
+    settings = _settings(local_cost, window, dtype, n_jobs, device)
+    arrays = _checked(series)
+    if resume and out is None:
+        raise InputError("resume is for a matrix on disk; give out.")
+    if len(arrays) < 2 and out is None:
+        return np.zeros((len(arrays), len(arrays)), dtype=settings.dtype)
+    arrays = _centred(arrays, settings.dtype, len(arrays))
+    with _shown(progress, pairs.cells(arrays, None)) as advance:
+        if out is None:
+            found = pairs.distances(arrays, None, settings, advance)
+            pairs.refuse_infinite(found)
+            return found
+        if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
+            raise InputError("out is an array in memory; give a path or a numpy.memmap.")
+        if not arrays:
+            raise InputError("There are no series to fill out from.")
+        return disk.distance_matrix(arrays, out, resume=resume, settings=settings, advance=advance)
+
+
+def distances_to(
+    series: Sequence[npt.ArrayLike],
+    landmarks: Sequence[npt.ArrayLike],
+    *,
+    local_cost: Literal["euclidean", "squared"] = "euclidean",
+    window: int | None = None,
+    dtype: npt.DTypeLike = "float64",
+    n_jobs: int | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    progress: bool = False,
+) -> npt.NDArray[np.floating[Any]]:
+    """Dynamic time warping distance of each series to each landmark.
+
+    Parameters
+    ----------
+    series : sequence of n array_like, shape (T_i,) or (T_i, k)
+    landmarks : sequence of m array_like, shape (T_j,) or (T_j, k)
+        Of the same number of dimensions k as the series.
+    local_cost, window, dtype, n_jobs, device, progress
+        As for `distance_matrix`.
+
+    Returns
+    -------
+    ndarray of `dtype`, shape (n, m)
+
+    Raises
+    ------
+    InputError
+        As by `distance_matrix`; the message names the index of the series or of the landmark.
+
+    Examples
+    --------
+    >>> distances_to([[0.0, 1.0, 1.0], [0.0, 1.0]], [[2.0, 2.0]]).tolist()
+    [[4.0], [3.0]]
+    """
+    settings = _settings(local_cost, window, dtype, n_jobs, device)
+    rows = _checked(series)
+    columns = _checked(landmarks, "Landmark", rows[0].shape[1] if rows else None)
+    if not rows or not columns:
+        return np.zeros((len(rows), len(columns)), dtype=settings.dtype)
+    both = _centred([*rows, *columns], settings.dtype, len(rows))
+    rows, columns = both[: len(rows)], both[len(rows) :]
+    with _shown(progress, pairs.cells(rows, columns)) as advance:
+        found = pairs.distances(rows, columns, settings, advance)
+    pairs.refuse_infinite(found, columns="landmark ")
+    return found
+
+
+def _settings(local_cost: str, window: int | None, dtype: npt.DTypeLike, n_jobs: int | None, device: str) -> Settings:
     if local_cost not in ("euclidean", "squared"):
         raise InputError(f"local_cost is {local_cost!r}; choose 'euclidean' or 'squared'.")
-    if window is not None:
-        window = _positive("window", window)
-    threads = cpu.available_cpus() if n_jobs is None else _positive("n_jobs", n_jobs)
-    if device == "cuda":
-        raise InputError(
-            "device 'cuda' needs the extra 'gpu', which this version of cornercase does not have yet; choose "
-            "device 'cpu'."
-        )
-    if device != "cpu":
-        raise InputError(f"device is {device!r}; choose 'cpu'.")
+    if device not in ("cpu", "cuda"):
+        raise InputError(f"device is {device!r}; choose 'cpu' or 'cuda'.")
     if dtype not in ("float64", "float32", np.float64, np.float32, np.dtype("float64"), np.dtype("float32")):
         raise InputError(f"dtype is {dtype!r}; choose 'float64' or 'float32'.")
-    number = np.dtype(dtype)
+    window = None if window is None else _positive("window", window)
+    threads = cpu.available_cpus() if n_jobs is None else _positive("n_jobs", n_jobs)
+    if device == "cuda":
+        pairs.require_gpu()
+        return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cuda")
+    return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cpu")
 
-    arrays = _checked(series)
-    if len(arrays) < 2:
-        return np.zeros((len(arrays), len(arrays)), dtype=number)
-    if number == np.float32:
-        mean = np.concatenate(arrays).mean(axis=0)
-        arrays = [array - mean for array in arrays]
-        for index, array in enumerate(arrays):
-            if np.abs(array).max() > np.finfo(np.float32).max:
-                raise InputError(f"Series {index} is too large for float32; choose dtype 'float64'.")
-    points = np.array([len(array) for array in arrays], dtype=np.float64)
-    cells = int((points.sum() ** 2 - (points**2).sum()) / 2)
-    with _shown(progress, cells) as advance:
-        matrix = cpu.distance_matrix(
-            arrays,
-            squared=local_cost == "squared",
-            window=window,
-            dtype=number,
-            n_jobs=threads,
-            advance=advance,
-        )
-    if not np.isfinite(matrix).all():
-        i, j = np.argwhere(~np.isfinite(matrix))[0]
-        raise InputError(f"The distance of series {i} and {j} is too large for {number}; scale the values down.")
-    return matrix
+
+def _centred(
+    arrays: list[npt.NDArray[np.float64]], dtype: np.dtype[Any], n_series: int
+) -> list[npt.NDArray[np.float64]]:
+    """Take the common mean off where digits are few; behind `n_series` series stand landmarks."""
+    if dtype != np.float32 or not arrays:
+        return arrays
+    points = np.concatenate(arrays)
+    # A sum of huge numbers must not overflow before the message below can name one of them.
+    mean = (points / len(points)).sum(axis=0)
+    arrays = [array - mean for array in arrays]
+    sizes = [np.abs(array).max() for array in arrays]
+    index = int(np.argmax(sizes))
+    if sizes[index] > np.finfo(np.float32).max:
+        name = f"Series {index}" if index < n_series else f"Landmark {index - n_series}"
+        raise InputError(f"{name} is too large for float32; choose dtype 'float64'.")
+    return arrays
 
 
 def _positive(name: str, value: object) -> int:
@@ -119,29 +190,31 @@ def _positive(name: str, value: object) -> int:
     return int(value)
 
 
-def _checked(series: Sequence[npt.ArrayLike]) -> list[npt.NDArray[np.float64]]:
-    """Return the series as finite arrays of shape (T_i, k)."""
+def _checked(
+    series: Sequence[npt.ArrayLike], name: str = "Series", dims: int | None = None
+) -> list[npt.NDArray[np.float64]]:
+    """Return the series as finite arrays of shape (T_i, k), `dims` being the k that is known already."""
     arrays: list[npt.NDArray[np.float64]] = []
     for index, one in enumerate(series):
         try:
             array = np.asarray(one, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"Series {index} is not an array of numbers; give shape (T,) or (T, k).") from error
+            raise InputError(f"{name} {index} is not an array of numbers; give shape (T,) or (T, k).") from error
         if array.ndim not in (1, 2):
-            raise InputError(f"Series {index} has {array.ndim} axes; give shape (T,) or (T, k).")
+            raise InputError(f"{name} {index} has {array.ndim} axes; give shape (T,) or (T, k).")
         if array.size == 0:
-            raise InputError(f"Series {index} is empty; leave it out.")
+            raise InputError(f"{name} {index} is empty; leave it out.")
         array = array.reshape(len(array), -1)
-        if arrays and array.shape[1] != arrays[0].shape[1]:
+        dims = array.shape[1] if dims is None else dims
+        if array.shape[1] != dims:
             raise InputError(
-                f"Series {index} has {array.shape[1]} dimensions where series 0 has {arrays[0].shape[1]}; "
-                "give all the same."
+                f"{name} {index} has {array.shape[1]} dimensions where series 0 has {dims}; give all the same."
             )
+        if dims > MAX_DIMENSIONS:
+            raise InputError(f"{name} {index} has {dims} dimensions; up to {MAX_DIMENSIONS} are known.")
         if not np.isfinite(array).all():
             instant = int(np.argmin(np.isfinite(array).all(axis=1)))
-            raise InputError(
-                f"Series {index} is not finite at instant {instant}; fill or cap it, or leave the series out."
-            )
+            raise InputError(f"{name} {index} is not finite at instant {instant}; fill or cap it, or leave it out.")
         arrays.append(array)
     return arrays
 

@@ -13,6 +13,7 @@ the result.
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -24,16 +25,41 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from numba import njit
+from numba.core.event import Listener, install_listener
 
 from cornercase.dtw import simd
-from cornercase.dtw.simd import absolute, add, load, minimum, multiply, root, spread, store, subtract, within
+from cornercase.dtw.simd import (
+    absolute,
+    add,
+    load,
+    lowest,
+    minimum,
+    point,
+    root,
+    store,
+    subtract,
+    sum_of_squares,
+    within,
+)
 from cornercase.interrupts import noted_interrupts
 from cornercase.typing import IntArray
 
 # Cells of one tile: some milliseconds of work, so that threads end together and Ctrl-C is heard soon.
 TILE_CELLS = 20_000_000
 
+_LOG = logging.getLogger("cornercase.dtw")
+
 Floats = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class _Singles:
+    """Series one after the other in the order of length: series ``order[i]`` from ``starts[i]`` on."""
+
+    order: IntArray
+    lengths: IntArray
+    starts: IntArray
+    values: Floats
 
 
 @dataclass(frozen=True)
@@ -45,8 +71,9 @@ class _Block:
     values: Floats
 
 
-def distance_matrix(
-    series: Sequence[Floats],
+def distances(
+    rows: Sequence[Floats],
+    columns: Sequence[Floats] | None,
     *,
     squared: bool,
     window: int | None,
@@ -54,11 +81,14 @@ def distance_matrix(
     n_jobs: int,
     advance: Callable[[int], None],
 ) -> Floats:
-    """Fill the matrix of the public function from checked input.
+    """Distances of checked series.
 
     Parameters
     ----------
-    series : sequence of ndarray, shape (T_i, k)
+    rows : sequence of ndarray, shape (T_i, k)
+        At least one.
+    columns : sequence of ndarray, shape (T_j, k), or None
+        At least one. None: the rows again; then only one half is computed.
     squared : bool
         Sum squared distances and take the root at the end.
     window : int or None
@@ -71,36 +101,35 @@ def distance_matrix(
 
     Returns
     -------
-    ndarray of `dtype`, shape (n, n)
+    ndarray of `dtype`, shape (len(rows), len(columns))
     """
-    n, dims = len(series), series[0].shape[1]
+    if columns is not None and len(columns) < len(rows):
+        # The longer side fills the lanes better; the distance is the same from either side.
+        return distances(
+            columns, rows, squared=squared, window=window, dtype=dtype, n_jobs=n_jobs, advance=advance
+        ).T.copy()
+    symmetric = columns is None
+    dims = rows[0].shape[1]
     dtype = np.dtype(dtype)
     lanes = simd.BYTES // dtype.itemsize
-    lengths = np.array([len(one) for one in series], dtype=np.int64)
-    order = np.argsort(lengths, kind="stable")
-    lengths = lengths[order]
-    starts = np.concatenate(([0], np.cumsum(lengths * dims)))
-    values = np.concatenate([series[i].ravel() for i in order]).astype(dtype)
-    blocks = [_interleave(values, starts, lengths, first, dims, lanes) for first in range(0, n, lanes)]
-    out = np.zeros((n, n), dtype=dtype)
-    kernel = _kernel(dims, squared, window is not None, lanes)
+    singles = _sorted(rows, dtype)
+    partners = singles if columns is None else _sorted(columns, dtype)
+    blocks = [_interleave(partners, first, dims, lanes) for first in range(0, len(partners.order), lanes)]
+    out = np.zeros((len(singles.order), len(partners.order)), dtype=dtype)
+    kernel = compiled(dims, squared, window is not None, dtype)
     band = -1 if window is None else window
 
-    def run(block: _Block, rows: range) -> int:
-        kernel(
-            values,
-            starts,
-            lengths,
-            block.values,
-            block.lengths,
-            block.first,
-            rows.start,
-            rows.stop,
-            band,
-            order,
-            out,
-        )
-        return int(lengths[rows.start : rows.stop].sum() * block.lengths.sum())
+    def run(block: _Block, chosen: range) -> int:
+        found = np.empty((len(chosen), lanes), dtype=dtype)
+        kernel(singles.values, singles.starts, singles.lengths, block.values, block.lengths, chosen.start, band, found)
+        i = singles.order[chosen.start : chosen.stop]
+        j = partners.order[block.first : block.first + len(block.lengths)]
+        found = found[:, : len(j)]
+        out[i[:, None], j] = found
+        if symmetric:
+            # Where a block meets itself both halves are there, equal to the bit.
+            out[j[:, None], i] = found.T
+        return int(singles.lengths[chosen.start : chosen.stop].sum() * block.lengths.sum())
 
     with noted_interrupts() as check:
 
@@ -108,28 +137,41 @@ def distance_matrix(
             advance(cells)
             check()
 
-        _run_all(run, _tiles(blocks, lengths), n_jobs, told)
+        _run_all(run, _tiles(blocks, singles.lengths, symmetric, n_jobs), n_jobs, told)
     return out
 
 
-def _interleave(values: Floats, starts: IntArray, lengths: IntArray, first: int, dims: int, lanes: int) -> _Block:
+def _sorted(series: Sequence[Floats], dtype: np.dtype[Any]) -> _Singles:
+    lengths = np.array([len(one) for one in series], dtype=np.int64)
+    order = np.argsort(lengths, kind="stable")
+    starts = np.concatenate(([0], np.cumsum(lengths[order] * series[0].shape[1])))
+    return _Singles(order, lengths[order], starts, np.concatenate([series[i].ravel() for i in order]).astype(dtype))
+
+
+def _interleave(series: _Singles, first: int, dims: int, lanes: int) -> _Block:
     """Interleave up to `lanes` series; padding is finite and never read out."""
-    members = range(first, min(first + lanes, len(lengths)))
-    block = np.zeros((lengths[members[-1]], dims, lanes), dtype=values.dtype)
+    members = range(first, min(first + lanes, len(series.order)))
+    block = np.zeros((series.lengths[members[-1]], dims, lanes), dtype=series.values.dtype)
     for lane, i in enumerate(members):
-        block[: lengths[i], :, lane] = values[starts[i] : starts[i + 1]].reshape(-1, dims)
-    return _Block(first, lengths[members.start : members.stop], block.ravel())
+        values = series.values[series.starts[i] : series.starts[i + 1]]
+        block[: series.lengths[i], :, lane] = values.reshape(-1, dims)
+    return _Block(first, series.lengths[members.start : members.stop], block.ravel())
 
 
-def _tiles(blocks: Sequence[_Block], lengths: IntArray) -> Iterator[tuple[_Block, range]]:
-    """Blocks against runs of series that stand before their last member, the most expensive first."""
+def _tiles(blocks: Sequence[_Block], lengths: IntArray, symmetric: bool, n_jobs: int) -> Iterator[tuple[_Block, range]]:
+    """Blocks against runs of single series, the most expensive first.
+
+    In the symmetric case the runs end with the block's last member, which leaves one half.
+    """
+    total = int(lengths.sum()) * sum(int(block.lengths.sum()) for block in blocks) // (2 if symmetric else 1)
+    share = min(max(total // (16 * n_jobs), TILE_CELLS // 10), TILE_CELLS)
     for block in reversed(blocks):
-        end = block.first + len(block.lengths) - 1
+        end = block.first + len(block.lengths) if symmetric else len(lengths)
         cells = np.cumsum(lengths[:end]) * int(block.lengths[-1]) * len(block.lengths)
         start = 0
         while start < end:
             done = cells[start - 1] if start else 0
-            stop = max(start + 1, int(np.searchsorted(cells, done + TILE_CELLS, side="right")))
+            stop = max(start + 1, int(np.searchsorted(cells, done + share, side="right")))
             yield block, range(start, min(stop, end))
             start = stop
 
@@ -168,14 +210,10 @@ _inlined = njit(inline="always")
 
 
 @_inlined
-def _cost(x, i, y, j, dims, squared, lanes):
-    difference = subtract(spread(x, i * dims), load(y, j * dims * lanes))
+def _cost(x, y, j, dims, squared, lanes):
     if dims == 1 and not squared:
-        return absolute(difference)
-    total = multiply(difference, difference)
-    for d in range(1, dims):
-        difference = subtract(spread(x, i * dims + d), load(y, (j * dims + d) * lanes))
-        total = add(total, multiply(difference, difference))
+        return absolute(subtract(x[0], load(y, j * lanes)))
+    total = sum_of_squares(x, y, j * dims * lanes)
     if squared:
         return total
     return root(total)
@@ -185,11 +223,12 @@ def _cost(x, i, y, j, dims, squared, lanes):
 # widest band; what a narrower one must not see is masked.
 @_inlined
 def _one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
+    x_a = point(x, i * dims, dims)
     diagonal = load(row, lower * lanes)
     a = load(infinity, 0)
     for j in range(lower, upper):
         top = load(row, (j + 1) * lanes)
-        a = add(_cost(x, i, y, j, dims, squared, lanes), minimum(a, minimum(top, diagonal)))
+        a = add(_cost(x_a, y, j, dims, squared, lanes), minimum(a, lowest(top, diagonal)))
         if banded:
             a = within(a, j - i, below, above)
         store(row, (j + 1) * lanes, a)
@@ -199,6 +238,10 @@ def _one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, 
 
 @_inlined
 def _four_rows(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
+    x_a = point(x, i * dims, dims)
+    x_b = point(x, (i + 1) * dims, dims)
+    x_c = point(x, (i + 2) * dims, dims)
+    x_d = point(x, (i + 3) * dims, dims)
     diagonal = load(row, lower * lanes)
     a = load(infinity, 0)
     b = a
@@ -207,16 +250,16 @@ def _four_rows(x, i, y, lower, upper, row, below, above, infinity, dims, squared
     for j in range(lower, upper):
         top = load(row, (j + 1) * lanes)
         old_a, old_b, old_c = a, b, c
-        a = add(_cost(x, i, y, j, dims, squared, lanes), minimum(a, minimum(top, diagonal)))
+        a = add(_cost(x_a, y, j, dims, squared, lanes), minimum(a, lowest(top, diagonal)))
         if banded:
             a = within(a, j - i, below, above)
-        b = add(_cost(x, i + 1, y, j, dims, squared, lanes), minimum(b, minimum(a, old_a)))
+        b = add(_cost(x_b, y, j, dims, squared, lanes), minimum(b, lowest(a, old_a)))
         if banded:
             b = within(b, j - i - 1, below, above)
-        c = add(_cost(x, i + 2, y, j, dims, squared, lanes), minimum(c, minimum(b, old_b)))
+        c = add(_cost(x_c, y, j, dims, squared, lanes), minimum(c, lowest(b, old_b)))
         if banded:
             c = within(c, j - i - 2, below, above)
-        d = add(_cost(x, i + 3, y, j, dims, squared, lanes), minimum(d, minimum(c, old_c)))
+        d = add(_cost(x_d, y, j, dims, squared, lanes), minimum(d, lowest(c, old_c)))
         if banded:
             d = within(d, j - i - 3, below, above)
         store(row, (j + 1) * lanes, d)
@@ -226,17 +269,16 @@ def _four_rows(x, i, y, lower, upper, row, below, above, infinity, dims, squared
 
 @cache
 def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[..., None]:
-    """Kernel of a tile for one kind of cost; compiled on its first call, then loaded from disk."""
+    """Kernel of a tile for one kind of cost: distances of some single series to one block."""
 
-    @njit(cache=True, nogil=True)
-    def tile(values, starts, lengths, block, block_lengths, first, begin, end, window, order, out):
+    def tile(values, starts, lengths, block, block_lengths, begin, window, out):
         members = len(block_lengths)
         longest = block_lengths[members - 1]
         row = np.empty((longest + 1) * lanes, dtype=values.dtype)
         infinity = np.full(lanes, np.inf, dtype=values.dtype)
         below = np.zeros(lanes, dtype=values.dtype)
         above = np.zeros(lanes, dtype=values.dtype)
-        for one in range(begin, end):
+        for one in range(begin, begin + len(out)):
             x = values[starts[one] : starts[one + 1]]
             length = lengths[one]
             row[:lanes] = 0.0
@@ -260,12 +302,40 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
                     _one_row(x, i, block, lower, upper, row, low, high, infinity, dims, squared, banded, lanes)
                     i += 1
             for lane in range(members):
-                other = first + lane
-                if other > one:
-                    distance = row[block_lengths[lane] * lanes + lane]
-                    if squared:
-                        distance = math.sqrt(distance)
-                    out[order[one], order[other]] = distance
-                    out[order[other], order[one]] = distance
+                distance = row[block_lengths[lane] * lanes + lane]
+                if squared:
+                    distance = math.sqrt(distance)
+                out[one - begin, lane] = distance
 
-    return tile
+    try:
+        return njit(cache=True, nogil=True)(tile)
+    except RuntimeError:  # There is no folder that numba can write to.
+        return njit(nogil=True)(tile)
+
+
+class _Announcement(Listener):
+    def __init__(self, text: str) -> None:
+        self.text: str | None = text
+
+    def on_start(self, event: Any) -> None:
+        if self.text is not None:
+            _LOG.warning(self.text)
+            self.text = None
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+def compiled(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
+    """Kernel that is ready to run: known, else loaded from disk, else compiled, and then it says so.
+
+    The message is a warning of the logger ``cornercase.dtw``, which Python shows on standard error where no
+    logging is set up.
+    """
+    dtype = np.dtype(dtype)
+    kernel = _kernel(dims, squared, banded, simd.BYTES // dtype.itemsize)
+    floats, whole = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)
+    text = f"Compiling the DTW kernel for {dims}-D series in {dtype}: some seconds, once on this machine."
+    with install_listener("numba:compile", _Announcement(text)):
+        kernel(floats, whole, whole, floats, whole, 0, 1, np.empty((0, 1), dtype=dtype))
+    return kernel

@@ -4,6 +4,8 @@ Numba leaves it to the compiler whether a loop becomes vector instructions. The 
 warping is one that compilers give up on, so the vectors are spelled out here. Where a machine has narrower
 registers the compiler splits them. No operation reorders or fuses arithmetic: each lane has the bits that
 scalar code has.
+
+Compiled kernels on disk are renewed when the file changes that uses them, not when this one does.
 """
 
 # Compiled functions have no static types.
@@ -14,6 +16,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.extending import intrinsic, models, register_model
 
@@ -85,16 +88,42 @@ def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     return types.none(array, types.intp, value), codegen
 
 
-@intrinsic
-def spread(typingctx: Any, array: Any, index: Any) -> Any:
-    """Vector with one element of the array in every lane."""
+@intrinsic(prefer_literal=True)
+def point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
+    """Tuple of `dims` vectors: each of the elements from `index` on in every lane. `dims` is a constant."""
     vector = Vector(array.dtype)
+    vectors = types.UniTuple(vector, dims.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = _pointer(context, builder, signature.args[0], args[0], args[1])
-        return _broadcast(builder, builder.load(pointer), _ir_type(vector))
+        numbers = [
+            builder.load(builder.gep(pointer, [context.get_constant(types.intp, d)])) for d in range(len(vectors))
+        ]
+        return context.make_tuple(
+            builder, vectors, [_broadcast(builder, number, _ir_type(vector)) for number in numbers]
+        )
 
-    return vector(array, types.intp), codegen
+    return vectors(array, types.intp, dims), codegen
+
+
+@intrinsic
+def sum_of_squares(typingctx: Any, point: Any, array: Any, index: Any) -> Any:
+    """Squared distance of a point to the points from `index` on, whose coordinates are vectors one after the other."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind = _ir_type(point.dtype)
+        pointer = builder.bitcast(_pointer(context, builder, signature.args[1], args[1], args[2]), kind.as_pointer())
+        total = None
+        for d in range(len(point)):
+            other = builder.load(
+                builder.gep(pointer, [context.get_constant(types.intp, d)]), align=array.dtype.bitwidth // 8
+            )
+            difference = builder.fsub(builder.extract_value(args[0], d), other)
+            square = builder.fmul(difference, difference)
+            total = square if total is None else builder.fadd(total, square)
+        return total
+
+    return point.dtype(point, array, types.intp), codegen
 
 
 def _binary(build: Any) -> Any:
@@ -121,6 +150,28 @@ add = _binary(lambda builder, a, b: builder.fadd(a, b))
 subtract = _binary(lambda builder, a, b: builder.fsub(a, b))
 multiply = _binary(lambda builder, a, b: builder.fmul(a, b))
 minimum = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
+
+
+# AVX-512 has a minimum of whole numbers of either width that runs beside the additions, where the minimum of
+# floating-point numbers competes with them. The bits of non-negative numbers have the order of the numbers.
+_INTEGER_MINIMUM = bool(get_host_cpu_features().get("avx512f"))
+
+
+@intrinsic
+def lowest(typingctx: Any, a: Any, b: Any) -> Any:
+    """Minimum of two vectors that are nowhere negative, infinity included."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        a, b = args
+        if not _INTEGER_MINIMUM:
+            return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+        whole = ir.VectorType(ir.IntType(BYTES * 8 // a.type.count), a.type.count)
+        p, q = builder.bitcast(a, whole), builder.bitcast(b, whole)
+        return builder.bitcast(builder.select(builder.icmp_signed("<", p, q), p, q), a.type)
+
+    return a(a, b), codegen
+
+
 absolute = _unary(lambda builder, a: _call(builder, "fabs", a))
 root = _unary(lambda builder, a: _call(builder, "sqrt", a))
 

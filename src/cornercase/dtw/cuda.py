@@ -1,0 +1,174 @@
+"""Dynamic time warping on an NVIDIA GPU: one pair per thread, four rows of its table at a time.
+
+Neighbouring threads have the same row series and neighbouring column series, which are interleaved: a warp reads
+and writes consecutive numbers. Four rows stay in registers, the last of them in global memory. The
+compiler contracts products and sums there, so the last digits may differ from the CPU's.
+"""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="attr-defined, no-untyped-def, untyped-decorator, no-any-return, no-untyped-call"
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import cuda
+
+from cornercase.typing import IntArray
+
+# Threads of a block: column series side by side.
+THREADS = 128
+# Memory for the rows of all pairs of one launch.
+ROW_BYTES = 1 << 30
+# CUDA has no larger grid along its second axis.
+MOST_LINES = 65_535
+
+Floats = npt.NDArray[np.floating[Any]]
+
+
+def distances(
+    rows: Sequence[Floats],
+    columns: Sequence[Floats] | None,
+    *,
+    squared: bool,
+    window: int | None,
+    dtype: npt.DTypeLike,
+    advance: Callable[[int], None],
+) -> Floats:
+    """Distances of checked series; parameters and result are those of ``cpu.distances``."""
+    dtype = np.dtype(dtype)
+    symmetric = columns is None
+    partners = rows if columns is None else columns
+    dims = rows[0].shape[1]
+    # Long ones first, so that the threads of a warp end together and the last launch is a short one.
+    row_order, row_lengths = _by_length(rows)
+    column_order, column_lengths = _by_length(partners)
+    longest, width = int(column_lengths[0]), len(partners)
+    interleaved = np.zeros((longest, dims, width), dtype=dtype)
+    for place, j in enumerate(column_order):
+        interleaved[: len(partners[j]), :, place] = partners[j]
+    starts = np.concatenate(([0], np.cumsum(row_lengths * dims)))
+    values = cuda.to_device(np.concatenate([rows[i].ravel() for i in row_order]).astype(dtype))
+    starts_there, lengths_there = cuda.to_device(starts), cuda.to_device(row_lengths)
+    columns_there, column_lengths_there = cuda.to_device(interleaved), cuda.to_device(column_lengths)
+
+    blocks = -(-width // THREADS)
+    together = max(1, min(len(rows), MOST_LINES, ROW_BYTES // ((longest + 1) * blocks * THREADS * dtype.itemsize)))
+    row_there = cuda.device_array((together, longest + 1, width), dtype=dtype)
+    found_there = cuda.device_array((together, width), dtype=dtype)
+    kernel = _kernel(dims, squared, dtype)
+    out = np.zeros((len(rows), width), dtype=dtype)
+    for first in range(0, len(rows), together):
+        stop = min(first + together, len(rows))
+        kernel[(blocks, stop - first), (THREADS, 1)](
+            values,
+            starts_there,
+            lengths_there,
+            columns_there,
+            column_lengths_there,
+            first,
+            -1 if window is None else window,
+            symmetric,
+            row_there,
+            found_there,
+        )
+        found = found_there.copy_to_host()[: stop - first]
+        for i, line in zip(range(first, stop), found, strict=True):
+            if symmetric:
+                later = column_order[i + 1 :]
+                out[row_order[i], later] = line[i + 1 :]
+                out[later, row_order[i]] = line[i + 1 :]
+            else:
+                out[row_order[i], column_order] = line
+        advance(_cells(row_lengths, column_lengths, range(first, stop), symmetric))
+    return out
+
+
+def _by_length(series: Sequence[Floats]) -> tuple[IntArray, IntArray]:
+    lengths = np.array([len(one) for one in series], dtype=np.int64)
+    order = np.argsort(-lengths, kind="stable")
+    return order, lengths[order]
+
+
+def _cells(row_lengths: IntArray, column_lengths: IntArray, chosen: range, symmetric: bool) -> int:
+    return sum(int(row_lengths[i] * column_lengths[i + 1 if symmetric else 0 :].sum()) for i in chosen)
+
+
+@cache
+def _kernel(dims: int, squared: bool, dtype: np.dtype[Any]) -> Any:
+    real = dtype.type
+
+    @cuda.jit(device=True)
+    def cost(x, at, columns, j, column):
+        difference = x[at] - columns[j, 0, column]
+        if dims == 1 and not squared:
+            return abs(difference)
+        total = difference * difference
+        for d in range(1, dims):
+            difference = x[at + d] - columns[j, d, column]
+            total += difference * difference
+        if squared:
+            return total
+        return real(math.sqrt(total))
+
+    @cuda.jit
+    def kernel(x, starts, lengths, columns, column_lengths, first, window, symmetric, rows, out):
+        column = cuda.blockIdx.x * cuda.blockDim.x + cuda.threadIdx.x
+        line = cuda.blockIdx.y
+        one = first + line
+        if column >= len(column_lengths) or (symmetric and column <= one):
+            return
+        length, width = lengths[one], column_lengths[column]
+        start = starts[one]
+        infinity = real(np.inf)
+        below, above = length, width
+        if window > 0:
+            below = max(0, length - width) + window - 1
+            above = max(0, width - length) + window - 1
+        rows[line, 0, column] = real(0.0)
+        for j in range(width):
+            rows[line, j + 1, column] = infinity
+        for i in range(0, length, 4):
+            at = start + i * dims
+            lower = max(0, i - below)
+            upper = min(width, i + 4 + above)
+            diagonal = rows[line, lower, column]
+            a = b = c = d = infinity
+            for j in range(lower, upper):
+                top = rows[line, j + 1, column]
+                shift = j - i
+                last_a, last_b, last_c = a, b, c
+                a = infinity
+                if -below <= shift <= above:
+                    a = cost(x, at, columns, j, column) + min(last_a, min(top, diagonal))
+                bottom = a
+                if i + 1 < length:
+                    b = infinity
+                    if -below <= shift - 1 <= above:
+                        b = cost(x, at + dims, columns, j, column) + min(last_b, min(a, last_a))
+                    bottom = b
+                if i + 2 < length:
+                    c = infinity
+                    if -below <= shift - 2 <= above:
+                        c = cost(x, at + 2 * dims, columns, j, column) + min(last_c, min(b, last_b))
+                    bottom = c
+                if i + 3 < length:
+                    last_d = d
+                    d = infinity
+                    if -below <= shift - 3 <= above:
+                        d = cost(x, at + 3 * dims, columns, j, column) + min(last_d, min(c, last_c))
+                    bottom = d
+                rows[line, j + 1, column] = bottom
+                diagonal = top
+            rows[line, 0, column] = infinity
+        distance = rows[line, width, column]
+        if squared:
+            distance = real(math.sqrt(distance))
+        out[line, column] = distance
+
+    return kernel

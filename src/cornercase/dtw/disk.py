@@ -1,0 +1,166 @@
+"""A distance matrix that does not fit in memory: written to a file square by square, and gone on with.
+
+Beside the matrix stands ``NAME.progress``: in its first line a fingerprint of the series and the settings, then
+one line for each square that is in the file. A square is noted after it has been written out, so a process that is
+killed loses the square at which it was; the same call with ``resume=True`` computes that and the rest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import mmap
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase.dtw import pairs
+from cornercase.dtw.pairs import Settings
+from cornercase.errors import InputError
+
+# Series along one side of a square: some seconds of work, and 16 MB of the file with its mirror image.
+SIDE = 1024
+
+Floats = npt.NDArray[np.floating[Any]]
+FloatMap = np.memmap[Any, np.dtype[np.floating[Any]]]
+
+
+def distance_matrix(
+    series: Sequence[Floats],
+    out: str | os.PathLike[str] | FloatMap,
+    *,
+    resume: bool,
+    settings: Settings,
+    advance: Callable[[int], None],
+) -> FloatMap:
+    """Fill a matrix on disk from checked series.
+
+    Parameters
+    ----------
+    series : sequence of n ndarray, shape (T_i, k)
+    out : path or numpy.memmap of shape (n, n)
+        The path of a file in NumPy's format that is made, or a map onto an existing file.
+    resume : bool
+        Go on with what is there.
+    settings : Settings
+    advance : callable
+        Called with the number of cells that are settled since the last call.
+
+    Returns
+    -------
+    numpy.memmap
+        `out`, or the map onto the file at that path.
+
+    Raises
+    ------
+    InputError
+        `out` does not fit, exists although not to be resumed, or was begun from other series or settings.
+    """
+    size = len(series)
+    path = Path(_file_of(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
+    journal = path.with_name(path.name + ".progress")
+    fingerprint = _fingerprint(series, settings)
+    if isinstance(out, np.memmap):
+        if not resume:
+            journal.unlink(missing_ok=True)
+    elif not resume and path.exists():
+        raise InputError(f"{path}: exists; go on with it by resume=True, or give another path.")
+    elif resume and path.exists() and not journal.exists():
+        raise InputError(f"{path}: {journal.name} is not beside it, so what it holds is unknown; give another path.")
+    elif not path.exists():
+        journal.unlink(missing_ok=True)
+    try:
+        done = _begun(journal, fingerprint)
+        view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not done)
+        _fill(view, series, journal, done, settings, advance)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+    return view
+
+
+def _fill(
+    view: FloatMap,
+    series: Sequence[Floats],
+    journal: Path,
+    done: set[tuple[int, int]],
+    settings: Settings,
+    advance: Callable[[int], None],
+) -> None:
+    bands = [range(first, min(first + SIDE, len(series))) for first in range(0, len(series), SIDE)]
+    with journal.open("ab") as notes:
+        for a, rows in enumerate(bands):
+            for b, columns in enumerate(bands[a:], a):
+                upper = [series[i] for i in rows]
+                right = None if a == b else [series[j] for j in columns]
+                if (a, b) in done:
+                    advance(pairs.cells(upper, right))
+                    continue
+                square = pairs.distances(upper, right, settings, advance)
+                pairs.refuse_infinite(square, rows.start, columns.start)
+                # A map of its own for each square: what is unmapped no longer counts as this process's memory.
+                part = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
+                part[rows.start : rows.stop, columns.start : columns.stop] = square
+                part[columns.start : columns.stop, rows.start : rows.stop] = square.T
+                part.flush()
+                del part
+                notes.write(f"{a} {b}\n".encode())
+                notes.flush()
+                os.fsync(notes.fileno())
+
+
+def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
+    """Return the path of the file under a map that can be filled."""
+    if out.shape != (size, size) or out.dtype != dtype:
+        raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
+    if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
+        raise InputError("out is not the map of a whole file in rows; give a numpy.memmap as it was made, or a path.")
+    if out.mode not in ("r+", "w+"):
+        raise InputError(f"out is open in mode {out.mode!r}; open it with 'r+'.")
+    return os.fspath(out.filename)
+
+
+def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatMap:
+    try:
+        view: FloatMap = np.lib.format.open_memmap(  # type: ignore[no-untyped-call]
+            path, "w+" if new else "r+", dtype, (size, size)
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: is no NumPy file; give another path.") from error
+    if view.shape != (size, size) or view.dtype != dtype or not view.flags.c_contiguous:
+        raise InputError(f"{path}: is {view.dtype} of shape {view.shape} in the place of this matrix.")
+    return view
+
+
+def _begun(journal: Path, fingerprint: str) -> set[tuple[int, int]]:
+    """Return the squares that are in the file; a journal that is not there is begun."""
+    if not journal.exists():
+        journal.write_text(fingerprint + "\n")
+        return set()
+    content = journal.read_bytes()
+    # A line without its end was not all written when the machine went down.
+    whole = content[: content.rfind(b"\n") + 1]
+    if len(whole) < len(content):
+        journal.write_bytes(whole)
+    first, *squares = whole.decode().splitlines() or [fingerprint]
+    if not whole:
+        journal.write_text(fingerprint + "\n")
+    if first != fingerprint:
+        raise InputError(
+            f"{journal}: tells of other series or settings; give those again, or delete it and the matrix."
+        )
+    return {(int(a), int(b)) for a, b in (line.split() for line in squares)}
+
+
+def _fingerprint(series: Sequence[Floats], settings: Settings) -> str:
+    digest = hashlib.sha256()
+    for one in series:
+        digest.update(repr(one.shape).encode())
+        digest.update(one.tobytes())
+    cost = "squared" if settings.squared else "euclidean"
+    return (
+        f"cornercase-dtw 1 {digest.hexdigest()} {len(series)} {cost} window={settings.window} "
+        f"{settings.dtype} {settings.device} side={SIDE}"
+    )

@@ -1,0 +1,173 @@
+"""All distances of a set of series in memory: what need not be computed first, then the CPU or the GPU."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase.dtw import cpu
+from cornercase.errors import InputError
+from cornercase.typing import IntArray
+
+Floats = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is computed, and where; `squared` and `window` as in ``cornercase.dtw.distance_matrix``."""
+
+    squared: bool
+    window: int | None
+    dtype: np.dtype[Any]
+    n_jobs: int
+    device: Literal["cpu", "cuda"]
+
+
+def distances(
+    rows: Sequence[Floats],
+    columns: Sequence[Floats] | None,
+    settings: Settings,
+    advance: Callable[[int], None],
+) -> Floats:
+    """Distances of checked series.
+
+    Parameters
+    ----------
+    rows : sequence of ndarray, shape (T_i, k)
+    columns : sequence of ndarray, shape (T_j, k), or None
+        None: the rows again.
+    settings : Settings
+    advance : callable
+        Called with the number of cells that are settled since the last call.
+
+    Returns
+    -------
+    ndarray, shape (len(rows), len(columns))
+        Infinite where a distance is too large for the type.
+    """
+    total = cells(rows, columns)
+    distinct_rows, row_of = distinct(rows)
+    distinct_columns, column_of = (None, row_of) if columns is None else distinct(columns)
+    if settings.window is None:
+        distinct_rows, distinct_columns = without_common_rests(distinct_rows, distinct_columns)
+    computed = cells(distinct_rows, distinct_columns)
+    share = total / computed if computed else 0.0
+
+    def settled(done: int) -> None:
+        advance(round(done * share))
+
+    if settings.device == "cuda":
+        from cornercase.dtw import cuda
+
+        found = cuda.distances(
+            distinct_rows,
+            distinct_columns,
+            squared=settings.squared,
+            window=settings.window,
+            dtype=settings.dtype,
+            advance=settled,
+        )
+    else:
+        found = cpu.distances(
+            distinct_rows,
+            distinct_columns,
+            squared=settings.squared,
+            window=settings.window,
+            dtype=settings.dtype,
+            n_jobs=settings.n_jobs,
+            advance=settled,
+        )
+    if len(distinct_rows) < len(rows) or (distinct_columns and columns and len(distinct_columns) < len(columns)):
+        found = found[row_of[:, None], column_of]
+    return found
+
+
+def refuse_infinite(found: Floats, rows_from: int = 0, columns_from: int = 0, columns: str = "") -> None:
+    """Refuse distances that have overflown, and name the first pair.
+
+    Parameters
+    ----------
+    found : ndarray, shape (n, m)
+    rows_from, columns_from : int
+        Index of the first row and column.
+    columns : str
+        What a column is if no series, with a space behind it.
+    """
+    if not np.isfinite(found).all():
+        i, j = np.argwhere(~np.isfinite(found))[0] + (rows_from, columns_from)
+        raise InputError(
+            f"The distance of series {i} and {columns}{j} is too large for {found.dtype}; scale the values down."
+        )
+
+
+def require_gpu() -> None:
+    """Refuse where there is no GPU to use; numba's simulator counts as one.
+
+    Raises
+    ------
+    InputError
+        numba-cuda or the GPU is missing.
+    """
+    if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
+        return
+    if find_spec("numba_cuda") is None:
+        raise InputError("device 'cuda' needs the extra 'gpu'; install cornercase[gpu] or choose device 'cpu'.")
+    from numba import cuda
+
+    if not cuda.is_available():  # type: ignore[no-untyped-call]
+        raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, and finds none; choose device 'cpu'.")
+
+
+def cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
+    """Return how many entries the tables of all pairs have together."""
+    lengths = np.array([len(one) for one in rows], dtype=np.float64)
+    if columns is None:
+        return int((lengths.sum() ** 2 - (lengths**2).sum()) / 2)
+    return int(lengths.sum() * sum(len(one) for one in columns))
+
+
+def distinct(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
+    """Return each series that is not the bitwise copy of an earlier one, and for all series which it is."""
+    place: dict[bytes, int] = {}
+    index = np.array([place.setdefault(one.tobytes(), len(place)) for one in series], dtype=np.int64)
+    _, first = np.unique(index, return_index=True)
+    return [series[i] for i in first], index
+
+
+def without_common_rests(
+    rows: Sequence[Floats], columns: Sequence[Floats] | None
+) -> tuple[Sequence[Floats], Sequence[Floats] | None]:
+    """Shorten a rest at the point where all series begin, and one where all end, to that point.
+
+    A course at its cap is such a rest. Without a window the distances stay the same to the bit. Let x begin
+    with p and y with q times the point c. A path that leaves the square of the two rests before both are
+    over, say at ``x[i]`` with ``i < p``, goes on along ``x[i] ... x[p - 1]``, all c, and meets each of the
+    columns on its way at least once. Resting until ``(p - 1, q - 1)`` costs nothing, and meeting each of
+    these columns from ``x[p - 1]`` costs a part of the same terms in the same order; leaving out
+    terms that are not negative raises no rounded sum. So some cheapest path rests, and what it does before
+    ``(p - 1, q - 1)`` can be cut off. The end is the beginning read backwards. A beginning that is common
+    but no rest cannot be cut off: after 0, 3 in both, a path may have left early to meet zeros in the other.
+    """
+    series = [*rows, *(columns or ())]
+    begins = np.array([one[0] for one in series])
+    ends = np.array([one[-1] for one in series])
+    at_begin, at_end = bool((begins == begins[0]).all()), bool((ends == ends[0]).all())
+    if not at_begin and not at_end:
+        return rows, columns
+
+    def shortened(one: Floats) -> Floats:
+        if at_begin:
+            moving = np.flatnonzero((one != one[0]).any(axis=1))
+            one = one[moving[0] - 1 :] if len(moving) else one[:1]
+        if at_end:
+            moving = np.flatnonzero((one != one[-1]).any(axis=1))
+            one = one[: moving[-1] + 2] if len(moving) else one[:1]
+        return one
+
+    return [shortened(one) for one in rows], None if columns is None else [shortened(one) for one in columns]

@@ -1,0 +1,42 @@
+"""The squared cost beside packages that define it so; they are in the extra `bench`."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cornercase.dtw import distance_matrix
+
+
+@st.composite
+def sets_of_series(draw):
+    dims = draw(st.integers(1, 8))
+    lengths = draw(st.lists(st.integers(1, 30), min_size=2, max_size=8))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    return [np.cumsum(rng.normal(size=(length, dims)), axis=0) for length in lengths]
+
+
+windows = st.one_of(st.none(), st.integers(1, 12))
+
+
+@settings(max_examples=60, deadline=None)
+@given(series=sets_of_series(), window=windows)
+def test_dtaidistance(series, window):
+    dtw_ndim = pytest.importorskip("dtaidistance.dtw_ndim")
+    found = distance_matrix(series, local_cost="squared", window=window)
+    for i, x in enumerate(series):
+        for j, y in enumerate(series):
+            assert found[i, j] == pytest.approx(dtw_ndim.distance(x, y, window=window), rel=1e-9, abs=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(series=sets_of_series(), window=windows)
+def test_tslearn(series, window):
+    metrics = pytest.importorskip("tslearn.metrics")
+    found = distance_matrix(series, local_cost="squared", window=window)
+    band = {} if window is None else {"global_constraint": "sakoe_chiba", "sakoe_chiba_radius": window - 1}
+    for i, x in enumerate(series):
+        for j, y in enumerate(series):
+            # tslearn measures the band along one diagonal, so the two agree on it for equal lengths only.
+            if window is None or len(x) == len(y):
+                assert found[i, j] == pytest.approx(metrics.dtw(x, y, **band), rel=1e-9, abs=1e-9)
