@@ -131,7 +131,20 @@ def test_odd_spaces_from_end_to_end(kind, tmp_path):
     varied = ["--space", space] if kind == "categorical" else [X, "--range", "ego_start=20:60"]
     budget = 2 if kind == "two scenarios" else 20
     for command in (
-        ["explore", *varied, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--budget", budget, "-o", study],
+        [
+            "explore",
+            *varied,
+            "--ego",
+            "Ego",
+            "--other",
+            "Pedestrian",
+            "--metric",
+            "wttc",
+            "--budget",
+            budget,
+            "-o",
+            study,
+        ],
         ["analyze", study],
         ["reduce", study, "-o", tmp_path / "reduced"],
         ["report", study, "-o", page],
