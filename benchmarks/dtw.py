@@ -1,9 +1,12 @@
 """Speed of the DTW distance matrix beside aeon, dtaidistance and tslearn: same series, same definition.
 
-python benchmarks/dtw.py [--quick] [--threads N] [--json FILE]
+python benchmarks/dtw.py [--quick | --paper | --disk] [--threads N] [--json FILE]
 
 The definition is the squared local cost, which all four know; the Euclidean one, which cornercase uses for
 scenarios, is shown for itself. A cell is one entry of the table of one pair; the best of the rounds counts.
+
+--paper measures the matrices of 300 and 3,375 scenarios of 400 instants, each in a process of its own.
+--disk writes the matrix of 20,000 courses of 200 instants to a file, is killed in the middle, and goes on.
 """
 
 # mypy: disable-error-code="import-not-found"
@@ -14,7 +17,11 @@ import argparse
 import json
 import os
 import platform
+import resource
+import signal
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from importlib.metadata import version
@@ -24,14 +31,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cornercase.dtw import distance_matrix
+from cornercase.dtw import disk, distance_matrix
 from cornercase.dtw.cpu import available_cpus
 
 Series = list[npt.NDArray[np.float64]]
 Call = Callable[[Series], npt.NDArray[Any]]
 
 # Pairs whose distance is computed again by the definition, for the column of differences.
-CHECKED_PAIRS = 3
+CHECKED_PAIRS = 10
 
 
 def ours(dtype: str, local_cost: str, threads: int) -> Call:
@@ -110,9 +117,10 @@ def measure(n: int, length: int, dims: int, threads: int, rounds: int) -> list[d
             matrices[name] = call(series)
             times[name] = min(times[name], time.perf_counter() - begin)
     pairs = rng.choice(n, size=(CHECKED_PAIRS, 2), replace=False)
+    definition = {squared: [defined(series[i], series[j], squared) for i, j in pairs] for squared in (False, True)}
     rows = []
     for name, matrix in matrices.items():
-        exact = [defined(series[i], series[j], "euclidean" not in name) for i, j in pairs]
+        exact = definition["euclidean" not in name]
         got = [matrix[min(pair), max(pair)] for pair in pairs]
         rows.append(
             {
@@ -128,33 +136,120 @@ def measure(n: int, length: int, dims: int, threads: int, rounds: int) -> list[d
     return rows
 
 
+def own_process(*arguments: str) -> dict[str, Any]:
+    """Run this file with arguments of its own, and return what it says last."""
+    run = subprocess.run([sys.executable, __file__, *arguments], stdout=subprocess.PIPE, text=True, check=True)
+    return dict(json.loads(run.stdout.splitlines()[-1]))
+
+
+def one_matrix(n: int, length: int, dims: int, dtype: str, threads: int, out: str | None) -> dict[str, Any]:
+    """Compute one matrix of random walks with the Euclidean cost; seconds, and most memory that the process had."""
+    rng = np.random.default_rng(0)
+    series = [np.cumsum(rng.normal(size=(length, dims)), axis=0) for _ in range(n)]
+    distance_matrix(series[:3], dtype=dtype)
+    begin = time.perf_counter()
+    distance_matrix(series, dtype=dtype, n_jobs=threads, out=out, resume=out is not None)
+    seconds = time.perf_counter() - begin
+    return {
+        "n": n,
+        "length": length,
+        "dims": dims,
+        "dtype": dtype,
+        "seconds": seconds,
+        "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
+    }
+
+
+def paper(threads: int) -> list[dict[str, Any]]:
+    rows = []
+    print(f"{'scenarios':>9} {'instants':>8} {'k':>2} {'arithmetic':>10} {'s':>9} {'GB':>6}")
+    for n in (300, 3375):
+        for dims in (2, 1):
+            for dtype in ("float64", "float32"):
+                row = own_process("--one", f"{n},400,{dims},{dtype}", "--threads", str(threads))
+                rows.append(row)
+                print(f"{n:9} {400:8} {dims:2} {dtype:>10} {row['seconds']:9.2f} {row['gigabytes']:6.2f}", flush=True)
+    return rows
+
+
+def killed_and_resumed(threads: int, n: int) -> list[dict[str, Any]]:
+    """Write a matrix to a file, kill the process at half of its squares, and let another go on."""
+    bands = -(-n // disk.SIDE)
+    squares = bands * (bands + 1) // 2
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "matrix.npy"
+        progress = path.with_name(path.name + ".progress")
+        arguments = ["--one", f"{n},200,1,float64", "--threads", str(threads), "--out", str(path)]
+        begin = time.perf_counter()
+        child = subprocess.Popen([sys.executable, __file__, *arguments])
+        while not progress.exists() or progress.read_bytes().count(b"\n") <= squares // 2:
+            time.sleep(0.1)
+            if child.poll() is not None:
+                raise SystemExit("The process ended before it was killed.")
+        peak = memory_of(child.pid)
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        done = progress.read_bytes().count(b"\n") - 1
+        first = {"squares": done, "seconds": time.perf_counter() - begin, "gigabytes": peak}
+        print(f"killed after {done} of {squares} squares, {first['seconds']:.0f} s, {peak:.2f} GB", flush=True)
+        second = {"squares": squares - done, **own_process(*arguments)}
+        print(f"went on with {squares - done}: {second['seconds']:.0f} s, {second['gigabytes']:.2f} GB")
+        print(f"{path.stat().st_size / 1e9:.2f} GB in the file")
+    return [first, second]
+
+
+def memory_of(pid: int) -> float:
+    """Most memory that a running process has had, in GB."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) * 1024 / 1e9
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one size, under a minute")
     parser.add_argument("--threads", type=int, default=available_cpus())
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--paper", action="store_true", help="the paper's sizes")
+    parser.add_argument("--disk", action="store_true", help="a matrix on disk, killed and resumed")
+    parser.add_argument("--series", type=int, default=20_000, help="number of series for --disk")
+    parser.add_argument("--one", metavar="N,T,K,DTYPE", help=argparse.SUPPRESS)
+    parser.add_argument("--out", help=argparse.SUPPRESS)
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = str(options.threads)
+
+    if options.one:
+        n, length, dims, dtype = options.one.split(",")
+        print(json.dumps(one_matrix(int(n), int(length), int(dims), dtype, options.threads, options.out)))
+        return
+    if options.paper or options.disk:
+        rows = paper(options.threads) if options.paper else killed_and_resumed(options.threads, options.series)
+        write(options, rows, [])
+        return
 
     missing = {"aeon", "dtaidistance", "tslearn"} - set(peers(options.threads))
     if missing:
         print(f"Not installed, so not measured: {', '.join(sorted(missing))} (extra 'bench').", file=sys.stderr)
     sizes = [(100, 100), (100, 400)] if options.quick else [(n, t) for n in (200, 400, 1000) for t in (100, 200, 400)]
-    rows: list[dict[str, Any]] = []
+    rows = []
     print(f"{'n':>5} {'length':>6} {'k':>2}  {'':30} {'s':>9} {'Gcells/s':>9} {'largest difference':>19}")
     for n, length in sizes:
         for dims in (1, 2):
-            for row in measure(n, length, dims, options.threads, 2 if n < 1000 else 1):
+            for row in measure(n, length, dims, options.threads, {200: 3, 400: 2}.get(n, 1)):
                 rows.append(row)
                 print(
                     f"{n:5} {length:6} {dims:2}  {row['who']:30} {row['seconds']:9.3f} "
-                    f"{row['cells_per_second'] / 1e9:9.3f} {row['largest_relative_difference']:19.1e}"
+                    f"{row['cells_per_second'] / 1e9:9.3f} {row['largest_relative_difference']:19.1e}",
+                    flush=True,
                 )
+    write(options, rows, list(peers(options.threads)))
+
+
+def write(options: argparse.Namespace, rows: list[dict[str, Any]], others: list[str]) -> None:
     if options.json:
         about = {
             "machine": platform.processor() or platform.machine(),
             "threads": options.threads,
-            "versions": {name: version(name) for name in ("numba", "numpy", *peers(options.threads))},
+            "versions": {name: version(name) for name in ("numba", "numpy", *others)},
         }
         options.json.write_text(json.dumps({"about": about, "rows": rows}, indent=1))
 

@@ -344,3 +344,25 @@ def test_works_where_numba_can_write_nowhere(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "file" / "folder")}
     run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
     assert run.stdout == "5.0\n", run.stderr
+
+
+def test_narrow_registers_give_the_same_bits(tmp_path):
+    # A processor without AVX-512, or any vectors wider than its architecture has at least.
+    rng = np.random.default_rng(8)
+    series = [rng.normal(size=(length, 2)).tolist() for length in (13, 1, 8, 20, 5)]
+    program = (
+        "import json, sys; from cornercase.dtw import simd; simd._INTEGER_MINIMUM = False; "
+        "from cornercase.dtw import distance_matrix; "
+        "print(json.dumps(distance_matrix(json.load(sys.stdin), window=6).tolist()))"
+    )
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_FEATURES": "",
+    }
+    run = subprocess.run(
+        [sys.executable, "-c", program], input=json.dumps(series), env=environment, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout) == distance_matrix(series, window=6).tolist()

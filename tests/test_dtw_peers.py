@@ -6,6 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cornercase.dtw import distance_matrix
+from cornercase.metrics import METRICS
+from cornercase.metrics.base import capped
+from cornercase.simulators.builtin import BuiltinSimulator
 
 
 @st.composite
@@ -40,3 +43,26 @@ def test_tslearn(series, window):
             # tslearn measures the band along one diagonal, so the two agree on it for equal lengths only.
             if window is None or len(x) == len(y):
                 assert found[i, j] == pytest.approx(metrics.dtw(x, y, **band), rel=1e-9, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def scenarios(t_intersection):
+    """Ego trajectories and metric courses of simulated scenarios."""
+    points = t_intersection.space.snap(np.random.default_rng(2).random((6, 3)))
+    recordings = BuiltinSimulator().run([t_intersection.concrete(one) for one in t_intersection.space.values(points)])
+    metric = METRICS.create("distance")
+    return [(one.center("Ego"), capped(metric, metric.course(one, "Ego", "C"))[:, None]) for one in recordings]
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_simulated_scenarios(scenarios, kind):
+    dtw_ndim = pytest.importorskip("dtaidistance.dtw_ndim")
+    metrics = pytest.importorskip("tslearn.metrics")
+    series = [np.ascontiguousarray(both[kind]) for both in scenarios]
+    found = distance_matrix(series, local_cost="squared")
+    assert len({len(one) for one in series}) > 1
+    assert found[np.triu_indices(6, 1)].min() > 0.0
+    for i, x in enumerate(series):
+        for j, y in enumerate(series):
+            assert found[i, j] == pytest.approx(dtw_ndim.distance(x, y), rel=1e-9, abs=1e-9)
+            assert found[i, j] == pytest.approx(metrics.dtw(x, y), rel=1e-9, abs=1e-9)
