@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 import numpy as np
 
+from cornercase.errors import InputError
 from cornercase.geometry import box_corners
 from cornercase.recording import Recording
 from cornercase.registry import Registry
@@ -26,6 +28,9 @@ class Metric(Protocol):
     cap : float
         The least critical value that a course keeps apart from others. Where the metric is not defined, or
         beyond the cap, the course counts as the cap when scenarios are compared.
+    limit : float, optional
+        The most critical value that a course keeps apart from others, for metrics that can be infinitely
+        critical; beyond it the course counts as the limit.
     source : str
         Where the definition stands.
     """
@@ -45,11 +50,49 @@ class Metric(Protocol):
         ...
 
 
+class PairMetric(ABC):
+    """What most metrics share: their score is the most critical value of the capped course."""
+
+    name: str
+    unit: str
+    lower_is_critical: bool
+    cap: float
+    source: str
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Value at each instant.
+
+        Parameters
+        ----------
+        recording : Recording
+        ego, other : str
+            Names of two entities.
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            In the metric's unit; NaN where it is not defined.
+
+        Raises
+        ------
+        InputError
+            There is no entity of that name.
+        """
+        return self._course(recording, ego, other)
+
+    def score(self, course: FloatArray) -> float:
+        """Most critical value of the course in the metric's unit, between its cap and its limit."""
+        return worst(self, course)
+
+    @abstractmethod
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray: ...
+
+
 METRICS: Registry[Metric] = Registry("metric", "cornercase.metrics")
 
 
 def capped(metric: Metric, course: FloatArray) -> FloatArray:
-    """Course with the cap where it is not defined or less critical than the cap, so finite everywhere.
+    """Course between cap and limit, and the cap where it is not defined, so finite everywhere.
 
     Parameters
     ----------
@@ -60,8 +103,9 @@ def capped(metric: Metric, course: FloatArray) -> FloatArray:
     -------
     ndarray of float64, shape (T,)
     """
+    limit = getattr(metric, "limit", -np.inf if metric.lower_is_critical else np.inf)
     filled = np.where(np.isnan(course), metric.cap, course)
-    return np.minimum(filled, metric.cap) if metric.lower_is_critical else np.maximum(filled, metric.cap)
+    return np.clip(filled, min(metric.cap, limit), max(metric.cap, limit))
 
 
 def worst(metric: Metric, course: FloatArray) -> float:
@@ -83,3 +127,15 @@ def velocity(recording: Recording, name: str) -> FloatArray:
     heading = recording.heading[i]
     forward: FloatArray = recording.speed[i][:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
     return forward
+
+
+def checked(name: str, **numbers: float) -> None:
+    """Refuse options of a metric that are not finite or negative.
+
+    Raises
+    ------
+    InputError
+    """
+    for option, number in numbers.items():
+        if not 0.0 <= number < np.inf:
+            raise InputError(f"{name} cannot take {number} for {option}; give a finite number of 0 or more.")

@@ -1,20 +1,21 @@
-"""Euclidean distance."""
+"""Distance between centres, and between boxes."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from cornercase.metrics.base import worst
+from cornercase.geometry import box_distance
+from cornercase.metrics.base import PairMetric, boxes
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
 
 
-class Distance:
+class Distance(PairMetric):
     """Distance between the centres of two bounding boxes.
 
     ``|p_other - p_ego|`` in the plane, in m. It depends on positions only, so standing entities are nothing
     special; 0 when the centres coincide. Boxes that touch still have a positive distance: their gap is
-    `cornercase.geometry.box_distance`.
+    `Clearance`.
 
     Not defined where one of the two does not exist. Cap: 100 m.
 
@@ -30,28 +31,28 @@ class Distance:
     cap = 100.0
     source = "Euclidean distance between the centres of the bounding boxes"
 
-    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Distance at each instant.
-
-        Parameters
-        ----------
-        recording : Recording
-        ego, other : str
-            Names of two entities.
-
-        Returns
-        -------
-        ndarray of float64, shape (T,)
-            m; NaN where one does not exist.
-
-        Raises
-        ------
-        InputError
-            There is no entity of that name.
-        """
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         gap = recording.center(other) - recording.center(ego)
         return np.hypot(gap[:, 0], gap[:, 1])
 
-    def score(self, course: FloatArray) -> float:
-        """Smallest distance of the course in m, the cap if there is none below it."""
-        return worst(self, course)
+
+class Clearance(PairMetric):
+    """Gap between the two bounding boxes.
+
+    The smallest distance of two of their points in the plane, in m; 0 where they touch or overlap. It depends
+    on positions and headings only, so standing entities are nothing special. Not defined where one of the two
+    does not exist. Cap: 100 m.
+
+    Notes
+    -----
+    Source: Euclidean distance of the boxes as convex polygons.
+    """
+
+    name = "clearance"
+    unit = "m"
+    lower_is_critical = True
+    cap = 100.0
+    source = "Euclidean distance of the bounding boxes"
+
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return box_distance(boxes(recording, ego), boxes(recording, other))

@@ -8,7 +8,7 @@ import numpy as np
 
 from cornercase.errors import InputError, suggestion
 from cornercase.geometry import box_distance
-from cornercase.metrics.base import boxes, worst
+from cornercase.metrics.base import PairMetric, boxes
 from cornercase.recording import Recording
 from cornercase.typing import BoolArray, FloatArray, IntArray
 
@@ -18,7 +18,7 @@ _WINDOW = 2.0
 _STANDS = 1e-5
 
 
-class TrafficQuality:
+class TrafficQuality(PairMetric):
     r"""How demanding the traffic of the whole scene is for the ego; higher is more critical.
 
     ``penalty * sqrt(macro² + micro² + nano² + individual²)``, without unit, of all n entities that exist:
@@ -59,6 +59,7 @@ class TrafficQuality:
         if term not in get_args(Term):
             raise InputError(f"Traffic quality has no term '{term}'; {suggestion(term, get_args(Term))}")
         self.term = term
+        self.name = "traffic-quality" if term == "all" else f"traffic-quality-{term}"
 
     def course(self, recording: Recording, ego: str, other: str = "") -> FloatArray:
         """Traffic quality, or the chosen term of it, at each instant.
@@ -81,16 +82,15 @@ class TrafficQuality:
         InputError
             There is no entity of that name.
         """
+        return self._course(recording, ego, other)
+
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         scene = _Scene(recording, ego)
         if self.term != "all":
             term: FloatArray = getattr(scene, self.term)()
             return np.where(scene.exists[scene.ego], term, np.nan)
         squares = scene.macro() ** 2 + scene.micro() ** 2 + scene.nano() ** 2 + scene.individual() ** 2
         return np.where(scene.exists[scene.ego], scene.penalty() * np.sqrt(squares), np.nan)
-
-    def score(self, course: FloatArray) -> float:
-        """Greatest value of the course, 0 if it is nowhere defined."""
-        return worst(self, course)
 
 
 class _Scene:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase.errors import InputError
-from cornercase.metrics.base import worst
+from cornercase.metrics.base import PairMetric
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
 
 _REACH = 1e-6
 """How far in m a track may end short of the other and still meet it: rounding opens no gap at a vertex."""
+
+_STILL = 1e-9
+"""Steps in m that are rounding, and have no direction."""
 
 _PARALLEL = 1e-6
 """Sine of the angle below which two pieces of track run beside each other and do not cross."""
@@ -20,7 +23,7 @@ _BLOCK = 256
 """Pieces of track that are set against the whole other track at once, to keep the arrays small."""
 
 
-class TrajectoryDistance:
+class TrajectoryDistance(PairMetric):
     """Sum of the ways that both entities have still to go along their tracks to where these cross.
 
     ``d_ego + d_other`` in m. A track joins the recorded centres of the bounding box and goes straight on from
@@ -54,38 +57,42 @@ class TrajectoryDistance:
             raise InputError(f"trajectory-distance cannot look {ahead} m ahead; give a finite length of 0 or more.")
         self.ahead = ahead
 
-    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Trajectory distance at each instant.
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        mine, others = ways_to_crossing(recording, ego, other, self.ahead)
+        return mine + others
 
-        Parameters
-        ----------
-        recording : Recording
-        ego, other : str
-            Names of two entities; their order does not matter.
 
-        Returns
-        -------
-        ndarray of float64, shape (T,)
-            m; NaN where not defined.
+def ways_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
+    """How far both still have to go to the crossing of their tracks that lies ahead of both.
 
-        Raises
-        ------
-        InputError
-            There is no entity of that name.
-        """
-        mine = _Track(recording, ego, self.ahead)
-        others = _Track(recording, other, self.ahead)
-        on_mine, on_other = _crossings(mine, others)
-        left_mine = on_mine[:, None] - mine.driven
-        left_other = on_other[:, None] - others.driven
-        ahead = (left_mine >= -_REACH) & (left_other >= -_REACH)
-        both = np.where(ahead, np.maximum(left_mine, 0.0) + np.maximum(left_other, 0.0), np.inf)
-        nearest = both.min(0, initial=np.inf)
-        return np.where(np.isfinite(nearest), nearest, np.nan)
+    Parameters
+    ----------
+    recording : Recording
+    ego, other : str
+    ahead : float
+        How far each track goes straight on after the recording, in m.
 
-    def score(self, course: FloatArray) -> float:
-        """Smallest trajectory distance of the course in m, the cap if there is none below it."""
-        return worst(self, course)
+    Returns
+    -------
+    ndarray of float64, shape (T,)
+        Of the ego, in m; of several crossings the one with the smallest sum of both. NaN where there is none.
+    ndarray of float64, shape (T,)
+        Of the other.
+    """
+    tracks = _Track(recording, ego, ahead), _Track(recording, other, ahead)
+    crossings = _crossings(*tracks)
+    left_mine, left_other = (on[:, None] - track.driven for on, track in zip(crossings, tracks, strict=True))
+    open_ = (left_mine >= -_REACH) & (left_other >= -_REACH)
+    both = np.where(open_, np.maximum(left_mine, 0.0) + np.maximum(left_other, 0.0), np.inf)
+    if not len(both):
+        nothing = np.full(len(recording.time), np.nan)
+        return nothing, nothing
+    nearest = both.argmin(0), np.arange(both.shape[1])
+    found = np.isfinite(both[nearest])
+    return (
+        np.where(found, np.maximum(left_mine[nearest], 0.0), np.nan),
+        np.where(found, np.maximum(left_other[nearest], 0.0), np.nan),
+    )
 
 
 class _Track:
@@ -102,7 +109,7 @@ class _Track:
             last = heading[exists[-1]]
             tip = points[-1] + ahead * np.array([np.cos(last), np.sin(last)])
             points, along = np.vstack([points, tip]), np.append(along, along[-1] + ahead)
-        moves = np.flatnonzero(_lengths(points) > 0.0)
+        moves = np.flatnonzero(_lengths(points) > _STILL)
         self.start, self.step, self.along = points[moves], points[moves + 1] - points[moves], along[moves]
 
 

@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 
 from cornercase.geometry import first_contact
-from cornercase.metrics.base import boxes, velocity, worst
+from cornercase.metrics.base import PairMetric, boxes, velocity
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
 
 
-class Ttc:
+class Ttc(PairMetric):
     """Time until the two bounding boxes first touch if both go straight on.
 
     Each box keeps its heading and its speed along it; the value is the smallest t >= 0 in s at which the
@@ -44,25 +44,7 @@ class Ttc:
     def __init__(self, accelerating: bool = False) -> None:
         self.accelerating = accelerating
 
-    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Time to collision at each instant.
-
-        Parameters
-        ----------
-        recording : Recording
-        ego, other : str
-            Names of two entities; their order does not matter.
-
-        Returns
-        -------
-        ndarray of float64, shape (T,)
-            s; inf for never, NaN where one does not exist.
-
-        Raises
-        ------
-        InputError
-            There is no entity of that name.
-        """
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         a, b = boxes(recording, ego), boxes(recording, other)
         if not self.accelerating:
             return first_contact(a, b, velocity(recording, other) - velocity(recording, ego))
@@ -82,10 +64,6 @@ class Ttc:
             first = np.fmin(first, begin + contact)
         unknown = np.isnan(a + b).any((1, 2)) | np.isnan(one.speed + two.speed + one.rate + two.rate)
         return np.where(unknown, np.nan, first)
-
-    def score(self, course: FloatArray) -> float:
-        """Smallest time to collision of the course in s, the cap if there is none below it."""
-        return worst(self, course)
 
 
 class _Braking:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase.errors import InputError
-from cornercase.metrics.base import velocity, worst
+from cornercase.metrics.base import PairMetric, velocity
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
 
@@ -14,7 +14,7 @@ _VULNERABLE = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
 _ITERATIONS = 100
 
 
-class Wttc:
+class Wttc(PairMetric):
     """Time to collision if both entities do the worst that physics allows.
 
     Each entity may accelerate in any direction by at most ``a``: after a time t it is somewhere in a circle
@@ -58,25 +58,7 @@ class Wttc:
         self.vehicle_acceleration = vehicle_acceleration
         self.vulnerable_acceleration = vulnerable_acceleration
 
-    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Worst time to collision at each instant.
-
-        Parameters
-        ----------
-        recording : Recording
-        ego, other : str
-            Names of two entities; their order does not matter.
-
-        Returns
-        -------
-        ndarray of float64, shape (T,)
-            s; NaN where one does not exist.
-
-        Raises
-        ------
-        InputError
-            There is no entity of that name.
-        """
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         rows = [recording.index(ego), recording.index(other)]
         radius = 0.5 * sum(float(np.hypot(recording.length[i], recording.width[i])) for i in rows)
         return worst_contact(
@@ -85,10 +67,6 @@ class Wttc:
             radius,
             sum(self._limit(recording.kinds[i]) for i in rows),
         )
-
-    def score(self, course: FloatArray) -> float:
-        """Smallest worst time to collision of the course in s, the cap if there is none below it."""
-        return worst(self, course)
 
     def _limit(self, kind: str) -> float:
         return self.vulnerable_acceleration if kind.lower() in _VULNERABLE else self.vehicle_acceleration

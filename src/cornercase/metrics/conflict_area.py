@@ -1,0 +1,236 @@
+"""Conflict area of two recorded tracks, and when each entity was in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import label
+from scipy.optimize import brentq
+
+from cornercase.errors import InputError
+from cornercase.geometry import box_corners, separation, sweep_axes
+from cornercase.metrics.base import boxes
+from cornercase.recording import Recording
+from cornercase.typing import BoolArray, FloatArray, IntArray
+
+Area = tuple[float, float, float, float, float]
+
+_STILL = 1e-9
+"""Largest move of a corner in m between two instants of an entity that stands."""
+
+_ARC = 0.005
+"""How far in m turning may move a corner in one step: by so much a hull may reach over a curved edge."""
+
+TOUCH = 1e-9
+"""Times in s that are the same but for rounding."""
+
+_PAIRS_AT_ONCE = 4_000
+
+
+@dataclass(frozen=True)
+class Stay:
+    """One visit to a conflict area.
+
+    Attributes
+    ----------
+    enters, leaves : float
+        s; an entity that has not left leaves when its recording ends.
+    left : bool
+        Whether it did leave.
+    stands : bool
+        Whether it stood in the area at the end instead.
+    """
+
+    enters: float
+    leaves: float
+    left: bool
+    stands: bool
+
+
+def visits(recording: Recording, ego: str, other: str, area: Area | None) -> list[tuple[Stay, Stay]]:
+    """Return visits of the ego and of the other to each conflict area that they share.
+
+    Parameters
+    ----------
+    recording : Recording
+    ego, other : str
+        Names of two entities.
+    area : tuple of five float or None
+        Rectangle to take for the conflict area; None for where the areas that both boxes sweep overlap.
+
+    Returns
+    -------
+    list of tuple of Stay
+    """
+    a, b = _Sweep.of(recording, ego), _Sweep.of(recording, other)
+    if area is None:
+        return _stays(a, b)
+    place = _Sweep.of_area(*area)
+    return [(one, two) for one, _ in _stays(a, place) for two, _ in _stays(b, place)]
+
+
+def checked_area(metric: str, area: Area | None) -> Area | None:
+    """Refuse a rectangle that is none.
+
+    Raises
+    ------
+    InputError
+    """
+    if area is not None and (len(area) != 5 or not np.isfinite(area).all() or min(area[3:]) <= 0.0):
+        raise InputError(f"{metric} cannot take {area} for its area; give x, y, heading, length > 0, width > 0.")
+    return area
+
+
+class _Sweep:
+    """Area that a box sweeps, as n hulls of the box before and after a step; a span of standing is one step.
+
+    ``center`` (n, 2, 2), ``heading``, ``time`` and ``speed`` (n, 2) are those before and after each step,
+    ``corners`` (n, 8, 2) and ``axes`` (n, 8, 2) those of the hulls.
+    """
+
+    def __init__(
+        self,
+        center: FloatArray,
+        heading: FloatArray,
+        time: FloatArray,
+        speed: FloatArray,
+        size: tuple[float, float],
+    ) -> None:
+        self.center, self.heading, self.time, self.speed, self.size = center, heading, time, speed, size
+        poses = box_corners(center[..., 0], center[..., 1], heading, *size)
+        self.corners = poses.reshape(-1, 8, 2)
+        self.axes = sweep_axes(poses[:, 0], poses[:, 1])
+
+    @classmethod
+    def of(cls, recording: Recording, name: str) -> _Sweep:
+        i = recording.index(name)
+        steps = np.stack(_steps(boxes(recording, name)), -1)
+        heading = recording.heading[i][steps]
+        turn = np.remainder(heading[:, 1] - heading[:, 0] + np.pi, 2.0 * np.pi) - np.pi
+        heading[:, 1] = heading[:, 0] + turn
+        speed = np.nan_to_num(np.abs(recording.speed[i][steps]))
+        size = (float(recording.length[i]), float(recording.width[i]))
+        return cls(recording.center(name)[steps], heading, recording.time[steps], speed, size)
+
+    @classmethod
+    def of_area(cls, x: float, y: float, heading: float, length: float, width: float) -> _Sweep:
+        nothing = np.zeros((1, 2))
+        center = np.full((1, 2, 2), (x, y))
+        return cls(center, nothing + heading, nothing, nothing, (length, width))
+
+    def divided(self, steps: IntArray) -> _Sweep:
+        """Return some of the steps, those that turn in parts, so that the hulls keep to the curve."""
+        turn = self.heading[steps, 1] - self.heading[steps, 0]
+        parts = np.maximum(np.ceil(0.5 * np.hypot(*self.size) * np.abs(turn) / _ARC), 1.0).astype(np.int64)
+        which = np.repeat(np.arange(len(steps)), parts)
+        part = np.arange(len(which)) - np.repeat(parts.cumsum() - parts, parts)
+        share = (part[:, None] + np.array([0.0, 1.0])) / parts[which, None]
+        step = steps[which]
+        way = self.center[step, 1] - self.center[step, 0]
+        time, speed = _interpolate(self.time[step, None], self.speed[step, None], share)
+        return _Sweep(
+            self.center[step, :1] + share[..., None] * way[:, None],
+            self.heading[step, :1] + share * turn[which, None],
+            time,
+            speed,
+            self.size,
+        )
+
+    def backwards(self) -> _Sweep:
+        """Return the same way, driven from its end to its beginning."""
+        return _Sweep(
+            self.center[::-1, ::-1],
+            self.heading[::-1, ::-1],
+            self.time[::-1, ::-1],
+            self.speed[::-1, ::-1],
+            self.size,
+        )
+
+
+def _meeting(a: _Sweep, b: _Sweep) -> BoolArray:
+    """Which step of `a` meets which of `b`, (n, m)."""
+    meets = np.zeros((len(a.corners), len(b.corners)), dtype=np.bool_)
+    middle_a, reach_a = _circle(a)
+    middle_b, reach_b = _circle(b)
+    apart = np.hypot(*(middle_b[None, :, k] - middle_a[:, None, k] for k in (0, 1)))
+    i, j = np.nonzero(apart <= reach_a[:, None] + reach_b)
+    for k in range(0, len(i), _PAIRS_AT_ONCE):
+        some_i, some_j = i[k : k + _PAIRS_AT_ONCE], j[k : k + _PAIRS_AT_ONCE]
+        gap = separation(a.corners[some_i], a.axes[some_i], b.corners[some_j], b.axes[some_j])
+        meets[some_i, some_j] = gap <= 0.0
+    return meets
+
+
+def _circle(sweep: _Sweep) -> tuple[FloatArray, FloatArray]:
+    middle = sweep.corners.mean(1)
+    away = sweep.corners - middle[:, None]
+    return middle, np.hypot(away[..., 0], away[..., 1]).max(1, initial=0.0)
+
+
+def _stays(a: _Sweep, b: _Sweep) -> list[tuple[Stay, Stay]]:
+    """Visits of `a` to what `b` sweeps and of `b` to what `a` sweeps, for each connected stretch of both."""
+    labels, count = label(_meeting(a, b), structure=np.ones((3, 3)))
+    stretches: list[BoolArray] = [labels == k for k in range(1, count + 1)]
+    pairs = [(_stay(a, b, meets), _stay(b, a, meets.T)) for meets in stretches]
+    return [(one, two) for one, two in pairs if one is not None and two is not None]
+
+
+def _stay(sweep: _Sweep, area: _Sweep, meets: BoolArray) -> Stay | None:
+    """When the box that makes `sweep` touches the steps of `area` that it meets."""
+    steps = np.flatnonzero(meets.any(1))
+    entry = _first_touch(sweep, steps, area, meets, backwards=False)
+    exit_ = _first_touch(sweep, steps[::-1], area, meets, backwards=True)
+    if entry is None or exit_ is None:
+        return None
+    left = exit_ < sweep.time[-1, 1] - TOUCH
+    return Stay(entry, exit_, left, not left and bool(sweep.speed[-1, 1] <= _STILL))
+
+
+def _first_touch(sweep: _Sweep, steps: IntArray, area: _Sweep, meets: BoolArray, backwards: bool) -> float | None:
+    """Time of the first touch in the given order of steps; None where only hulls of curved steps met."""
+    for step in steps:
+        fine, around = sweep.divided(np.array([step])), area.divided(np.flatnonzero(meets[step]))
+        fine = fine.backwards() if backwards else fine
+        hits = _meeting(fine, around)
+        touched = np.flatnonzero(hits.any(1))
+        if len(touched):
+            part = touched[0]
+            share = _share(fine.corners[part], around.corners[hits[part]], around.axes[hits[part]])
+            return float(_interpolate(fine.time[part], fine.speed[part], np.array(share))[0])
+    return None
+
+
+def _share(corners: FloatArray, obstacles: FloatArray, axes: FloatArray) -> float:
+    """Share of the way of a step at which the box first touches one of some convex shapes."""
+    start, way = corners[:4], corners[4:] - corners[:4]
+
+    def gap(share: float) -> float:
+        reached = start + share * way
+        hull = np.concatenate([start, reached])
+        return float(separation(hull, sweep_axes(start, reached), obstacles, axes).min())
+
+    if gap(0.0) <= 0.0:
+        return 0.0
+    return float(brentq(gap, 0.0, 1.0, xtol=1e-13)) if gap(1.0) <= 0.0 else 1.0
+
+
+def _interpolate(time: FloatArray, speed: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Time and speed (...) after a share of the way of a step (..., 2), the speed changing evenly in time."""
+    before, after = speed[..., 0], speed[..., 1]
+    way = 0.5 * (before + after) * share
+    reached = np.sqrt(np.maximum(before**2 + 2.0 * (after - before) * way, 0.0))
+    paced = before + reached > 0.0
+    lapse = np.where(paced, 2.0 * way / np.where(paced, before + reached, 1.0), share)
+    return time[..., 0] + lapse * (time[..., 1] - time[..., 0]), reached
+
+
+def _steps(box: FloatArray) -> tuple[IntArray, IntArray]:
+    """First and last instant of each move and of each span of standing, (n,) each."""
+    exists = np.isfinite(box).all((1, 2))
+    before, after = np.append(False, exists[:-1]), np.append(exists[1:], False)
+    start = np.flatnonzero(exists & (after | ~before))
+    end = np.where(after[start], start + 1, start)
+    still = (np.abs(box[end] - box[start]) <= _STILL).all((1, 2))
+    goes_on = still[1:] & still[:-1] & (start[1:] == end[:-1])
+    return start[np.append(True, ~goes_on)[: len(start)]], end[np.append(~goes_on, True)[: len(end)]]

@@ -1,0 +1,95 @@
+"""Gap time: how far apart in time both would reach the crossing of their tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase.metrics.base import PairMetric, checked
+from cornercase.metrics.trajectory_distance import ways_to_crossing
+from cornercase.recording import Recording
+from cornercase.typing import FloatArray
+
+
+class GapTime(PairMetric):
+    """Difference of the times at which both reach the crossing of their tracks at their present speeds.
+
+    ``|d / v - d_other / v_other|`` in s, with the ways that the centres still have to go to the crossing that
+    `TrajectoryDistance` takes. 0 when both arrive together, inf when at least one stands. Not defined where no
+    crossing lies ahead of both (one has passed it), for tracks that do not cross, and where one of the two
+    does not exist. Cap: 10 s.
+
+    Parameters
+    ----------
+    ahead : float, default 100.0
+        How far each track goes straight on after the recording, in m.
+
+    Notes
+    -----
+    Source: gap time, B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
+    Transportation Research Record 667 (1978), predicted with constant speeds.
+    """
+
+    name = "gap-time"
+    unit = "s"
+    lower_is_critical = True
+    cap = 10.0
+    source = "Allen, Shin and Cooper 1978, predicted"
+
+    def __init__(self, ahead: float = 100.0) -> None:
+        checked(self.name, ahead=ahead)
+        self.ahead = ahead
+
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        mine, others = _arrivals(recording, ego, other, self.ahead)
+        return _apart(mine, others)
+
+
+class SquaredGapTime(PairMetric):
+    """Difference of the squared times at which both reach the crossing of their tracks.
+
+    ``|t² - t_other²|`` in s², the gap time times the sum of both arrival times, so that the same gap counts
+    more the sooner it comes. Arrivals, 0, inf and where it is not defined as in `GapTime`. Cap: 100 s².
+
+    Parameters
+    ----------
+    ahead : float, default 100.0
+        As in `GapTime`.
+
+    Notes
+    -----
+    Source: squared predicted relative encroachment time, as in Westhofen et al. 2023.
+    """
+
+    name = "spret"
+    unit = "s²"
+    lower_is_critical = True
+    cap = 100.0
+    source = "Squared predicted relative encroachment time, as in Westhofen et al. 2023"
+
+    def __init__(self, ahead: float = 100.0) -> None:
+        checked(self.name, ahead=ahead)
+        self.ahead = ahead
+
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        mine, others = _arrivals(recording, ego, other, self.ahead)
+        return _apart(mine**2, others**2)
+
+
+def _arrivals(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
+    ways = ways_to_crossing(recording, ego, other, ahead)
+    speeds = (np.abs(recording.speed[recording.index(name)]) for name in (ego, other))
+    mine, others = (_time(way, speed) for way, speed in zip(ways, speeds, strict=True))
+    return mine, others
+
+
+def _time(way: FloatArray, speed: FloatArray) -> FloatArray:
+    moves = speed > 0.0
+    time = np.where(moves, way / np.where(moves, speed, 1.0), np.where(way > 0.0, np.inf, 0.0))
+    return np.where(np.isnan(way + speed), np.nan, time)
+
+
+def _apart(one: FloatArray, two: FloatArray) -> FloatArray:
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(one - two)
+    # Two that stand never arrive, at no time together.
+    return np.where(np.isinf(one) & np.isinf(two), np.inf, apart)

@@ -1,0 +1,100 @@
+"""How hard the ego would have to steer around the other in its way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase.metrics.base import PairMetric, boxes, checked, velocity
+from cornercase.metrics.following import Following
+from cornercase.recording import Recording
+from cornercase.typing import FloatArray
+
+
+class LateralAcceleration(PairMetric):
+    """Required lateral acceleration: the weaker of those with which the ego passes the other left or right.
+
+    ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². Δy is how far the other's centre lies to the
+    left of the ego's, across the ego's heading, when the gap is closed (so with the lateral speed that both
+    have); the widths are those of the boxes across the ego's heading; TTC is gap / Δv along it. 0 when the
+    gap does not shrink, inf at contact while it does. A standing other is an obstacle. Not defined where the
+    other is not in the ego's way or one of the two does not exist. Cap: 0, limit: 20 m/s².
+
+    Notes
+    -----
+    Source: required lateral acceleration, as in Westhofen et al. 2023 and Jansson 2005.
+    """
+
+    name = "a-lat-req"
+    unit = "m/s²"
+    lower_is_critical = False
+    cap = 0.0
+    limit = 20.0
+    source = "Jansson 2005"
+
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        return required_acceleration(recording, ego, other)
+
+
+class Stn(PairMetric):
+    """Steer threat number: required over available lateral acceleration.
+
+    The required lateral acceleration (`LateralAcceleration`) over the greatest one, without unit: 1 where
+    steering at full power just avoids the contact. 0 when the gap does not shrink. Standing others, and where
+    it is not defined, as there. Cap: 0, limit: 5.
+
+    Parameters
+    ----------
+    acceleration : float, default 8.0
+        Greatest lateral acceleration of the ego in m/s².
+
+    Notes
+    -----
+    Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
+    collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
+    """
+
+    name = "stn"
+    unit = "1"
+    lower_is_critical = False
+    cap = 0.0
+    limit = 5.0
+    source = "Brännström et al. 2008"
+
+    def __init__(self, acceleration: float = 8.0) -> None:
+        checked(self.name, acceleration=acceleration)
+        self.acceleration = acceleration
+
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        required = required_acceleration(recording, ego, other)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share: FloatArray = np.where(required == 0.0, 0.0, required / self.acceleration)
+        return share
+
+
+def required_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:
+    """Weakest lateral acceleration of the ego without contact; see `LateralAcceleration`.
+
+    Parameters
+    ----------
+    recording : Recording
+    ego, other : str
+
+    Returns
+    -------
+    ndarray of float64, shape (T,)
+        m/s², not negative; NaN where the other is not in the ego's way.
+    """
+    pair = Following.of(recording, ego, other)
+    heading = recording.heading[recording.index(ego)]
+    left = np.stack([-np.sin(heading), np.cos(heading)], -1)
+    width = sum(np.ptp((boxes(recording, name) * left[:, None]).sum(-1), -1) for name in (ego, other))
+    offset = ((recording.center(other) - recording.center(ego)) * left).sum(-1)
+    drift = ((velocity(recording, other) - velocity(recording, ego)) * left).sum(-1)
+    closes = pair.closing > 0.0
+    time = np.where(closes, pair.gap / np.where(closes, pair.closing, 1.0), np.inf)
+    reached = offset + np.where(closes, drift * np.where(closes, time, 0.0), 0.0)
+    way = np.minimum(np.abs(0.5 * width + reached), np.abs(0.5 * width - reached))
+    with np.errstate(divide="ignore"):
+        required = np.where(closes, 2.0 * way / np.where(closes, time, 1.0) ** 2, 0.0)
+    required = np.where(closes & (time == 0.0), np.inf, required)
+    return np.where(np.isnan(pair.gap + pair.closing), np.nan, required)
