@@ -124,3 +124,20 @@ def test_a_folder_that_cannot_be_written_leaves_nothing(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         recording().to_csv(tmp_path / "file" / "r.csv")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_names_with_spaces_keep_their_collisions(tmp_path):
+    named = replace(recording(), names=("my ego", "a walker"), collisions=(Collision(0.1, ("my ego", "a walker")),))
+    named.to_csv(tmp_path / "r.csv")
+    assert read_recording(tmp_path / "r.csv").collisions == named.collisions
+    with pytest.raises(InputError, match="semicolon"):
+        replace(named, names=("a", "b;c"), collisions=(Collision(0.1, ("a", "b;c")),)).to_csv(tmp_path / "s.csv")
+    assert not (tmp_path / "s.csv").exists()
+
+
+def test_a_second_row_of_one_entity_and_time_is_refused(tmp_path):
+    recording().to_csv(tmp_path / "r.csv")
+    lines = (tmp_path / "r.csv").read_text().splitlines()
+    (tmp_path / "r.csv").write_text("\n".join([*lines, lines[2]]) + "\n")
+    with pytest.raises(InputError, match=rf"r.csv, line {len(lines) + 1}: .* line 3 already"):
+        read_recording(tmp_path / "r.csv")

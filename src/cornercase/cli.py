@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import sys
 from pathlib import Path
@@ -220,7 +221,12 @@ def simulate(
 
 @app.command()
 def measure(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING.csv", help="Recording to measure.")],
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING", help="Recording to measure: CSV, ASAM OSI trace (.osi, .mcap), CommonRoad (.xml)."
+        ),
+    ],
     *,
     ego: Ego,
     other: Other,
@@ -249,6 +255,35 @@ def measure(
         table.add_row(one.name, f"{one.score(courses[one.name]):.4g}", one.unit, critical)
     _out.print(table)
     _out.print(f"{read.time.size} instants written to {output}")
+
+
+@app.command()
+def metrics(
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """List the criticality metrics, also those of other packages.
+
+    A metric takes options behind a colon, those of its class in the documentation: --metric ttc:accelerating=true
+
+    \b
+    Example:
+      cornercase metrics
+    """
+    from cornercase.metrics import METRICS
+
+    known = [METRICS.create(name) for name in METRICS.names()]
+    if as_json:
+        rows = [
+            {key: getattr(one, key) for key in ("name", "unit", "lower_is_critical", "cap", "source")} for one in known
+        ]
+        sys.stdout.write(json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
+        return
+    table = Table("metric", "unit", "critical is", "what it is", "source", box=None)
+    for one in known:
+        what = (inspect.getdoc(one) or "").partition("\n")[0]
+        table.add_row(one.name, one.unit, "low" if one.lower_is_critical else "high", what, one.source)
+    _out.print(table)
 
 
 @app.command()

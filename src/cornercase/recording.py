@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase.errors import InputError, suggestion
 from cornercase.files import written_whole
-from cornercase.typing import FloatArray
+from cornercase.typing import FloatArray, IntArray
 
 COLUMNS = (
     "time", "entity", "kind", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x",
@@ -98,12 +98,19 @@ class Recording:
         """Write one row per entity and instant, with the columns `COLUMNS` and ``collision``.
 
         Numbers are written so that reading gives the same bits. ``collision`` names the entities whose box is
-        first touched at that instant, separated by spaces.
+        first touched at that instant, separated by semicolons.
+
+        Raises
+        ------
+        InputError
+            The name of an entity that collides has a semicolon in it.
         """
         touched: dict[tuple[float, str], list[str]] = {}
         for collision in self.collisions:
             first, second = collision.entities
             touched.setdefault((collision.time, first), []).append(second)
+            if ";" in second:
+                raise InputError(f"{path}: the name '{second}' has a semicolon in it; rename the entity.")
         with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow((*COLUMNS, "collision"))
@@ -111,18 +118,19 @@ class Recording:
                 for a, name in enumerate(self.names):
                     motion = [float(getattr(self, column)[a, t]) for column in _MOTION]
                     box = [float(getattr(self, column)[a]) for column in _BOX]
-                    others = " ".join(touched.get((time, name), ()))
+                    others = ";".join(touched.get((time, name), ()))
                     writer.writerow((time, name, self.kinds[a], *motion, *box, others))
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Read a recording as CSV, of cornercase or of another tool.
+    """Read a recording, of cornercase or of another tool.
 
     Parameters
     ----------
     path : path
-        A table with at least the columns `COLUMNS`. Rows may come in any order; an entity without a row at an
-        instant of another's does not exist then.
+        By its ending an ASAM OSI trace (``.osi``, ``.mcap``; extra ``osi``), a CommonRoad scenario (``.xml``;
+        extra ``commonroad``), or else a CSV table with at least the columns `COLUMNS`. Its rows may come in
+        any order; an entity without a row at an instant of another's does not exist then.
 
     Returns
     -------
@@ -131,9 +139,18 @@ def read_recording(path: Path | str) -> Recording:
     Raises
     ------
     InputError
-        The file cannot be read, a column is missing, or a field is no number; the message names the line.
+        The file cannot be read, a column is missing, a field is no number, or an entity has two rows of one
+        time; the message names the line. Or the extra that reads it is not installed.
     """
     path = Path(path)
+    if path.suffix.lower() in (".osi", ".mcap", ".xz", ".lzma"):
+        from cornercase.readers.osi import read_osi
+
+        return read_osi(path)
+    if path.suffix.lower() == ".xml":
+        from cornercase.readers.commonroad import read_commonroad
+
+        return read_commonroad(path)
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
@@ -156,6 +173,7 @@ def read_recording(path: Path | str) -> Recording:
     time, instant = np.unique(numbers[:, 0], return_inverse=True)
     names = tuple(dict.fromkeys(row["entity"] for _, row in rows))
     entity = np.array([names.index(row["entity"]) for _, row in rows])
+    _refuse_doubles(path, [line for line, _ in rows], entity * len(time) + instant)
     motion = np.full((len(_MOTION), len(names), len(time)), np.nan)
     motion[:, entity, instant] = numbers[:, 1 : 1 + len(_MOTION)].T
     first = [int(np.flatnonzero(entity == a)[0]) for a in range(len(names))]
@@ -166,8 +184,8 @@ def read_recording(path: Path | str) -> Recording:
     length, width, center_x = box
     collisions = tuple(
         Collision(float(numbers[i, 0]), (row["entity"], other))
-        for i, (_, row) in enumerate(rows)
-        for other in (row.get("collision") or "").split()
+        for i, (line, row) in enumerate(rows)
+        for other in _touched(path, line, row.get("collision") or "", names)
     )
     return Recording(
         time,
@@ -183,6 +201,27 @@ def read_recording(path: Path | str) -> Recording:
         center_x,
         tuple(sorted(collisions, key=lambda c: c.time)),
     )
+
+
+def _refuse_doubles(path: Path, lines: list[int], place: IntArray) -> None:
+    """Refuse a second row of one entity at one instant."""
+    order = np.argsort(place, kind="stable")
+    double = np.flatnonzero(np.diff(place[order]) == 0)
+    if len(double):
+        first, second = order[double[0]], order[double[0] + 1]
+        raise InputError(
+            f"{path}, line {lines[second]}: the entity has a row of this time in line {lines[first]} already; "
+            "leave one of the two."
+        )
+
+
+def _touched(path: Path, line: int, text: str, names: tuple[str, ...]) -> list[str]:
+    """Entities named in the column ``collision``."""
+    found = [part.strip() for part in text.split(";") if part.strip()]
+    for name in found:
+        if name not in names:
+            raise InputError(f"{path}, line {line}: collision names '{name}'; {suggestion(name, names)}")
+    return found
 
 
 def _number(path: Path, line: int, row: dict[str, str | None], column: str) -> float:

@@ -219,7 +219,7 @@ def required_acceleration(pair: Following) -> FloatArray:
     # A leader that stands does not start backwards because it holds its brake.
     steady = np.where((pair.leader_speed == 0.0) & (rate < 0.0), 0.0, rate)
     alongside = steady - _over(np.maximum(closing, 0.0) ** 2, 2.0 * pair.gap)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         in_time = (closing > 0.0) & (2.0 * pair.gap / closing <= pair.leader_speed / np.where(brakes, -rate, 1.0))
     required = np.where(brakes & ~in_time, behind_it, np.where(closing > 0.0, alongside, 0.0))
     return np.where(np.isnan(pair.gap + closing + rate), np.nan, np.minimum(required, 0.0))
