@@ -14,6 +14,10 @@ from cornercase.registry import Registry
 from cornercase.typing import FloatArray
 
 
+_ALIKE = 1e-9
+"""Relative speeds in m/s that are rounding: they take 30 years for a metre."""
+
+
 class Metric(Protocol):
     """How critical a recording is, for the ego and one other entity.
 
@@ -165,6 +169,13 @@ def velocity(recording: Recording, name: str) -> FloatArray:
     heading = recording.heading[i]
     forward: FloatArray = recording.speed[i][:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
     return forward
+
+
+def relative_velocity(recording: Recording, ego: str, other: str) -> FloatArray:
+    """Velocity of the other seen from the ego in m/s, shape (T, 2), exactly 0 where only rounding sets them apart."""
+    relative = velocity(recording, other) - velocity(recording, ego)
+    size = np.hypot(relative[:, 0], relative[:, 1])
+    return np.where((size <= _ALIKE)[:, None], 0.0, relative)
 
 
 def checked(name: str, **numbers: float) -> None:

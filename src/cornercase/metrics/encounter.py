@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase.geometry import box_distance, first_contact
-from cornercase.metrics.base import PairMetric, boxes, velocity
+from cornercase.metrics.base import PairMetric, boxes, relative_velocity
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
 
@@ -90,7 +90,7 @@ def closest_encounter(recording: Recording, ego: str, other: str, centers: bool)
     ndarray of float64, shape (T,)
         s.
     """
-    way = velocity(recording, other) - velocity(recording, ego)
+    way = relative_velocity(recording, ego, other)
     if centers:
         return _nearest((recording.center(other) - recording.center(ego))[:, None], way)
     a, b = boxes(recording, ego), boxes(recording, other)

@@ -9,7 +9,7 @@ import numpy as np
 
 from cornercase.errors import InputError
 from cornercase.geometry import boxes_overlap
-from cornercase.metrics.base import PairMetric, boxes, checked, velocity
+from cornercase.metrics.base import PairMetric, boxes, checked, relative_velocity
 from cornercase.metrics.ttc import Ttc
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
@@ -117,7 +117,7 @@ class ConflictSeverity(PairMetric):
 
 
 def _change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> FloatArray:
-    gap = velocity(recording, other) - velocity(recording, ego)
+    gap = relative_velocity(recording, ego, other)
     change: FloatArray = _share(recording, ego, other, masses) * np.hypot(gap[:, 0], gap[:, 1])
     return change
 

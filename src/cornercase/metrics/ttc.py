@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from cornercase.geometry import first_contact
-from cornercase.metrics.base import PairMetric, boxes, velocity
+from cornercase.metrics.base import PairMetric, boxes, relative_velocity
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
 
@@ -47,7 +47,7 @@ class Ttc(PairMetric):
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         a, b = boxes(recording, ego), boxes(recording, other)
         if not self.accelerating:
-            return first_contact(a, b, velocity(recording, other) - velocity(recording, ego))
+            return first_contact(a, b, relative_velocity(recording, ego, other))
         one, two = _Braking(recording, ego), _Braking(recording, other)
         first = np.full(len(recording.time), np.nan)
         # From one stop to the next both accelerations are constant.

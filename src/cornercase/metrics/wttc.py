@@ -1,17 +1,22 @@
 """Worst time to collision."""
 
+# Compiled functions have no static types.
+# mypy: disable-error-code="call-arg"
+
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import numpy.typing as npt
 
 from cornercase.errors import InputError
-from cornercase.metrics.base import PairMetric, velocity
+from cornercase.metrics import wttc_kernel
+from cornercase.metrics.base import PairMetric
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
 
 _VULNERABLE = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
-_ITERATIONS = 100
 
 
 class Wttc(PairMetric):
@@ -60,13 +65,16 @@ class Wttc(PairMetric):
 
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         rows = [recording.index(ego), recording.index(other)]
-        radius = 0.5 * sum(float(np.hypot(recording.length[i], recording.width[i])) for i in rows)
-        return worst_contact(
-            recording.center(other) - recording.center(ego),
-            velocity(recording, other) - velocity(recording, ego),
-            radius,
+        course = np.empty(len(recording.time))
+        wttc_kernel.course(
+            *map(np.ascontiguousarray, (recording.x, recording.y, recording.heading, recording.speed)),
+            np.ascontiguousarray(recording.center_x),
+            *rows,
+            0.5 * sum(math.hypot(recording.length[i], recording.width[i]) for i in rows),
             sum(self._limit(recording.kinds[i]) for i in rows),
+            course,
         )
+        return course
 
     def _limit(self, kind: str) -> float:
         return self.vulnerable_acceleration if kind.lower() in _VULNERABLE else self.vehicle_acceleration
@@ -78,8 +86,8 @@ def worst_contact(
     """Smallest t >= 0 with |position + velocity t| = radius + acceleration t²/2, for all elements at once.
 
     Squared, the equation is a quartic h(t) = 0 without a cubic term. For t >= 0 it is concave up to one
-    inflection and convex from there on. A root in the concave part lies before the only maximum, whose place
-    is known in closed form; from the left of it Newton's method runs into the root without overshooting, also
+    inflection and convex from there on. A root in the concave part lies before the only maximum, which
+    Newton's method finds from the left; from the left of it Newton's method runs into the root without overshooting, also
     where two roots fall together. If the maximum stays below 0, the only root lies in the convex part, and
     Newton's method reaches it from a bound on the right.
 
@@ -98,47 +106,13 @@ def worst_contact(
     ndarray of float64, shape (...)
         s; 0 where the circles touch now, inf for never, NaN where an input is.
     """
-    distance = np.hypot(position[..., 0], position[..., 1])
-    speed = np.hypot(velocity[..., 0], velocity[..., 1])
-    closing = -(position * velocity).sum(-1)
     radius, growth = np.asarray(radius, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
-    distance, speed, closing, radius, growth = np.broadcast_arrays(distance, speed, closing, radius, growth)
-
-    apart = (distance - radius) * (distance + radius)
-    touch = apart <= 0.0
-    quartic = 0.25 * growth**2
-    square = radius * growth - speed**2
-
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        top = _maximum(-square, growth, closing)
-        peak = ((quartic * top**2 + square) * top + 2.0 * closing) * top - apart
-        # A grazing contact is one: what rounding may have taken from the maximum is given back.
-        early = peak >= -1e-14 * (distance**2 + (speed * top) ** 2)
-        curvature = -2.0 * square - 12.0 * quartic * top**2
-        from_left = np.where(curvature > 0.0, top - np.sqrt(2.0 * np.maximum(peak, 0.0) / curvature), 0.0)
-        from_right = (speed + np.sqrt(speed**2 + 2.0 * growth * np.maximum(distance - radius, 0.0))) / growth
-        time = np.where(early, np.clip(from_left, 0.0, top), from_right)
-        for _ in range(_ITERATIONS):
-            value = ((quartic * time**2 + square) * time + 2.0 * closing) * time - apart
-            slope = (4.0 * quartic * time**2 + 2.0 * square) * time + 2.0 * closing
-            step = np.where((value < 0.0) == early, value / slope, 0.0)
-            moved = np.where(early, np.fmin(time - step, top), np.fmax(time - step, 0.0))
-            settled = touch | ~(np.abs(moved - time) > 4e-15 * time)
-            time = moved
-            if settled.all():
-                break
-
-    time = np.where(early | (growth > 0.0), time, np.inf)
-    time = np.where(touch, 0.0, time)
-    return np.where(np.isnan(distance + speed + radius + growth), np.nan, time)
-
-
-def _maximum(bend: FloatArray, growth: FloatArray, closing: FloatArray) -> FloatArray:
-    """Where growth² t⁴/4 - bend t² + 2 closing t is largest up to its inflection; NaN if it only falls."""
-    rises = (bend > 0.0) & (closing > 0.0)
-    bend = np.where(rises, bend, 1.0)
-    third = 2.0 / 3.0 * bend
-    sine = closing * growth / third**1.5
-    # As the growth vanishes, the inflection goes to infinity and the maximum to that of a parabola.
-    cubic = 2.0 * np.sqrt(third) / growth * np.sin(np.arcsin(np.clip(sine, 0.0, 1.0)) / 3.0)
-    return np.where(rises, np.where(sine > 1e-8, cubic, closing / bend), np.nan)
+    position, velocity = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
+    shape = np.broadcast_shapes(position.shape[:-1], velocity.shape[:-1], radius.shape, growth.shape)
+    found = np.empty(math.prod(shape))
+    wttc_kernel.roots(
+        *(np.ascontiguousarray(np.broadcast_to(vector, (*shape, 2)).reshape(-1, 2)) for vector in (position, velocity)),
+        *(np.ascontiguousarray(np.broadcast_to(number, shape).ravel()) for number in (radius, growth)),
+        found,
+    )
+    return found.reshape(shape)

@@ -1,0 +1,129 @@
+"""Compiled solution of the worst time to collision, many instants side by side."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+# Loops over so many instants have no branches, so that the compiler fills vectors with them.
+_BLOCK = 64
+_ITERATIONS = 100
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
+    """Relative motion of the entities in rows `a` and `b`, boxes `ahead` of their reference points; then the roots."""
+    position, velocity = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
+    radii, growths = np.full(_BLOCK, radius), np.full(_BLOCK, growth)
+    for first in range(0, len(out), _BLOCK):
+        count = min(_BLOCK, len(out) - first)
+        for k in range(count):
+            i = first + k
+            cos_a, sin_a = math.cos(heading[a, i]), math.sin(heading[a, i])
+            cos_b, sin_b = math.cos(heading[b, i]), math.sin(heading[b, i])
+            position[0, k] = (x[b, i] + ahead[b] * cos_b) - (x[a, i] + ahead[a] * cos_a)
+            position[1, k] = (y[b, i] + ahead[b] * sin_b) - (y[a, i] + ahead[a] * sin_a)
+            velocity[0, k] = speed[b, i] * cos_b - speed[a, i] * cos_a
+            velocity[1, k] = speed[b, i] * sin_b - speed[a, i] * sin_a
+        _solve(position, velocity, radii, growths, count, out[first : first + count])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def roots(position, velocity, radius, growth, out):
+    """The same of given relative positions and velocities (n, 2), radii and growths (n,)."""
+    places, ways = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
+    radii, growths = np.empty(_BLOCK), np.empty(_BLOCK)
+    for first in range(0, len(out), _BLOCK):
+        count = min(_BLOCK, len(out) - first)
+        for k in range(count):
+            for axis in range(2):
+                places[axis, k] = position[first + k, axis]
+                ways[axis, k] = velocity[first + k, axis]
+            radii[k] = radius[first + k]
+            growths[k] = growth[first + k]
+        _solve(places, ways, radii, growths, count, out[first : first + count])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve(position, velocity, radius, growth, count, out):
+    apart, bend, closing = np.empty(count), np.empty(count), np.empty(count)
+    gain, size, early = np.empty(count), np.empty(count), np.empty(count)
+    top, time = np.empty(count), np.empty(count)
+    for k in range(count):
+        px, py, vx, vy = position[0, k], position[1, k], velocity[0, k], velocity[1, k]
+        distance = math.sqrt(px * px + py * py)
+        apart[k] = (distance - radius[k]) * (distance + radius[k])
+        square = vx * vx + vy * vy
+        closing[k] = -(px * vx + py * vy)
+        bend[k] = square - radius[k] * growth[k]
+        gain[k] = 0.5 * growth[k] * growth[k]
+        size[k] = square
+    _maximum(bend, gain, closing, top)
+    for k in range(count):
+        square, t = size[k], top[k]
+        peak = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - apart[k]
+        squares = apart[k] + radius[k] * radius[k]
+        # A grazing contact is one: what rounding may have taken from the maximum is given back.
+        rises = (bend[k] > 0.0) & (closing[k] > 0.0)
+        grazes = rises & (peak >= -1e-14 * (squares + square * t * t))
+        early[k] = 1.0 if grazes else 0.0
+        curvature = 2.0 * bend[k] - 6.0 * gain[k] * t * t
+        drop = math.sqrt(2.0 * max(peak, 0.0) / (curvature if curvature > 0.0 else 1.0))
+        from_left = t - drop if curvature > 0.0 else 0.0
+        speed = math.sqrt(square)
+        gap = max(math.sqrt(squares) - radius[k], 0.0)
+        from_right = (speed + math.sqrt(square + 2.0 * growth[k] * gap)) / growth[k]
+        time[k] = min(max(from_left, 0.0), t) if grazes else from_right
+    for _ in range(_ITERATIONS):
+        moves = 0
+        for k in range(count):
+            t = time[k]
+            value = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - apart[k]
+            slope = (2.0 * gain[k] * t * t - 2.0 * bend[k]) * t + 2.0 * closing[k]
+            left = early[k] > 0.0
+            step = value / slope if (value < 0.0) == left else 0.0
+            moved = t - step
+            # Never beyond the maximum, nor before now; what is not a number stays where it is.
+            bounded = (top[k] if moved > top[k] else moved) if left else (0.0 if moved < 0.0 else moved)
+            bounded = bounded if bounded == bounded else t
+            moves += 1 if (abs(bounded - t) > 4e-15 * t) & (apart[k] > 0.0) else 0
+            time[k] = bounded
+        if moves == 0:
+            break
+    for k in range(count):
+        t = time[k] if (early[k] > 0.0) | (growth[k] > 0.0) else math.inf
+        t = 0.0 if apart[k] <= 0.0 else t
+        known = apart[k] + size[k] + closing[k] + radius[k] + growth[k]
+        out[k] = t if known == known else math.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _maximum(bend, gain, closing, top):
+    """Where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
+
+    Half the slope, gain t³ - bend t + closing, is convex and falls up to the inflection; Newton's method runs
+    into its first root from the left.
+    """
+    for k in range(len(top)):
+        top[k] = closing[k] / bend[k]
+    for _ in range(_ITERATIONS):
+        moves = 0
+        for k in range(len(top)):
+            t = top[k]
+            slope = 3.0 * gain[k] * t * t - bend[k]
+            value = (gain[k] * t * t - bend[k]) * t + closing[k]
+            moved = t - value / slope
+            rises = (bend[k] > 0.0) & (closing[k] > 0.0)
+            goes_on = rises & (slope < 0.0) & (moved - t > 1e-9 * t)
+            top[k] = moved if goes_on else t
+            moves += 1 if goes_on else 0
+        if moves == 0:
+            break
+    for k in range(len(top)):
+        inflection = math.sqrt(max(bend[k], 0.0) / (3.0 * gain[k])) if gain[k] > 0.0 else math.inf
+        top[k] = inflection if top[k] > inflection else top[k]
