@@ -13,7 +13,6 @@ from cornercase.recording import Recording
 from cornercase.registry import Registry
 from cornercase.typing import FloatArray
 
-
 _ALIKE = 1e-9
 """Relative speeds in m/s that are rounding: they take 30 years for a metre."""
 
@@ -173,7 +172,11 @@ def velocity(recording: Recording, name: str) -> FloatArray:
 
 def relative_velocity(recording: Recording, ego: str, other: str) -> FloatArray:
     """Velocity of the other seen from the ego in m/s, shape (T, 2), exactly 0 where only rounding sets them apart."""
-    relative = velocity(recording, other) - velocity(recording, ego)
+    return without_rounding(velocity(recording, other) - velocity(recording, ego))
+
+
+def without_rounding(relative: FloatArray) -> FloatArray:
+    """Return relative velocities (T, 2) with those set to 0 that are rounding."""
     size = np.hypot(relative[:, 0], relative[:, 1])
     return np.where((size <= _ALIKE)[:, None], 0.0, relative)
 

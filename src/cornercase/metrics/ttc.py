@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from cornercase.geometry import first_contact
-from cornercase.metrics.base import PairMetric, boxes, relative_velocity
+from cornercase.metrics.base import PairMetric, boxes, relative_velocity, without_rounding
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
 
@@ -57,7 +57,7 @@ class Ttc(PairMetric):
             contact = first_contact(
                 a + one.way(reached)[:, None, :],
                 b + two.way(reached)[:, None, :],
-                two.velocity(reached) - one.velocity(reached),
+                without_rounding(two.velocity(reached) - one.velocity(reached)),
                 two.acceleration(reached) - one.acceleration(reached),
                 np.where(np.isfinite(begin), end - reached, -1.0),
             )

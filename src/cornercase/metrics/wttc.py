@@ -87,8 +87,8 @@ def worst_contact(
 
     Squared, the equation is a quartic h(t) = 0 without a cubic term. For t >= 0 it is concave up to one
     inflection and convex from there on. A root in the concave part lies before the only maximum, which
-    Newton's method finds from the left; from the left of it Newton's method runs into the root without overshooting, also
-    where two roots fall together. If the maximum stays below 0, the only root lies in the convex part, and
+    Newton's method finds from the left; from there it runs into the root without overshooting, also where two
+    roots fall together. If the maximum stays below 0, the only root lies in the convex part, and
     Newton's method reaches it from a bound on the right.
 
     Parameters
