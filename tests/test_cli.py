@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import EXAMPLES, same_recording
+from conftest import EXAMPLES, same_recording, scenario_file, teleport, time_trigger
 from cornercase.recording import read_recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.simulators.builtin import BuiltinSimulator
@@ -251,3 +251,22 @@ def test_every_command_has_an_example(command):
     result = cornercase(command, "--help")
     assert result.returncode == 0
     assert f"cornercase {command}" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("profile", "noticed"),
+    [
+        ('<elevationProfile><elevation s="0" a="0" b="0.05" c="0" d="0"/></elevationProfile>', True),
+        ('<lateralProfile><superelevation s="0" a="0" b="0.001" c="0" d="0"/></lateralProfile>', True),
+        ('<elevationProfile><elevation s="0" a="90" b="0.001" c="0" d="0"/></elevationProfile>', False),
+    ],
+)
+def test_a_road_that_climbs_or_banks_is_noticed(tmp_path, profile, noticed):
+    path = scenario_file(tmp_path, init=f'<Private entityRef="Ego">{teleport("10")}</Private>', stop=time_trigger("0.2"))
+    road = tmp_path / "road.xodr"
+    road.write_text(road.read_text().replace("<lanes>", profile + "<lanes>", 1))
+    run = cornercase("check", path)
+    assert ("elevation of roads (1)" in run.stdout) == noticed
+    run = cornercase("simulate", path, "-o", tmp_path / "r.csv")
+    assert run.returncode == 0
+    assert ("Without effect here: elevation of roads" in run.stderr) == noticed

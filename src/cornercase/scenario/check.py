@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError
@@ -17,6 +18,9 @@ from cornercase.scenario.space import Parameter
 from cornercase.scenario.xml import read_xml
 
 _COUNTED: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
+
+# Slope and bank from which a plane road is not quite the same.
+_HILLY: Final = 0.02
 
 # Of ASAM's schemas a file is held against that of its own version, or the newest that knows it.
 _SCHEMAS: Final = {0: "1.0.0", 1: "1.1.1", 2: "1.2.0", 3: "1.3.0"}
@@ -32,7 +36,7 @@ class Check:
         How many there are of each kind of element.
     parameters, variables : tuple of str
     ignored : dict of str to int
-        Actions and conditions that change nothing here, and how many of each.
+        What changes nothing here, and how many of each: actions, conditions, the elevation of roads.
     schema : str or None
         Version of the schema that was looked at; None where it is not installed.
     invalid : tuple of str
@@ -111,12 +115,47 @@ def check_scenario(path: Path | str, space: Path | str | None = None) -> Check:
 
 
 def without_effect(scenario: Scenario) -> dict[str, int]:
-    """Actions and conditions of a file that change nothing in the builtin simulator, and how many of each."""
+    """What of a file changes nothing in the builtin simulator, and how many of each.
+
+    Actions, conditions, and roads that climb or bank by more than 2 %, since it drives in the plane.
+    """
     from cornercase.simulators.builtin.actions import WITHOUT_EFFECT
     from cornercase.simulators.builtin.conditions import NEVER_TRUE
 
     tags = Counter(str(e.tag) for e in scenario.root.iter() if isinstance(e.tag, str))
-    return {tag: tags[tag] for tag in (*WITHOUT_EFFECT, *NEVER_TRUE) if tags[tag]}
+    found = {tag: tags[tag] for tag in (*WITHOUT_EFFECT, *NEVER_TRUE) if tags[tag]}
+    road = scenario.road_file()
+    hilly = _hilly_roads(road) if road is not None and road.is_file() else 0
+    return {**found, "elevation of roads": hilly} if hilly else found
+
+
+def _hilly_roads(path: Path) -> int:
+    hilly = 0
+    for road in read_xml(path).iterfind("{*}road"):
+        length = road.get("length", "0")
+        climbs = (
+            _steepest(road.findall("{*}elevationProfile/{*}elevation"), length, slope=True),
+            _steepest(road.findall("{*}lateralProfile/{*}superelevation"), length, slope=False),
+        )
+        hilly += max(climbs) > _HILLY
+    return hilly
+
+
+def _steepest(records: list[etree._Element], length: str, slope: bool) -> float:
+    """Largest slope (or value) of cubic records that follow each other on a road."""
+    if not records:
+        return 0.0
+    try:
+        cubics = [[float(record.get(key, 0.0)) for key in "sabcd"] for record in records]
+        ends = [s for s, *_ in cubics[1:]] + [float(length)]
+    except ValueError:
+        return 0.0  # what is wrong with the road is said where it is read
+    most = 0.0
+    for (start, a, b, c, d), end in zip(cubics, ends, strict=True):
+        s = np.linspace(0.0, max(end - start, 0.0), 20)
+        curve = b + 2.0 * c * s + 3.0 * d * s**2 if slope else a + b * s + c * s**2 + d * s**3
+        most = max(most, float(np.abs(curve).max()))
+    return most
 
 
 def _line(parameter: Parameter) -> str:

@@ -133,12 +133,17 @@ class Scenario:
         file = self.root.find("RoadNetwork/LogicFile")
         return "" if file is None else file.get("filepath", "")
 
+    def road_file(self) -> Path | None:
+        """Return the road file; where a parameter names it, that of its default value."""
+        reference = self._parameter_text(self.logic_file())
+        return self.beside(reference, "road file") if reference else None
+
     def fingerprint(self) -> str:
         """SHA-256 over the scenario and all files that it is known to read."""
         files = [self.path, *self.catalog_files()]
-        reference = self._parameter_text(self.logic_file())
-        if reference:
-            files.append(self.beside(reference, "road file"))
+        road = self.road_file()
+        if road is not None:
+            files.append(road)
         digest = hashlib.sha256()
         for file in files:
             if file.is_file():
