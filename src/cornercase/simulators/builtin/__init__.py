@@ -77,23 +77,26 @@ class BuiltinSimulator:
         for start in range(0, len(concretes), _LARGEST_BATCH):
             yield from self._run(concretes[start : start + _LARGEST_BATCH])
 
-    def _run(self, concretes: Sequence[ConcreteScenario]) -> list[Recording | SimulationError]:
-        results: dict[int, Recording | SimulationError] = {}
+    def _run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        ran: dict[int, tuple[Batch, int]] = {}
         for path in dict.fromkeys(concrete.path for concrete in concretes):
             scenario = Scenario.read(path)
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
             chosen = [i for i, concrete in enumerate(concretes) if concrete.path == path]
-            for batch in self._groups(concretes, chosen):
-                self._run_group(scenario, concretes, batch, results)
-        return [results[i] for i in range(len(concretes))]
+            for group in self._groups(concretes, chosen):
+                self._run_group(scenario, concretes, group, ran)
+        # One after the other, so that recordings that nobody keeps take no memory.
+        for i in range(len(concretes)):
+            batch, place = ran[i]
+            yield batch.result(place)
 
     def _run_group(
         self,
         scenario: Scenario,
         concretes: Sequence[ConcreteScenario],
         chosen: list[int],
-        results: dict[int, Recording | SimulationError],
+        ran: dict[int, tuple[Batch, int]],
     ) -> None:
         known = self._batches.setdefault(str(scenario.path), set())
         try:
@@ -111,9 +114,10 @@ class BuiltinSimulator:
                 raise InputError(f"{scenario.path}: an attribute that must be one value {varies}.") from None
             known |= varies.names
             for group in self._groups(concretes, chosen):
-                self._run_group(scenario, concretes, group, results)
+                self._run_group(scenario, concretes, group, ran)
             return
-        results.update(zip(chosen, batch.run(), strict=True))
+        batch.run()
+        ran.update((i, (batch, place)) for place, i in enumerate(chosen))
 
     def _groups(self, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:
         groups: dict[tuple[object, ...], list[int]] = {}

@@ -20,7 +20,7 @@ from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.positions import entities_in
 from cornercase.simulators.builtin.storyboard import Storyboard
 from cornercase.simulators.builtin.world import Entity, World
-from cornercase.typing import BoolArray, FloatArray
+from cornercase.typing import BoolArray
 
 _MOST_ENTITIES: Final = 500
 
@@ -86,18 +86,14 @@ class Batch:
         ]
         self._storyboard = Storyboard(scenario, scope, self._world)
         self._world.fail(scope.without_value(), "an expression has no finite value")
+        self._history = History((5, len(objects), len(values)))
+        self._instants = np.zeros(len(values), dtype=np.int64)
+        self._contacts: list[list[Collision]] = [[] for _ in values]
 
-    def run(self) -> list[Recording | SimulationError]:
-        """Step until every scenario has ended.
-
-        Returns
-        -------
-        list of Recording or SimulationError, length N
-        """
+    def run(self) -> None:
+        """Step until every scenario has ended."""
         world, steps = self._world, 0
-        history = History((5, len(world.entities), world.scenarios))
-        instants = np.zeros(world.scenarios, dtype=np.int64)
-        contacts: list[list[Collision]] = [[] for _ in range(world.scenarios)]
+        history, instants = self._history, self._instants
         dt = 0.0
         while world.running.any() and steps * self._time_step < self._duration + self._time_step * 1.5:
             before = world.speed.copy()
@@ -112,13 +108,11 @@ class Batch:
                 world.acceleration = (world.speed - before) / dt
             history.add((world.x, world.y, world.heading, world.speed, world.acceleration), world.present)
             instants[world.running] += 1
-            self._find_collisions(contacts)
+            self._find_collisions()
             dt = self._time_step
-        table = history.table()
-        return [self._result(i, table[i], int(instants[i]), contacts[i]) for i in range(world.scenarios)]
 
-    def _find_collisions(self, contacts: list[list[Collision]]) -> None:
-        world = self._world
+    def _find_collisions(self) -> None:
+        world, contacts = self._world, self._contacts
         before = world.touching.copy()
         world.find_contacts()
         begun: BoolArray = world.touching & ~before & world.running
@@ -130,13 +124,12 @@ class Batch:
         if self._stop_at_collision:
             world.running &= ~begun.any(axis=(0, 1))
 
-    def _result(
-        self, i: int, history: FloatArray, instants: int, contacts: list[Collision]
-    ) -> Recording | SimulationError:
-        world = self._world
+    def result(self, i: int) -> Recording | SimulationError:
+        """Give what came out of one scenario, once the batch has run."""
+        world, instants = self._world, int(self._instants[i])
         if i in world.errors:
             return SimulationError(world.errors[i])
-        motion = history[..., :instants]
+        motion = self._history.of(i, instants)
         if not np.isfinite(motion[0]).any():
             return SimulationError("no entity is ever placed on the map")
         x, y, heading, speed, acceleration = motion
@@ -152,7 +145,7 @@ class Batch:
             np.array([entity.length for entity in world.entities]),
             np.array([entity.width for entity in world.entities]),
             np.array([entity.center_x for entity in world.entities]),
-            tuple(contacts),
+            tuple(self._contacts[i]),
         )
 
 

@@ -9,11 +9,13 @@ import numpy as np
 from cornercase.typing import BoolArray, FloatArray
 
 # Steps that are kept apart until they are sorted in together, which memory likes better than one by one.
-_BLOCK: Final = 16
+_BLOCK: Final = 32
 
 
 class History:
     """Rows of state over time, one after the other for each scenario.
+
+    Nothing is moved once it is sorted in: memory that is taken for the first time costs more than the copy.
 
     Parameters
     ----------
@@ -24,8 +26,7 @@ class History:
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self._block = np.empty((_BLOCK, *shape))
         self._waiting = 0
-        self._kept = 0
-        self._table = np.empty((shape[2], shape[0], shape[1], 8 * _BLOCK))
+        self._tables: list[FloatArray] = []
 
     def add(self, row: tuple[FloatArray, ...], valid: BoolArray) -> None:
         """Append the quantities of one instant, each (entities, scenarios); NaN where `valid` is false."""
@@ -36,16 +37,13 @@ class History:
         if self._waiting == _BLOCK:
             self._sort_in()
 
-    def table(self) -> FloatArray:
-        """All of it, shape (scenarios, quantities, entities, instants)."""
-        self._sort_in()
-        return self._table[..., : self._kept]
+    def of(self, scenario: int, instants: int) -> FloatArray:
+        """First instants of one scenario, shape (quantities, entities, instants)."""
+        if self._waiting:
+            self._sort_in()
+        motion: FloatArray = np.concatenate([table[scenario] for table in self._tables], axis=-1)
+        return motion[..., :instants]
 
     def _sort_in(self) -> None:
-        end = self._kept + self._waiting
-        if end > self._table.shape[3]:
-            larger = np.empty((*self._table.shape[:3], 2 * self._table.shape[3]))
-            larger[..., : self._kept] = self._table[..., : self._kept]
-            self._table = larger
-        self._table[..., self._kept : end] = self._block[: self._waiting].transpose(3, 1, 2, 0)
-        self._kept, self._waiting = end, 0
+        self._tables.append(np.ascontiguousarray(self._block[: self._waiting].transpose(3, 1, 2, 0)))
+        self._waiting = 0

@@ -443,6 +443,8 @@ class World:
                 if at.size:
                     self._advance(e, track, at, way[at])
             free = rows & (self.track[e] == FREE)
+            if not free.any():
+                continue
             # Who has come to the end of a trajectory and has no road to go on by stops.
             lost = free & self.frozen[e] & ~self.moved[e]
             self.speed[e][lost], way = 0.0, np.where(lost, 0.0, way)
