@@ -649,6 +649,10 @@ def _read_polynomials(elements: Iterable[etree._Element], name: str, where: str)
 def _polynomials(polynomials: tuple[Polynomial, ...], s: FloatArray) -> FloatArray:
     if not polynomials:
         return np.zeros(len(s))
+    if len(polynomials) == 1:
+        start, *cubic = polynomials[0]
+        d = s - start
+        return np.asarray(cubic[0] + d * (cubic[1] + d * (cubic[2] + d * cubic[3])))
     table = np.array(polynomials)
     k = np.clip(np.searchsorted(table[:, 0], s, "right") - 1, 0, len(table) - 1)
     d = s - table[k, 0]

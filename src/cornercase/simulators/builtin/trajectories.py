@@ -70,11 +70,12 @@ class Polyline:
         x0, y0 = self.x[rows, leg], self.y[rows, leg]
         x = x0 + part * (self.x[rows, leg + 1] - x0)
         y = y0 + part * (self.y[rows, leg + 1] - y0)
-        direction = self._direction[rows, leg]
         beyond = distance - along
-        x, y = x + beyond * np.cos(direction), y + beyond * np.sin(direction)
-        heading = self._heading(along, leg, part, rows)
-        return x - offset * np.sin(direction), y + offset * np.cos(direction), heading
+        if beyond.any() or offset.any():
+            direction = self._direction[rows, leg]
+            cos, sin = np.cos(direction), np.sin(direction)
+            x, y = x + beyond * cos - offset * sin, y + beyond * sin + offset * cos
+        return x, y, self._heading(along, leg, part, rows)
 
     def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         return np.zeros_like(distance)
@@ -200,21 +201,33 @@ class ClothoidSpline:
         self._x, self._y, self._heading = (np.stack(parts, axis=1) for parts in zip(*nodes, strict=True))
 
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        along = np.clip(distance, 0.0, self.lengths[rows])
-        k = np.clip((self._begin[rows] <= along[:, None]).sum(axis=1) - 1, 0, self._start.shape[1] - 1)
-        u, v, turn = clothoid(along - self._begin[rows, k], self._start[rows, k], self._rate[rows, k])
-        h0 = self._heading[rows, k]
+        along = np.clip(distance, 0.0, self.lengths.take(rows))
+        piece, node = self._piece(along, rows)
+        u, v, turn = clothoid(along - self._begin.take(node), self._start.take(piece), self._rate.take(piece))
+        h0 = self._heading.take(node)
         cos, sin = np.cos(h0), np.sin(h0)
         heading = h0 + turn
+        x = self._x.take(node) + cos * u - sin * v
+        y = self._y.take(node) + sin * u + cos * v
         beyond = distance - along
-        x = self._x[rows, k] + cos * u - sin * v + beyond * np.cos(heading) - offset * np.sin(heading)
-        y = self._y[rows, k] + sin * u + cos * v + beyond * np.sin(heading) + offset * np.cos(heading)
+        if beyond.any() or offset.any():
+            cos, sin = np.cos(heading), np.sin(heading)
+            x, y = x + beyond * cos - offset * sin, y + beyond * sin + offset * cos
         return x, y, heading
 
     def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        along = np.clip(distance, 0.0, self.lengths[rows])
-        k = np.clip((self._begin[rows] <= along[:, None]).sum(axis=1) - 1, 0, self._start.shape[1] - 1)
-        return np.asarray(self._start[rows, k] + self._rate[rows, k] * (along - self._begin[rows, k]))
+        along = np.clip(distance, 0.0, self.lengths.take(rows))
+        piece, node = self._piece(along, rows)
+        return np.asarray(self._start.take(piece) + self._rate.take(piece) * (along - self._begin.take(node)))
+
+    def _piece(self, along: FloatArray, rows: IntArray) -> tuple[IntArray, IntArray]:
+        """Flat places of the clothoid that each scenario is on, and of the node before it."""
+        count = self._start.shape[1]
+        k = np.zeros(len(rows), dtype=np.int64)
+        first = rows * (count + 1)
+        for later in range(1, count):
+            k += self._begin.take(first + later) <= along
+        return rows * count + k, first + k
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         places = np.linspace(0.0, 1.0, 201)
