@@ -262,7 +262,9 @@ def test_every_command_has_an_example(command):
     ],
 )
 def test_a_road_that_climbs_or_banks_is_noticed(tmp_path, profile, noticed):
-    path = scenario_file(tmp_path, init=f'<Private entityRef="Ego">{teleport("10")}</Private>', stop=time_trigger("0.2"))
+    path = scenario_file(
+        tmp_path, init=f'<Private entityRef="Ego">{teleport("10")}</Private>', stop=time_trigger("0.2")
+    )
     road = tmp_path / "road.xodr"
     road.write_text(road.read_text().replace("<lanes>", profile + "<lanes>", 1))
     run = cornercase("check", path)

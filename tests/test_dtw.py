@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cornercase.dtw import cpu, distance_matrix, distances_to, pairs
+from cornercase.dtw import cpu, distance_matrix, distances_to, kernel_matrix, pairs
+from cornercase.dtw.bounds import may_be_within
 from cornercase.errors import InputError
 
 
@@ -366,3 +367,52 @@ def test_narrow_registers_give_the_same_bits(tmp_path):
     )
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout) == distance_matrix(series, window=6).tolist()
+
+
+# --- kernel matrices ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("local_cost", ["euclidean", "squared"])
+@pytest.mark.parametrize("window", [None, 7])
+@pytest.mark.parametrize("gamma", [1e-6, 1e-2, 3.0])
+def test_a_kernel_matrix_is_that_of_all_distances_to_the_bit(dtype, local_cost, window, gamma):
+    rng = np.random.default_rng(4)
+    series = [
+        rng.normal(size=(rng.integers(1, 40), 2)).cumsum(axis=0) + rng.integers(-60, 60, size=2) for _ in range(45)
+    ]
+    series.append(series[3].copy())
+    options = {"local_cost": local_cost, "window": window, "dtype": dtype}
+    distances = distance_matrix(series, **options)
+    with np.errstate(under="ignore"):
+        expected = np.exp(-np.dtype(dtype).type(gamma) * distances**2)
+    for n_jobs in (1, 2):
+        found = kernel_matrix(series, gamma, n_jobs=n_jobs, **options)
+        assert found.dtype == dtype
+        assert found.tobytes() == expected.tobytes()
+
+
+def test_pairs_that_underflow_are_not_computed():
+    """Two bundles, 1,000 apart: only the pairs within each may be near."""
+    rng = np.random.default_rng(0)
+    series = [rng.normal(size=(20, 1)) + 1000.0 * (i % 2) for i in range(10)]
+    together = np.equal.outer(np.arange(10) % 2, np.arange(10) % 2)
+    assert (may_be_within(series, 900.0, squared=False) == together).all()
+    assert may_be_within(series, 30_000.0, squared=False).all()
+    assert (kernel_matrix(series, 1e-2) > 0).sum() <= together.sum()
+
+
+@settings(deadline=None)
+@given(st.lists(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=12), min_size=2, max_size=6))
+def test_the_bound_never_leaves_out_what_is_within(values):
+    series = [np.array(one)[:, None] for one in values]
+    for squared in (False, True):
+        distances = distance_matrix(series, local_cost="squared" if squared else "euclidean")
+        for limit in np.unique(distances):
+            assert may_be_within(series, float(limit), squared)[distances <= limit].all()
+
+
+@pytest.mark.parametrize("gamma", [0.0, -1.0, float("nan"), float("inf")])
+def test_the_width_of_a_kernel_is_above_zero(gamma):
+    with pytest.raises(InputError, match="gamma"):
+        kernel_matrix([[0.0], [1.0]], gamma)

@@ -19,7 +19,7 @@ from cornercase.dtw import cpu, disk, pairs
 from cornercase.dtw.pairs import Settings
 from cornercase.errors import InputError
 
-__all__ = ["distance_matrix", "distances_to"]
+__all__ = ["distance_matrix", "distances_to", "kernel_matrix"]
 
 MAX_DIMENSIONS = 8
 
@@ -149,6 +149,60 @@ def distances_to(
         found = pairs.distances(rows, columns, settings, advance)
     pairs.refuse_infinite(found, columns="landmark ")
     return found
+
+
+def kernel_matrix(
+    series: Sequence[npt.ArrayLike],
+    gamma: float,
+    *,
+    local_cost: Literal["euclidean", "squared"] = "euclidean",
+    window: int | None = None,
+    dtype: npt.DTypeLike = "float64",
+    n_jobs: int | None = None,
+    progress: bool = False,
+) -> npt.NDArray[np.floating[Any]]:
+    """Gaussian (RBF) kernel ``exp(-gamma d²)`` of the dynamic time warping distances d between all pairs.
+
+    Distances that a lower bound proves to be so large that their entry underflows to zero are not computed; the
+    result is the same to the bit as that of `distance_matrix`.
+
+    Parameters
+    ----------
+    series : sequence of n array_like, shape (T_i,) or (T_i, k)
+    gamma : float
+        Above 0, in one over the unit of the distance squared.
+    local_cost, window, dtype, n_jobs, progress
+        As for `distance_matrix`.
+
+    Returns
+    -------
+    ndarray of `dtype`, shape (n, n)
+        Symmetric to the bit, one on the diagonal.
+
+    Raises
+    ------
+    InputError
+        As by `distance_matrix`, or `gamma` is not above 0.
+
+    Examples
+    --------
+    >>> kernel_matrix([[0.0, 1.0], [0.0, 2.0], [900.0]], 1.0).round(6).tolist()
+    [[1.0, 0.367879, 0.0], [0.367879, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    if not 0.0 < gamma < np.inf:
+        raise InputError(f"gamma is {gamma!r}; give a finite number above 0.")
+    settings = _settings(local_cost, window, dtype, n_jobs, "cpu")
+    arrays = _checked(series)
+    if len(arrays) < 2:
+        return np.ones((len(arrays), len(arrays)), dtype=settings.dtype)
+    arrays = _centred(arrays, settings.dtype, len(arrays))
+    # Below the logarithm of half the smallest number there is, exp gives 0.
+    vanishes = 1.0 + np.log(2.0) - np.log(float(np.finfo(settings.dtype).smallest_subnormal))
+    with _shown(progress, pairs.cells(arrays, None)) as advance:
+        found = pairs.distances(arrays, None, settings, advance, beyond=float(np.sqrt(vanishes / gamma)))
+    with np.errstate(over="ignore", under="ignore"):
+        kernel: npt.NDArray[np.floating[Any]] = np.exp(-settings.dtype.type(gamma) * found**2)
+    return kernel
 
 
 def _settings(local_cost: str, window: int | None, dtype: npt.DTypeLike, n_jobs: int | None, device: str) -> Settings:

@@ -42,7 +42,7 @@ from cornercase.dtw.simd import (
     within,
 )
 from cornercase.interrupts import noted_interrupts
-from cornercase.typing import IntArray
+from cornercase.typing import BoolArray, IntArray
 
 # Cells of one tile: some milliseconds of work, so that threads end together and Ctrl-C is heard soon.
 TILE_CELLS = 20_000_000
@@ -80,6 +80,7 @@ def distances(
     dtype: npt.DTypeLike,
     n_jobs: int,
     advance: Callable[[int], None],
+    needed: BoolArray | None = None,
 ) -> Floats:
     """Distances of checked series.
 
@@ -98,6 +99,8 @@ def distances(
         Number of threads.
     advance : callable
         Called in this thread with the number of cells done since the last call.
+    needed : ndarray of bool, shape (len(rows), len(columns)), optional
+        Which pairs are wanted; the others may come out as infinite.
 
     Returns
     -------
@@ -105,8 +108,9 @@ def distances(
     """
     if columns is not None and len(columns) < len(rows):
         # The longer side fills the lanes better; the distance is the same from either side.
+        turned = None if needed is None else needed.T
         return distances(
-            columns, rows, squared=squared, window=window, dtype=dtype, n_jobs=n_jobs, advance=advance
+            columns, rows, squared=squared, window=window, dtype=dtype, n_jobs=n_jobs, advance=advance, needed=turned
         ).T.copy()
     symmetric = columns is None
     dims = rows[0].shape[1]
@@ -115,15 +119,18 @@ def distances(
     singles = _sorted(rows, dtype)
     partners = singles if columns is None else _sorted(columns, dtype)
     blocks = [_interleave(partners, first, dims, lanes) for first in range(0, len(partners.order), lanes)]
-    out = np.zeros((len(singles.order), len(partners.order)), dtype=dtype)
+    out = np.full((len(singles.order), len(partners.order)), 0.0 if needed is None else np.inf, dtype=dtype)
     kernel = compiled(dims, squared, window is not None, dtype)
     band = -1 if window is None else window
 
     def run(block: _Block, chosen: range) -> int:
-        found = np.empty((len(chosen), lanes), dtype=dtype)
-        kernel(singles.values, singles.starts, singles.lengths, block.values, block.lengths, chosen.start, band, found)
-        i = singles.order[chosen.start : chosen.stop]
+        which = np.arange(chosen.start, chosen.stop)
         j = partners.order[block.first : block.first + len(block.lengths)]
+        if needed is not None:
+            which = which[needed[singles.order[which][:, None], j].any(axis=1)]
+        found = np.empty((len(which), lanes), dtype=dtype)
+        kernel(singles.values, singles.starts, singles.lengths, block.values, block.lengths, which, band, found)
+        i = singles.order[which]
         found = found[:, : len(j)]
         out[i[:, None], j] = found
         if symmetric:
@@ -271,14 +278,14 @@ def _four_rows(x, i, y, lower, upper, row, below, above, infinity, dims, squared
 def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[..., None]:
     """Kernel of a tile for one kind of cost: distances of some single series to one block."""
 
-    def tile(values, starts, lengths, block, block_lengths, begin, window, out):
+    def tile(values, starts, lengths, block, block_lengths, which, window, out):
         members = len(block_lengths)
         longest = block_lengths[members - 1]
         row = np.empty((longest + 1) * lanes, dtype=values.dtype)
         infinity = np.full(lanes, np.inf, dtype=values.dtype)
         below = np.zeros(lanes, dtype=values.dtype)
         above = np.zeros(lanes, dtype=values.dtype)
-        for one in range(begin, begin + len(out)):
+        for place, one in enumerate(which):
             x = values[starts[one] : starts[one + 1]]
             length = lengths[one]
             row[:lanes] = 0.0
@@ -305,7 +312,7 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
                 distance = row[block_lengths[lane] * lanes + lane]
                 if squared:
                     distance = math.sqrt(distance)
-                out[one - begin, lane] = distance
+                out[place, lane] = distance
 
     try:
         return njit(cache=True, nogil=True)(tile)
@@ -337,5 +344,5 @@ def compiled(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Ca
     floats, whole = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)
     text = f"Compiling the DTW kernel for {dims}-D series in {dtype}: some seconds, once on this machine."
     with install_listener("numba:compile", _Announcement(text)):
-        kernel(floats, whole, whole, floats, whole, 0, 1, np.empty((0, 1), dtype=dtype))
+        kernel(floats, whole, whole, floats, whole, whole[:0], 1, np.empty((0, 1), dtype=dtype))
     return kernel

@@ -34,6 +34,7 @@ def distances(
     columns: Sequence[Floats] | None,
     settings: Settings,
     advance: Callable[[int], None],
+    beyond: float | None = None,
 ) -> Floats:
     """Distances of checked series.
 
@@ -45,17 +46,24 @@ def distances(
     settings : Settings
     advance : callable
         Called with the number of cells that are settled since the last call.
+    beyond : float, optional
+        Distances that surely exceed it need not be computed; for all pairs of the rows on the CPU.
 
     Returns
     -------
     ndarray, shape (len(rows), len(columns))
-        Infinite where a distance is too large for the type.
+        Infinite where a distance is too large for the type, or was not computed.
     """
     total = cells(rows, columns)
     distinct_rows, row_of = distinct(rows)
     distinct_columns, column_of = (None, row_of) if columns is None else distinct(columns)
     if settings.window is None:
         distinct_rows, distinct_columns = without_common_rests(distinct_rows, distinct_columns)
+    needed = None
+    if beyond is not None:
+        from cornercase.dtw.bounds import may_be_within
+
+        needed = may_be_within(distinct_rows, beyond, settings.squared)
     computed = cells(distinct_rows, distinct_columns)
     share = total / computed if computed else 0.0
 
@@ -82,6 +90,7 @@ def distances(
             dtype=settings.dtype,
             n_jobs=settings.n_jobs,
             advance=settled,
+            needed=needed,
         )
     if len(distinct_rows) < len(rows) or (distinct_columns and columns and len(distinct_columns) < len(columns)):
         found = found[row_of[:, None], column_of]

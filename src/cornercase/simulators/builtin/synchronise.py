@@ -102,7 +102,8 @@ class SynchronizeAction:
         way = np.maximum(way - self._tolerance, _TINY)
         way_master = np.maximum(way_master - self._tolerance_master, _TINY)
         # The master's speed counts along its road, and towards its place.
-        speed_master = world.speed[m] * np.sign(signed * np.cos(world.turn[m])) * world.along_road(m, acting)
+        ahead = np.sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
+        speed_master = ahead * world.speed_along_road(m, acting)
         comes = (speed_master > _TINY) & (dt > 0)
         time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), _NEVER)
         done |= comes & (time < dt)

@@ -132,6 +132,7 @@ class World:
         self.turn, self.turn_rate, self.sideways, self.velocity = (np.zeros(shape) for _ in range(4))
         self.pace = np.full(shape, np.nan)
         self._from_x, self._from_y, self._from_heading = (np.full(shape, np.nan) for _ in range(3))
+        self._gone = (np.zeros(shape), np.zeros(shape))
         self.frozen, self.moved = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
         self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
         self.route = np.zeros(shape, dtype=np.int64)
@@ -413,9 +414,12 @@ class World:
                 result[rows] = (y - at_y) * np.cos(heading) - (x - at_x) * np.sin(heading)
         return np.asarray(result)
 
-    def along_road(self, entity: int, where: BoolArray) -> FloatArray:
-        """Cosine between an entity's heading and the road that it is on, without sign, shape (N,); 1 elsewhere."""
-        angle = np.where(where, self.turn[entity], 0.0)
+    def speed_along_road(self, entity: int, where: BoolArray) -> FloatArray:
+        """Speed along the road that an entity is on, without sign, in m/s, shape (N,).
+
+        Off a lane it is that of the last step as it was gone, which on a bend is a chord.
+        """
+        speed = np.abs(self.speed[entity] * np.cos(np.where(where, self.turn[entity], 0.0)))
         at = np.flatnonzero(where & ~self.on_lane(entity))
         if self.network is not None and at.size:
             x, y, heading = self.x[entity][at], self.y[entity][at], self.heading[entity][at]
@@ -423,8 +427,10 @@ class World:
             self.last_road[entity][at], self.last_s[entity][at] = road, s
             for one in np.unique(road):
                 mine = road == one
-                angle[at[mine]] = heading[mine] - self.network.roads[int(one)].reference(s[mine])[2]
-        return np.asarray(np.abs(np.cos(angle)))
+                direction = self.network.roads[int(one)].reference(s[mine])[2]
+                gone_x, gone_y = self._gone[0][entity][at[mine]], self._gone[1][entity][at[mine]]
+                speed[at[mine]] = np.abs(gone_x * np.cos(direction) + gone_y * np.sin(direction))
+        return np.asarray(speed)
 
     def lateral_speed(self, entity: int) -> FloatArray:
         """Speed across the entity's track in m/s, shape (N,); positive to the left."""
@@ -450,8 +456,10 @@ class World:
             self.speed[e][lost], way = 0.0, np.where(lost, 0.0, way)
             self.x[e] += np.where(free, way * np.cos(self.heading[e]), 0.0)
             self.y[e] += np.where(free, way * np.sin(self.heading[e]), 0.0)
-        chord = np.hypot(self.x - self._from_x, self.y - self._from_y)
+        gone_x, gone_y = self.x - self._from_x, self.y - self._from_y
+        chord = np.hypot(gone_x, gone_y)
         if dt > 0:
+            self._gone = (gone_x / dt, gone_y / dt)
             chord = np.where(np.isfinite(chord), chord, 0.0)
             self.odometer += chord
             self.velocity = chord / dt

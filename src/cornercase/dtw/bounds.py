@@ -1,0 +1,67 @@
+"""Pairs of series that are surely farther apart than a given distance, found without warping them."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from cornercase.typing import BoolArray
+
+# What rounding may add to a bound, relatively.
+_ROUNDING = 1e-9
+_TINY = 1e-150
+
+
+def may_be_within(series: Sequence[npt.NDArray[np.floating[Any]]], distance: float, squared: bool) -> BoolArray:
+    """Return which pairs may be at most `distance` apart.
+
+    Each point of one series is matched with some point of the other, so it costs at least its distance to the
+    box around all of these: the sum of these costs is a lower bound of the dynamic time warping distance, with
+    any window.
+
+    Parameters
+    ----------
+    series : sequence of ndarray, shape (T_i, k)
+    distance : float
+    squared : bool
+        Whether squared distances are summed and the root is taken of the sum.
+
+    Returns
+    -------
+    ndarray of bool, shape (n, n)
+        Symmetric, True on the diagonal.
+    """
+    lengths = np.array([len(one) for one in series], dtype=np.int64)
+    starts = np.concatenate(([0], np.cumsum(lengths)))
+    values = np.concatenate(series).astype(np.float64)
+    low = np.stack([one.min(axis=0) for one in series]).astype(np.float64)
+    high = np.stack([one.max(axis=0) for one in series]).astype(np.float64)
+    possible = np.ones((len(series), len(series)), dtype=np.bool_)
+    limit = distance * (1.0 + _ROUNDING) + _TINY
+    _compare(values, starts, low, high, limit * limit if squared else limit, squared, possible)
+    return possible & possible.T
+
+
+@njit(cache=True, nogil=True)
+def _compare(values, starts, low, high, limit, squared, possible):
+    dims = low.shape[1]
+    for i in range(len(low)):
+        for j in range(len(low)):
+            total = 0.0
+            for t in range(starts[i], starts[i + 1]):
+                cost = 0.0
+                for d in range(dims):
+                    beyond = max(low[j, d] - values[t, d], values[t, d] - high[j, d], 0.0)
+                    cost += beyond * beyond
+                total += cost if squared else math.sqrt(cost)
+                if total > limit:
+                    possible[i, j] = False
+                    break
