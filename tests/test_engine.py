@@ -399,3 +399,24 @@ def test_many_scenarios_at_once_are_what_each_is_alone(tmp_path, batch):
             np.testing.assert_array_equal(one.x, alone.x)
             np.testing.assert_array_equal(one.y, alone.y)
             np.testing.assert_array_equal(one.heading, alone.heading)
+
+
+def test_who_triggers_an_event_can_be_its_actor(tmp_path):
+    """A is the first to have gone 20 m, so it speeds up; B and C do not, D does because it is named."""
+    who = "".join(f'<EntityRef entityRef="{name}"/>' for name in "ABC")
+    past = f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>
+<TriggeringEntities triggeringEntitiesRule="any">{who}</TriggeringEntities><EntityCondition>
+<TraveledDistanceCondition value="20"/></EntityCondition></ByEntityCondition></Condition></ConditionGroup>"""
+    starts = "".join(
+        f'<Private entityRef="{name}">{teleport(str(10 + 60 * k))}{speed_action(speed)}</Private>'
+        for k, (name, speed) in enumerate({"A": "10", "B": "9.9", "C": "1", "D": "5"}.items())
+    )
+    story = story_of(event("e", speed_action("15"), past), actor="D").replace(
+        'selectTriggeringEntities="false"', 'selectTriggeringEntities="true"'
+    )
+    path = scenario_file(
+        tmp_path, init=starts, story=story, stop=time_trigger("4"), entities="".join(car(name) for name in "ABCD")
+    )
+    (recording,) = BuiltinSimulator().run([ConcreteScenario(path)])
+    speeds = dict(zip(recording.names, recording.speed[:, -1], strict=True))
+    assert speeds == {"A": 15.0, "B": 9.9, "C": 1.0, "D": 15.0}

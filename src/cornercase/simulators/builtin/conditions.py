@@ -48,7 +48,7 @@ class Condition:
     """
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
-        self._test, self._edge, self._delay = test, edge, delay
+        self.test, self._edge, self._delay = test, edge, delay
         self.delayed = bool((delay > 0).any())
         self._last = np.full(len(delay), -1, dtype=np.int8)
         self._times: list[float] = []
@@ -56,7 +56,7 @@ class Condition:
 
     def evaluate(self, world: World, where: BoolArray) -> BoolArray:
         """Whether the condition holds in the scenarios of the mask, shape (N,)."""
-        now = self._test(world)
+        now = self.test(world)
         last = self._last
         if self._edge == "none":
             result = now
@@ -98,6 +98,21 @@ class Trigger:
     def empty(self) -> bool:
         """Whether there is nothing that could ever hold."""
         return not self._groups
+
+    @property
+    def entities(self) -> list[int]:
+        """Entities that may trigger it by themselves, in order."""
+        return list(dict.fromkeys(entity for test in self._of_entities() for entity in test.entities))
+
+    def triggered_by(self, entity: int) -> BoolArray:
+        """Scenarios in which a condition was last true of an entity, shape (N,)."""
+        return np.asarray(
+            np.any([test.held_of(entity) for test in self._of_entities() if entity in test.entities], axis=0)
+        )
+
+    def _of_entities(self) -> list[OfEntities]:
+        tests = (condition.test for group in self._groups for condition in group)
+        return [test for test in tests if isinstance(test, OfEntities)]
 
     def fires(self, world: World, where: BoolArray) -> BoolArray:
         """Scenarios of the mask in which the trigger fires, shape (N,)."""
@@ -155,6 +170,24 @@ def _read_test(condition: etree._Element, scope: Scope, world: World, elements: 
     )
 
 
+class OfEntities:
+    """A condition on entities: true of any, or of all, of those that may trigger it."""
+
+    def __init__(self, entities: list[int], every: bool, test: EntityTest) -> None:
+        self.entities = entities
+        self._every, self._test = every, test
+        self._held: list[BoolArray] = []
+
+    def __call__(self, world: World) -> BoolArray:
+        self._held = [self._test(world, e) & world.present[e] for e in self.entities]
+        result = np.stack(self._held)
+        return np.asarray(result.all(axis=0) if self._every else result.any(axis=0))
+
+    def held_of(self, entity: int) -> BoolArray:
+        """Scenarios in which it was last true of an entity, shape (N,)."""
+        return self._held[self.entities.index(entity)]
+
+
 def _of_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
     holder = element.find("TriggeringEntities")
     if holder is None:
@@ -163,12 +196,7 @@ def _of_triggering_entities(element: etree._Element, scope: Scope, world: World,
     entities = entities_in(holder, scope, world)
     if not entities:
         raise InputError(f"{scope.source}, line {holder.sourceline}: <TriggeringEntities> names no entity.")
-
-    def of_all(world: World) -> BoolArray:
-        result = np.stack([test(world, e) & world.present[e] for e in entities])
-        return np.asarray(result.all(axis=0) if every else result.any(axis=0))
-
-    return of_all
+    return OfEntities(entities, every, test)
 
 
 def _simulation_time(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Final, TypeVar
 
 import numpy as np
@@ -88,13 +89,22 @@ class Element:
 
 
 class RunningAction(Element):
-    """An action of one event, for one of its actors; without effect when `action` is None."""
+    """An action of one event, for one of its actors; without effect when `action` is None.
 
-    def __init__(self, name: str, scenarios: int, action: Action | None) -> None:
+    With `chosen` it takes part only in the scenarios of that mask, as of the moment when it starts.
+    """
+
+    def __init__(
+        self, name: str, scenarios: int, action: Action | None, chosen: Callable[[], BoolArray] | None = None
+    ) -> None:
         super().__init__("action", name, scenarios)
-        self._action = action
+        self._action, self._chosen = action, chosen
 
     def start(self, world: World, where: BoolArray) -> None:
+        if self._chosen is not None:
+            taking_part = where & self._chosen()
+            self.end(where & ~taking_part)
+            where = taking_part
         self.begin(where)
         if self._action is not None:
             self._action.start(world, where)
@@ -330,11 +340,7 @@ class Storyboard:
 
     def _read_group(self, group: etree._Element, scope: Scope) -> Group:
         name, holder = group.get("name", ""), group.find("Actors")
-        if holder is not None and scope.flag(holder, "selectTriggeringEntities", False):
-            raise InputError(
-                f"{scope.source}, line {holder.sourceline}: selectTriggeringEntities is not supported by the builtin"
-                " simulator; name the actors with <EntityRef>."
-            )
+        select = holder is not None and scope.flag(holder, "selectTriggeringEntities", False)
         actors = [] if holder is None else entities_in(holder, scope, self._world)
         maneuvers = []
         for element in group.iterchildren("Maneuver", "CatalogReference"):
@@ -344,23 +350,30 @@ class Storyboard:
                 maneuver, inner = element, scope.within(element)
             own = maneuver.get("name", "")
             with self._inside(name), self._inside(own):
-                events = [self._read_event(event, inner, actors) for event in maneuver.iterfind("Event")]
+                events = [self._read_event(event, inner, actors, select) for event in maneuver.iterfind("Event")]
             with self._inside(name):
                 maneuvers.append(self._known(Group("maneuver", own, scope.scenarios, events)))
         times = int(scope.one_number(group, "maximumExecutionCount", 1.0))
         return self._known(Group("maneuverGroup", name, scope.scenarios, maneuvers, times=times))
 
-    def _read_event(self, event: etree._Element, scope: Scope, actors: list[int]) -> Event:
+    def _read_event(self, event: etree._Element, scope: Scope, actors: list[int], select: bool) -> Event:
+        trigger = self._start_trigger(event, scope)
+        # Who triggers the event may be an actor besides those that are named.
+        choices: dict[int, Callable[[], BoolArray] | None] = {}
+        if select and trigger is not None:
+            choices = {e: partial(trigger.triggered_by, e) for e in trigger.entities}
+        choices |= dict.fromkeys(actors)
         actions = []
         for action in event.iterfind("Action"):
             name = action.get("name", "")
             for element in action.iterchildren("*"):
-                for actor in actors if element.tag == "PrivateAction" else [None]:
-                    running = RunningAction(name, scope.scenarios, read_action(element, scope, self._world, actor))
+                private = element.tag == "PrivateAction"
+                for actor, chosen in choices.items() if private else [(None, None)]:
+                    what = read_action(element, scope, self._world, actor)
+                    running = RunningAction(name, scope.scenarios, what, chosen)
                     actions.append(running)
                     with self._inside(event.get("name", "")):
                         self._known(running)
-        trigger = self._start_trigger(event, scope)
         times = int(scope.one_number(event, "maximumExecutionCount", 1.0))
         result = Event(event.get("name", ""), scope.scenarios, actions, trigger, times)
         result.priority = scope.text(event, "priority", "parallel")
