@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conftest import car, event, scenario_file, speed_action, story_of, teleport, time_trigger
+from conftest import car, event, same_recording, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.errors import InputError
 from cornercase.optimizers import GridOptimizer, SequenceOptimizer
 from cornercase.scenario.logical import ConcreteScenario, LogicalScenario
@@ -420,3 +420,70 @@ def test_who_triggers_an_event_can_be_its_actor(tmp_path):
     (recording,) = BuiltinSimulator().run([ConcreteScenario(path)])
     speeds = dict(zip(recording.names, recording.speed[:, -1], strict=True))
     assert speeds == {"A": 15.0, "B": 9.9, "C": 1.0, "D": 15.0}
+
+
+def controller(action: str) -> str:
+    return f"<PrivateAction><ControllerAction>{action}</ControllerAction></PrivateAction>"
+
+
+def assign(driver: str | None, activate: str = 'activateLongitudinal="true"') -> str:
+    named = "" if driver is None else f'<Property name="cornercase.driver" value="{driver}"/>'
+    return controller(
+        f'<AssignControllerAction {activate}><Controller name="c"><Properties>{named}</Properties></Controller>'
+        "</AssignControllerAction>"
+    )
+
+
+def controlled(folder, action: str, drivers=None):
+    """Two cars 10 m/s fast on one lane; the first gets an action at 1 s and is told to go 20 m/s at 2 s."""
+    init = "".join(
+        f'<Private entityRef="{name}">{teleport(s)}{speed_action("10")}</Private>'
+        for name, s in (("A", "10"), ("B", "90"))
+    )
+    story = story_of(
+        event("c", action, time_trigger("1")) + event("f", speed_action("20"), time_trigger("2")), actor="A"
+    )
+    path = scenario_file(folder, init=init, story=story, stop=time_trigger("5"), entities=car("A") + car("B"))
+    (recording,) = BuiltinSimulator(drivers=drivers).run([ConcreteScenario(path)])
+    return recording
+
+
+def test_a_controller_takes_over_when_it_is_assigned_and_activated(tmp_path):
+    """The storyboard jumps to 20 m/s; a driver accelerates towards them, and only once it is in charge."""
+    alone = controlled(tmp_path, assign(None))
+    assert alone.speed[0][alone.time > 2.1].min() == 20.0
+    driven = controlled(tmp_path, assign("normal"))
+    jump = np.diff(driven.speed[0]).max()
+    assert 0.0 < jump < 1.0
+    assert driven.speed[0].max() < 20.0
+    assert np.array_equal(driven.speed[0][driven.time < 1.0], alone.speed[0][alone.time < 1.0])
+    idle = controlled(tmp_path, assign("normal", ""))
+    assert same_recording(idle, alone)
+    off = controller('<ActivateControllerAction longitudinal="false"/>')
+    idle = controlled(tmp_path, f'{assign("normal")}</Action><Action name="off">{off}')
+    assert same_recording(idle, alone)
+
+
+def test_who_runs_a_file_keeps_the_driver_that_they_chose(tmp_path):
+    chosen = controlled(tmp_path, controller('<ActivateControllerAction longitudinal="false"/>'), {"A": "cautious"})
+    assert chosen.speed[0].max() < 20.0
+    again = controlled(tmp_path, assign("aggressive"), {"A": "cautious"})
+    assert same_recording(chosen, again)
+    with pytest.raises(InputError, match="asks for the driver 'os:system'"):
+        controlled(tmp_path, assign("os:system"))
+
+
+def test_a_driver_does_not_see_who_is_hidden(tmp_path):
+    """Behind a standing car the driver stops; behind one that is hidden from the traffic it does not."""
+    hide = '<PrivateAction><VisibilityAction graphics="true" sensors="true" traffic="{}"/></PrivateAction>'
+    ends = {}
+    for seen in ("true", "false"):
+        init = (
+            f'<Private entityRef="A">{teleport("10")}{speed_action("10")}</Private>'
+            f'<Private entityRef="B">{teleport("90")}{hide.format(seen)}</Private>'
+        )
+        path = scenario_file(tmp_path, init=init, stop=time_trigger("20"), entities=car("A") + car("B"))
+        (recording,) = BuiltinSimulator(drivers={"A": "normal"}).run([ConcreteScenario(path)])
+        ends[seen] = recording.x[0, -1]
+    assert ends["true"] < 88.0
+    assert ends["false"] > 150.0

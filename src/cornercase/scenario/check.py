@@ -13,7 +13,7 @@ from lxml import etree
 
 from cornercase.errors import InputError
 from cornercase.scenario.logical import ConcreteScenario, LogicalScenario
-from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.openscenario import DRIVER_PROPERTY, Scenario
 from cornercase.scenario.space import Parameter
 from cornercase.scenario.xml import read_xml
 
@@ -124,6 +124,12 @@ def without_effect(scenario: Scenario) -> dict[str, int]:
 
     tags = Counter(str(e.tag) for e in scenario.root.iter() if isinstance(e.tag, str))
     found = {tag: tags[tag] for tag in (*WITHOUT_EFFECT, *NEVER_TRUE) if tags[tag]}
+    foreign = sum(
+        all(item.get("name") != DRIVER_PROPERTY for item in controller.iterfind("Properties/Property"))
+        for controller in scenario.root.iterfind(".//Controller")
+    )
+    if foreign:
+        found["Controller of another program"] = foreign
     road = scenario.road_file()
     hilly = _hilly_roads(road) if road is not None and road.is_file() else 0
     return {**found, "elevation of roads": hilly} if hilly else found

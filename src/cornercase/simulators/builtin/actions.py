@@ -10,6 +10,7 @@ from lxml import etree
 
 from cornercase.errors import InputError, suggestion
 from cornercase.scenario.scope import Scope
+from cornercase.simulators.builtin.driving import ControllerAction, VisibilityAction
 from cornercase.simulators.builtin.following import FollowTrajectoryAction
 from cornercase.simulators.builtin.lateral import LaneChangeAction, LaneOffsetAction, LateralDistanceAction
 from cornercase.simulators.builtin.longitudinal import (
@@ -25,8 +26,8 @@ from cornercase.typing import BoolArray
 
 # Actions that change nothing a criticality metric sees.
 WITHOUT_EFFECT: Final = (
-    "EnvironmentAction", "AppearanceAction", "InfrastructureAction", "VisibilityAction", "UserDefinedAction",
-    "ControllerAction", "ActivateControllerAction", "AssignControllerAction", "SetMonitorAction",
+    "EnvironmentAction", "AppearanceAction", "InfrastructureAction", "UserDefinedAction",
+    "OverrideControllerValueAction", "SetMonitorAction",
 )  # fmt: skip
 
 
@@ -198,6 +199,10 @@ _READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action]]
     "AcquirePositionAction": AcquirePositionAction,
     "FollowTrajectoryAction": FollowTrajectoryAction,
     "SynchronizeAction": SynchronizeAction,
+    "ControllerAction": ControllerAction,
+    "AssignControllerAction": ControllerAction,
+    "ActivateControllerAction": ControllerAction,
+    "VisibilityAction": VisibilityAction,
 }
 
 _GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | None], Action]]] = {

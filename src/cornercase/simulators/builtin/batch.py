@@ -8,14 +8,14 @@ from typing import Any, Final
 import numpy as np
 from lxml import etree
 
-from cornercase.drivers import DRIVERS, Driver
-from cornercase.errors import InputError, SimulationError, suggestion
+from cornercase.drivers import Driver
+from cornercase.errors import InputError, SimulationError
 from cornercase.recording import Collision, Recording
 from cornercase.scenario.opendrive import RoadNetwork
 from cornercase.scenario.openscenario import Scenario, driver_property
 from cornercase.scenario.scope import Scope
 from cornercase.scenario.space import Value
-from cornercase.simulators.builtin.driving import Driving
+from cornercase.simulators.builtin.driving import Driving, registered_driver
 from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.positions import entities_in
 from cornercase.simulators.builtin.storyboard import Storyboard
@@ -79,11 +79,13 @@ class Batch:
         self._stop_at_collision = stop_at_collision
         asked = {e.get("name", ""): driver_property(e) for e in objects}
         chosen = {name: drivers.get(name, own) for name, own in asked.items()}
-        self._driving = [
-            Driving(self._world, self._world.names.index(name), _driver(driver, scenario))
-            for name, driver in chosen.items()
-            if driver is not None
-        ]
+        for name, driver in chosen.items():
+            if driver is not None:
+                e = self._world.names.index(name)
+                built = registered_driver(driver, str(scenario.path)) if isinstance(driver, str) else driver
+                number = Driving(self._world, e, built).number
+                self._world.kept[e] = name in drivers
+                self._world.control(e, np.ones(len(values), dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
         self._world.fail(scope.without_value(), "an expression has no finite value")
         self._history = History((5, len(objects), len(values)))
@@ -98,7 +100,7 @@ class Batch:
         while world.running.any() and steps * self._time_step < self._duration + self._time_step * 1.5:
             before = world.speed.copy()
             self._storyboard.step(dt)
-            for driving in self._driving:
+            for driving in world.drivers:
                 driving.step(dt)
             world.move(dt)
             # Counting steps rather than adding them up keeps 0.05 s steps on the instants one expects.
@@ -176,17 +178,6 @@ def _selections(root: etree._Element, world: World, scope: Scope) -> dict[str, l
 
 def _object_type(kind: str) -> str:
     return {"pedestrian": "pedestrian", "misc": "miscellaneous"}.get(kind, "vehicle")
-
-
-def _driver(driver: Driver | str, scenario: Scenario) -> Driver:
-    if not isinstance(driver, str):
-        return driver
-    if driver not in DRIVERS.names():
-        raise InputError(
-            f"{scenario.path}: asks for the driver '{driver}', which does not exist;"
-            f" {suggestion(driver, DRIVERS.names())}"
-        )
-    return DRIVERS.create(driver)
 
 
 def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity:

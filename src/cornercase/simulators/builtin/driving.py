@@ -1,21 +1,26 @@
-"""How a driver's decisions move an entity."""
+"""How a driver's decisions move an entity, and who is in charge of it."""
 
 from __future__ import annotations
 
 import numpy as np
+from lxml import etree
 
-from cornercase.drivers import Driver, Path, Situation
+from cornercase.drivers import DRIVERS, Driver, Path, Situation
+from cornercase.errors import InputError, suggestion
+from cornercase.scenario.openscenario import DRIVER_PROPERTY
+from cornercase.scenario.scope import Scope
 from cornercase.simulators.builtin.tracks import LaneTrack
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import BoolArray
 
 
 class Driving:
-    """One entity of a batch whose speed a driver decides, along the lanes that it follows.
+    """One entity of a batch whose speed a driver decides where it is in charge, along the lanes that it follows.
 
     Parameters
     ----------
     world : World
+        It becomes one of its drivers.
     entity : int
         Row of the entity.
     driver : Driver
@@ -23,16 +28,17 @@ class Driving:
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
         self._world, self._entity, self._driver = world, entity, driver
+        self.number = len(world.drivers)
+        world.drivers.append(self)
         self._others = [a for a in range(len(world.entities)) if a != entity]
         self._paths: dict[int, Path] = {}
         driver.start(world.scenarios, len(self._others))
-        world.driven[entity] = True
 
     def step(self, dt: float) -> None:
         """Decide the entity's speed at the end of the coming time step."""
         world, e = self._world, self._entity
-        active = world.running & world.present[e]
-        if dt == 0.0:
+        active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
+        if dt == 0.0 or not active.any():
             return
         for k, track in enumerate(world.tracks[e]):
             rows = active & (world.track[e] == k)
@@ -47,7 +53,7 @@ class Driving:
             line = track.path
             self._paths[k] = Path(line.distance, line.x, line.y, line.heading, line.curvature)
         box, boxes = world.entities[e], [world.entities[a] for a in others]
-        there = world.present[others].T
+        there = (world.present & world.visible)[others].T
         return Situation(
             time=world.time,
             time_step=dt,
@@ -72,3 +78,74 @@ class Driving:
             others_kind=tuple(one.kind for one in boxes),
             active=rows,
         )
+
+
+class ControllerAction:
+    """Assigns a controller to an entity, or activates the one that it has.
+
+    Of controllers those with the property ``cornercase.driver`` act; any other leaves the entity to the
+    storyboard. A driver that was chosen by who runs the file stays in charge.
+    """
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        assign = element if element.tag == "AssignControllerAction" else element.find("AssignControllerAction")
+        activate = element if element.tag == "ActivateControllerAction" else element.find("ActivateControllerAction")
+        self._driver, self._activated = None, None
+        if assign is not None:
+            self._driver = self._assigned(assign, scope, world)
+            self._activated = _flag(assign, "activateLongitudinal", scope)
+        if activate is not None:
+            self._activated = _flag(activate, "longitudinal", scope)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        if not world.kept[self._entity]:
+            world.control(self._entity, where, self._driver, self._activated)
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+    def _assigned(self, assign: etree._Element, scope: Scope, world: World) -> int:
+        controller = assign.find("Controller")
+        reference = assign.find("CatalogReference")
+        if controller is None and reference is not None:
+            controller, scope = scope.from_catalog(reference, "Controller")
+        if controller is None:
+            return -1
+        for item in controller.iterfind("Properties/Property"):
+            if item.get("name") == DRIVER_PROPERTY:
+                driver = registered_driver(scope.text(item, "value"), scope.source)
+                return Driving(world, self._entity, driver).number
+        return -1
+
+
+class VisibilityAction:
+    """Hides an entity from the others in the traffic, or shows it again."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity, self._seen = entity, scope.flag(element, "traffic", True)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        world.visible[self._entity][where] = self._seen
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
+def registered_driver(name: str, where: str) -> Driver:
+    """Build a driver that a file asks for by its registered name.
+
+    Raises
+    ------
+    InputError
+        There is none; a file cannot name a class to load.
+    """
+    if name not in DRIVERS.names():
+        raise InputError(
+            f"{where}: asks for the driver '{name}', which does not exist; {suggestion(name, DRIVERS.names())}"
+        )
+    return DRIVERS.create(name)
+
+
+def _flag(element: etree._Element, name: str, scope: Scope) -> bool | None:
+    return None if element.get(name) is None else scope.flag(element, name, False)

@@ -55,9 +55,10 @@ class SpeedAction:
         for state, value in ((self._from, start), (self._to, target), (self._duration, duration)):
             state[where] = value[where]
         self._elapsed[where] = 0.0
-        if not world.driven[e] or world.time == 0.0:
-            at_once = where & (self._duration <= 1e-9)
-            world.speed[e][at_once] = target[at_once]
+        at_once = where & (self._duration <= 1e-9)
+        if world.time > 0.0:
+            at_once &= ~world.driven[e]
+        world.speed[e][at_once] = target[at_once]
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, entity = self._entity, world.entities[self._entity]
@@ -82,9 +83,8 @@ class SpeedAction:
             self._elapsed[acting & late] -= (dt * (1.0 - share))[acting & late]
             finished &= ~late
             speed = np.where(late, now + caught, speed)
-        if world.driven[e]:
-            world.target_speed[e][acting] = speed[acting]
-        if not world.driven[e] or world.time == 0.0:
+        world.set_speed(e, acting, speed)
+        if world.time == 0.0:
             world.speed[e][acting] = speed[acting]
         reached = finished & (np.abs(speed - self._to) < 1e-6) & (not self._continuous)
         return np.asarray(where & (reached | ~acting))
@@ -149,10 +149,7 @@ class LongitudinalDistanceAction:
             following = np.clip(speed + a * dt, -self._fastest, self._fastest)
         self._acceleration[acting & ~rigid] = a[acting & ~rigid]
         result = np.where(rigid, other, following)
-        if world.driven[e]:
-            world.target_speed[e][acting] = result[acting]
-        else:
-            world.speed[e][acting] = result[acting]
+        world.set_speed(e, acting, result)
         reached = (np.abs(error) < _REACHED) & (not self._continuous)
         return np.asarray(where & (reached | ~acting))
 

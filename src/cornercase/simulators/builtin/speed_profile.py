@@ -88,10 +88,7 @@ class SpeedProfileAction:
             if rows.any():
                 speed, ended = _at(profile, world.time + dt)
                 wanted[rows], over[rows] = speed[rows], ended[rows]
-        if world.driven[e]:
-            world.target_speed[e][acting] = wanted[acting]
-        else:
-            world.speed[e][acting] = wanted[acting]
+        world.set_speed(e, acting, wanted)
         return where & (over | ~acting)
 
     def _lines(self, world: World, base: FloatArray) -> list[Phase]:

@@ -117,10 +117,8 @@ class SynchronizeAction:
         # Who has a driver is told, within its means, what speed to want.
         speed = np.clip(wanted, 0.0, world.entities[e].max_speed)
         change = acting if final is not None else acting & ~done
-        if world.driven[e]:
-            world.target_speed[e][change] = speed[change]
-        else:
-            world.speed[e][change] = np.where(np.isfinite(wanted), wanted, world.speed[e])[change]
+        own = np.where(np.isfinite(wanted), wanted, world.speed[e])
+        world.set_speed(e, change, np.where(world.driven[e], speed, own))
         return where & (done | ~acting)
 
     def _final_speed(self, world: World) -> FloatArray | None:
@@ -131,13 +129,11 @@ class SynchronizeAction:
 
     def _arrive(self, world: World, dt: float, way: FloatArray, time: FloatArray, comes: BoolArray) -> FloatArray:
         """Speed at the end of the step, with one constant acceleration."""
-        speed, mean = world.speed[self._entity], way / time
-        if world.driven[self._entity]:
-            return mean
+        speed, mean, driven = world.speed[self._entity], way / time, world.driven[self._entity]
         even = speed + 2.0 * (mean - speed) / time * dt
         waits = ~comes & (self._mode != _WAITING)
-        self._mode = np.where(comes, _LAST, _WAITING)
-        return np.where(comes, even, np.where(waits, 0.0, speed))
+        self._mode = np.where(driven, self._mode, np.where(comes, _LAST, _WAITING))
+        return np.where(driven, mean, np.where(comes, even, np.where(waits, 0.0, speed)))
 
     def _arrive_with(
         self,

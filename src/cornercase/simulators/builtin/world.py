@@ -6,7 +6,7 @@ Arrays are (entity, scenario), so that one entity's row is contiguous over the s
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -28,6 +28,9 @@ _ON_END: Final = 1e-3
 
 # A target further from a track, in m, is not on it.
 _ASTRAY: Final = 20.0
+
+if TYPE_CHECKING:
+    from cornercase.simulators.builtin.driving import Driving
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,19 @@ class World:
     actor : int or None
         Row of the entity for which a position is being resolved.
     target_speed : ndarray of float64, shape (E, N)
-        What speed actions ask of an entity with a driver; infinite where they ask nothing.
+        What speed actions ask of an entity; infinite where they ask nothing.
+    drivers : list of Driving
+        All that may be in charge of an entity.
+    driver : ndarray of int64, shape (E, N)
+        Which of them is assigned to the entity; -1 for none.
+    activated : ndarray of bool, shape (E, N)
+        Whether the controller of the entity may act along its way.
+    driven : ndarray of bool, shape (E, N)
+        Whether a driver is in charge: it is told what speed to want, and decides.
+    kept : list of bool, length E
+        Whether the driver was chosen by who runs the file, which the file cannot change.
+    visible : ndarray of bool, shape (E, N)
+        Whether others in the traffic can see the entity.
     errors : dict of int to str
         Why scenarios failed.
     """
@@ -126,7 +141,11 @@ class World:
         self.touching = np.zeros((len(entities), *shape), dtype=np.bool_)
         self.distance, self.offset = np.zeros(shape), np.zeros(shape)
         self.target_speed = np.full(shape, np.inf)
-        self.driven = np.zeros(len(entities), dtype=np.bool_)
+        self.drivers: list[Driving] = []
+        self.driver = np.full(shape, -1)
+        self.activated, self.driven = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
+        self.kept = [False] * len(entities)
+        self.visible = np.ones(shape, dtype=np.bool_)
         self.tracks: list[list[Track]] = [[] for _ in entities]
         self.track = np.full(shape, FREE)
         self.turn, self.turn_rate, self.sideways, self.velocity = (np.zeros(shape) for _ in range(4))
@@ -435,6 +454,20 @@ class World:
     def lateral_speed(self, entity: int) -> FloatArray:
         """Speed across the entity's track in m/s, shape (N,); positive to the left."""
         return np.asarray(self.speed[entity] * np.sin(self.turn[entity]))
+
+    def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
+        """Give an entity a speed in the scenarios of the mask, or tell its driver to want it."""
+        self.target_speed[entity][where] = speed[where]
+        own = where & ~self.driven[entity]
+        self.speed[entity][own] = speed[own]
+
+    def control(self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None) -> None:
+        """Assign a driver (-1 for none) or activate control along the way; None leaves it as it is."""
+        if driver is not None:
+            self.driver[entity][where] = driver
+        if activated is not None:
+            self.activated[entity][where] = activated
+        self.driven[entity] = self.activated[entity] & (self.driver[entity] >= 0)
 
     def move(self, dt: float) -> None:
         """Advance every entity by one time step with its present speed, then the clock."""
