@@ -493,7 +493,9 @@ def test_rss_closed_forms():
     close(now(Rss(term="longitudinal"), LEADER, FOLLOWER), 30 - rear)
     close(now(Rss(term="lateral"), FOLLOWER, BESIDE), 0.5 - 0.35)
     close(now(Rss(), FOLLOWER, BESIDE), 0.5 - 0.35)
-    close(now(Rss(), FOLLOWER, LEADER), max(30 - rear, -2 - 0.35))
+    close(now(Rss(), FOLLOWER, LEADER), 30 - rear)
+    close(now(Rss(term="lateral"), FOLLOWER, LEADER), -2 - 0.35)
+    close(now(Rss(), actor(v=5), actor(x=104, y=2.5, v=5)), 100 - (5 + 1.75 + 8.5**2 / 8 - 25 / 16))
     # Two that stand may both start: 1.75 + 3.5² / 8 for the one behind.
     close(now(Rss(term="longitudinal"), actor(), STANDING), 30 - 1.75 - 3.5**2 / 8)
     # The one behind stands, the one in front drives away.

@@ -19,8 +19,9 @@ class Rss(PairMetric):
     """Distance by which the ego keeps, or falls short of, the minimum of responsibility-sensitive safety.
 
     Along and across the ego's heading the gap between the boxes is compared with the minimum that lets both
-    react and brake; the value in m is the larger of the two surpluses, so below 0 exactly in a dangerous
-    situation, in which both minima are violated. Lower is more critical.
+    react and brake. Where the lateral minimum is violated the value in m is the longitudinal surplus, elsewhere
+    the larger of the two; so it is below 0 exactly in a dangerous situation, in which both minima are violated.
+    Lower is more critical.
 
     Along the heading, of two that go the same way the rear one, with speed v_r, needs
 
@@ -91,7 +92,8 @@ class Rss(PairMetric):
         left = np.stack([-forward[:, 1], forward[:, 0]], -1)
         along = self._along(recording, ego, other, forward)
         across = self._across(recording, ego, other, left)
-        chosen = {"both": np.maximum(along, across), "longitudinal": along, "lateral": across}[self.term]
+        both = np.where(across < 0.0, along, np.maximum(along, across))
+        chosen = {"both": both, "longitudinal": along, "lateral": across}[self.term]
         return np.where(np.isnan(along + across), np.nan, chosen)
 
     def _along(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
