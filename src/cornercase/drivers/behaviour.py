@@ -176,7 +176,7 @@ class BehaviourDriver:
             seen.noticed, seen.known, seen.x, seen.y, seen.heading, seen.speed, seen.turn,
             0.5 * s.others_length, 0.5 * s.others_width, np.ascontiguousarray(s.others_center_x),
             vulnerable, self._conflict_since, self._yielding,
-        )  # type: ignore[call-arg]  # fmt: skip
+        )  # fmt: skip
         return result
 
     def _route(self, path: Path) -> Route:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from cornercase.compiling import kernel
 from cornercase.drivers.base import Situation
 from cornercase.typing import BoolArray
 
@@ -98,7 +98,7 @@ def _dense(values):
     return np.ascontiguousarray(values)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _in_sight(
     x, y, heading, eye_ahead, half_view, sight_range,
     others_x, others_y, others_heading, length, width, center_x,
@@ -136,7 +136,7 @@ def _in_sight(
     return seen
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _meets(eye_x, eye_y, to_x, to_y, box, half_length, half_width):
     """Whether the line from the eye meets a box (slabs); a box around the eye itself hides nothing."""
     if math.isnan(box[0]):
@@ -158,7 +158,7 @@ def _meets(eye_x, eye_y, to_x, to_y, box, half_length, half_width):
     return enters < leaves and not inside
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _perceive(
     time, time_step, reaction_time, memory, active, seen,
     true_x, true_y, true_heading, true_speed,

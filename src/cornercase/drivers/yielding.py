@@ -14,7 +14,8 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
+
+from cornercase.compiling import kernel
 
 STANDING: Final = 0.2
 """Below this speed in m/s an entity stands."""
@@ -59,7 +60,7 @@ STRAIGHT: Final = 0.05
 LOOKAHEAD: Final = 150.0
 """m."""
 
-_kernel = njit(cache=True, nogil=True, error_model="numpy")
+_kernel = kernel(error_model="numpy")
 
 
 @_kernel

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from cornercase.compiling import kernel
 from cornercase.typing import BoolArray
 
 # What rounding may add to a bound, relatively.
@@ -50,7 +50,7 @@ def may_be_within(series: Sequence[npt.NDArray[np.floating[Any]]], distance: flo
     return possible & possible.T
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def _compare(values, starts, low, high, limit, squared, possible):
     dims = low.shape[1]
     for i in range(len(low)):

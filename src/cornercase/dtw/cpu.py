@@ -27,6 +27,7 @@ import numpy.typing as npt
 from numba import njit
 from numba.core.event import Listener, install_listener
 
+from cornercase import compiling
 from cornercase.dtw import simd
 from cornercase.dtw.simd import (
     absolute,
@@ -314,10 +315,7 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
                     distance = math.sqrt(distance)
                 out[place, lane] = distance
 
-    try:
-        return njit(cache=True, nogil=True)(tile)
-    except RuntimeError:  # There is no folder that numba can write to.
-        return njit(nogil=True)(tile)
+    return compiling.kernel()(tile)
 
 
 class _Announcement(Listener):

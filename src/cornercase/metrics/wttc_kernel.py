@@ -8,14 +8,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from cornercase.compiling import kernel
 
 # Loops over so many instants have no branches, so that the compiler fills vectors with them.
 _BLOCK = 64
 _ITERATIONS = 100
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
     """Relative motion of the entities in rows `a` and `b`, boxes `ahead` of their reference points; then the roots."""
     position, velocity = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
@@ -33,7 +34,7 @@ def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
         _solve(position, velocity, radii, growths, count, out[first : first + count])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def roots(position, velocity, radius, growth, out):
     """The same of given relative positions and velocities (n, 2), radii and growths (n,)."""
     places, ways = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
@@ -49,7 +50,7 @@ def roots(position, velocity, radius, growth, out):
         _solve(places, ways, radii, growths, count, out[first : first + count])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _solve(position, velocity, radius, growth, count, out):
     apart, bend, closing = np.empty(count), np.empty(count), np.empty(count)
     gain, size, early = np.empty(count), np.empty(count), np.empty(count)
@@ -102,7 +103,7 @@ def _solve(position, velocity, radius, growth, count, out):
         out[k] = t if known == known else math.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _maximum(bend, gain, closing, top):
     """Where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
 

@@ -1,0 +1,58 @@
+"""Machine code on disk, shared by processes that start together."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+PROGRAM = """
+import json, sys, time
+import numpy as np
+from numba.core.caching import IndexDataCacheFile
+from cornercase.dtw import distance_matrix
+
+# Long enough for the others to read the index in between.
+save = IndexDataCacheFile._save_index
+IndexDataCacheFile._save_index = lambda self, overloads: (time.sleep(0.5), save(self, overloads))
+
+rng = np.random.default_rng(0)
+series = [rng.normal(size=(9, 2)) for _ in range(4)]
+found = {}
+for name in sys.argv[1:]:
+    cost, dims = name.split("-")
+    found[name] = distance_matrix([one[:, : int(dims)] for one in series], local_cost=cost, n_jobs=1).tolist()
+print(json.dumps(found))
+"""
+VERSIONS = ["euclidean-1", "squared-1", "euclidean-2", "squared-2"]
+
+
+def started(folder, *names):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+    return subprocess.Popen([sys.executable, "-c", PROGRAM, *names], stdout=subprocess.PIPE, text=True, env=environment)
+
+
+def said(process):
+    out, _ = process.communicate(timeout=300)
+    assert process.returncode == 0
+    return json.loads(out)
+
+
+def test_processes_that_compile_at_once_do_not_mix_up_their_kernels(tmp_path):
+    """Each begins with another version; then all of them are loaded from the disk, none is compiled."""
+    folder = tmp_path / "cache"
+    processes = [started(folder, *VERSIONS[k:], *VERSIONS[:k]) for k in range(len(VERSIONS))]
+    results = [said(process) for process in processes]
+    before = sorted(path.name for path in folder.rglob("*.nbc"))
+    later = said(started(folder, *VERSIONS))
+    assert sorted(path.name for path in folder.rglob("*.nbc")) == before
+    assert len(before) == len(VERSIONS)
+    for result in results:
+        for name in VERSIONS:
+            np.testing.assert_array_equal(result[name], later[name])
+    flat, square = np.array(later["euclidean-1"]), np.array(later["squared-1"])
+    assert (flat >= square - 1e-12).all()
+    assert not np.allclose(flat, square)
