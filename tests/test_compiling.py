@@ -15,9 +15,11 @@ import numpy as np
 from numba.core.caching import IndexDataCacheFile
 from cornercase.dtw import distance_matrix
 
-# Long enough for the others to read the index in between.
-save = IndexDataCacheFile._save_index
-IndexDataCacheFile._save_index = lambda self, overloads: (time.sleep(0.5), save(self, overloads))
+# The others read the index in between, and who writes it first writes its machine code last.
+index, data = IndexDataCacheFile._save_index, IndexDataCacheFile._save_data
+delay = float(sys.argv.pop(1))
+IndexDataCacheFile._save_index = lambda *all: (time.sleep(0.5), index(*all))
+IndexDataCacheFile._save_data = lambda *all: (time.sleep(delay), data(*all))
 
 rng = np.random.default_rng(0)
 series = [rng.normal(size=(9, 2)) for _ in range(4)]
@@ -30,9 +32,11 @@ print(json.dumps(found))
 VERSIONS = ["euclidean-1", "squared-1", "euclidean-2", "squared-2"]
 
 
-def started(folder, *names):
+def started(folder, delay, *names):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    return subprocess.Popen([sys.executable, "-c", PROGRAM, *names], stdout=subprocess.PIPE, text=True, env=environment)
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, str(delay), *names], stdout=subprocess.PIPE, text=True, env=environment
+    )
 
 
 def said(process):
@@ -44,10 +48,12 @@ def said(process):
 def test_processes_that_compile_at_once_do_not_mix_up_their_kernels(tmp_path):
     """Each begins with another version; then all of them are loaded from the disk, none is compiled."""
     folder = tmp_path / "cache"
-    processes = [started(folder, *VERSIONS[k:], *VERSIONS[:k]) for k in range(len(VERSIONS))]
+    processes = [
+        started(folder, 0.4 * (len(VERSIONS) - 1 - k), *VERSIONS[k:], *VERSIONS[:k]) for k in range(len(VERSIONS))
+    ]
     results = [said(process) for process in processes]
     before = sorted(path.name for path in folder.rglob("*.nbc"))
-    later = said(started(folder, *VERSIONS))
+    later = said(started(folder, 0.0, *VERSIONS))
     assert sorted(path.name for path in folder.rglob("*.nbc")) == before
     assert len(before) == len(VERSIONS)
     for result in results:
