@@ -12,6 +12,9 @@ from cornercase.typing import BoolArray, FloatArray
 _CONTACT = 1e-9
 """Gap in m at which moving boxes count as touching, so that rounding does not undo a grazing contact."""
 
+_STEADY = 1e-12
+"""Acceleration in m/s² that is rounding: it takes two weeks for a metre."""
+
 _SIGNS_ALONG = np.array([1.0, 1.0, -1.0, -1.0])
 _SIGNS_ACROSS = np.array([-1.0, 1.0, 1.0, -1.0])
 
@@ -242,6 +245,7 @@ def first_contact(
         exact, starts, ends = exact[..., None], starts[..., None], ends[..., None]
     else:
         gain = np.broadcast_to(project(axes, acceleration[..., None, :])[..., 0], low.shape)
+        gain = np.where(np.abs(gain) <= _STEADY, 0.0, gain)
         exact, _ = _open_quadratic(low, high, speed, gain)
         starts, ends = _open_quadratic(low - _CONTACT, high + _CONTACT, speed, gain)
     # The allowance shall find a contact, not bring it forward; an axis along which nothing moves has no say.

@@ -53,7 +53,7 @@ class Tet(PairMetric):
         low, high = np.minimum(before, after), np.maximum(before, after)
         crosses = (low < 0.0) & (high > 0.0)
         # Towards a time to collision of inf the straight line leaves the threshold at once.
-        part = np.where(crosses, high / np.where(crosses, high - low, 1.0), (low >= 0.0).astype(np.float64))
+        part = np.where(crosses, high / _between(low, high), (low >= 0.0).astype(np.float64))
         return np.append(0.0, np.cumsum(part * np.diff(recording.time)))
 
 
@@ -93,7 +93,7 @@ class Tit(PairMetric):
         before, after = below[:-1], below[1:]
         low, high = np.minimum(before, after), np.maximum(before, after)
         crosses = (low < 0.0) & (high > 0.0)
-        triangle = 0.5 * high**2 / np.where(crosses, high - low, 1.0)
+        triangle = 0.5 * np.where(crosses, high, 0.0) ** 2 / _between(low, high)
         mean = np.where(crosses, triangle, np.maximum(0.5 * (np.maximum(low, 0.0) + high), 0.0))
         return np.append(0.0, np.cumsum(mean * np.diff(recording.time)))
 
@@ -109,6 +109,12 @@ def _shortfall(recording: Recording, ego: str, other: str, threshold: float) -> 
     """How far the time to collision is below the threshold, (T,); negative above it, -inf for never."""
     below = threshold - Ttc().course(recording, ego, other)
     return np.where(np.isnan(below), -np.inf, below)
+
+
+def _between(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Difference where the line from `low` to `high` crosses the threshold, 1 elsewhere."""
+    crosses = (low < 0.0) & (high > 0.0)
+    return np.where(crosses, np.where(crosses, high, 1.0) - np.where(crosses, low, 0.0), 1.0)
 
 
 def _samples(time: FloatArray, values: FloatArray) -> FloatArray:
