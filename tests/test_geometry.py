@@ -68,7 +68,7 @@ def test_distance_is_that_of_the_nearest_outline_points(a, b):
 
 @settings(deadline=None, max_examples=150)
 @given(box, box, vector, st.none() | vector.map(lambda v: v / 4))
-@example(np.zeros((4, 2)), np.zeros((4, 2)) + 2.0, np.array([0.0, 1.0]), np.array([0.0, -3.5e-46]))
+@example(box_corners(0, 0, 0, 1, 1), box_corners(0, 2, 0, 1, 1), np.array([0.0, 1.0]), np.array([0.0, -3.5e-46]))
 def test_first_contact_is_the_first_time_that_boxes_overlap(a, b, velocity, acceleration):
     def touch(t):
         bend = 0 if acceleration is None else 0.5 * acceleration * np.asarray(t)[..., None] ** 2
