@@ -81,7 +81,13 @@ def explore(
     continuous: Annotated[
         bool, typer.Option("--continuous", help="Search ranges that have steps as intervals.")
     ] = False,
-    optimizer: Annotated[str, typer.Option(metavar="NAME", help="bayes, sobol, grid or random.")] = "bayes",
+    optimizer: Annotated[str, typer.Option(metavar="NAME", help="bayes, level-set, sobol, grid or random.")] = "bayes",
+    critical: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X", help="Score from which a scenario is critical; default: the metric's own. For level-set."
+        ),
+    ] = None,
     budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=1)] = 200,
     batch: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios per round.", min=1)] = 10,
     patience: Annotated[
@@ -121,6 +127,7 @@ def explore(
             other=other,
             metrics=tuple(metric),
             optimizer=optimizer,
+            critical=critical,
             budget=budget,
             batch=batch,
             seed=seed,

@@ -11,6 +11,7 @@ from cornercase import __version__
 from cornercase.errors import InputError, suggestion
 from cornercase.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.metrics import METRICS
+from cornercase.metrics.base import threshold
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.scenario.openscenario import Scenario
@@ -31,6 +32,8 @@ class Exploration:
     metrics : tuple of str
         The first is searched.
     optimizer : str
+    critical : float or None
+        Score from which a scenario is critical, for searches of the critical set; None for the metric's own.
     budget, batch, seed : int
     patience : int or None
     max_seconds : float or None
@@ -48,6 +51,7 @@ class Exploration:
     other: str
     metrics: tuple[str, ...]
     optimizer: str = "bayes"
+    critical: float | None = None
     budget: int = 200
     batch: int = 10
     seed: int = 0
@@ -76,10 +80,14 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
     if one.ego == one.other:
         raise InputError(f"--other {one.other}: is the ego itself; name the entity that it meets.")
     metrics = [METRICS.create(name) for name in dict.fromkeys(one.metrics)]
+    options: dict[str, Any] = {}
+    critical = one.critical
     if one.optimizer == "grid":
-        optimizer = OPTIMIZERS.create("grid", space=one.logical.space, seed=one.seed, budget=one.budget)
-    else:
-        optimizer = OPTIMIZERS.create(one.optimizer, space=one.logical.space, seed=one.seed)
+        options["budget"] = one.budget
+    elif one.optimizer == "level-set":
+        critical = threshold(metrics[0], one.critical)
+        options["threshold"] = critical if metrics[0].lower_is_critical else -critical
+    optimizer = OPTIMIZERS.create(one.optimizer, space=one.logical.space, seed=one.seed, **options)
     simulator = _simulator(one)
     meta = {
         "scenario": str(one.logical.path.resolve()),
@@ -89,6 +97,7 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
         "other": one.other,
         "metrics": [metric.name for metric in metrics],
         "optimizer": one.optimizer,
+        "critical": critical,
         "seed": one.seed,
         "budget": one.budget,
         "batch": one.batch,
@@ -202,6 +211,7 @@ def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
         ("other", "another other entity"),
         ("metrics", "other metrics"),
         ("optimizer", "another optimizer"),
+        ("critical", "another threshold of what is critical"),
         ("seed", "another seed"),
         ("batch", "another batch size"),
         ("simulator", "another simulator"),

@@ -34,6 +34,8 @@ class Metric(Protocol):
     limit : float, optional
         The most critical value that a course keeps apart from others, for metrics that can be infinitely
         critical; beyond it the course counts as the limit.
+    critical : float, optional
+        Value from which a scenario counts as critical where nobody says otherwise.
     source : str
         Where the definition stands.
     """
@@ -153,6 +155,30 @@ def worst(metric: Metric, course: FloatArray) -> float:
     """Return the most critical value of the capped course."""
     values = capped(metric, course)
     return float(values.min() if metric.lower_is_critical else values.max())
+
+
+def threshold(metric: Metric, given: float | None = None) -> float:
+    """Score from which a scenario counts as critical.
+
+    Parameters
+    ----------
+    metric : Metric
+    given : float, optional
+        What the user asks for; by default the metric's own.
+
+    Raises
+    ------
+    InputError
+        The metric has none, or the one that is given is not finite.
+    """
+    value = getattr(metric, "critical", None) if given is None else given
+    if value is None:
+        raise InputError(
+            f"The metric '{metric.name}' has no threshold of its own; say with --critical what is critical."
+        )
+    if not np.isfinite(value):
+        raise InputError(f"--critical {value}: give a finite number.")
+    return float(value)
 
 
 def boxes(recording: Recording, name: str) -> FloatArray:

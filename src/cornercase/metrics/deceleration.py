@@ -98,6 +98,7 @@ class Dst(PairMetric):
     lower_is_critical = False
     cap = 0.0
     limit = 20.0
+    critical = 4.0
     source = "Hupfer 1997"
 
     def __init__(self, safety_time: float = 1.0) -> None:
@@ -131,6 +132,7 @@ class LongitudinalAcceleration(PairMetric):
     lower_is_critical = True
     cap = 0.0
     limit = -20.0
+    critical = -5.0
     source = "Jansson 2005, leader does not reverse"
 
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
@@ -160,6 +162,7 @@ class Btn(PairMetric):
     lower_is_critical = False
     cap = 0.0
     limit = 5.0
+    critical = 1.0
     source = "Brännström et al. 2008"
 
     def __init__(self, deceleration: float = 8.0) -> None:

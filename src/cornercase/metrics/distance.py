@@ -52,6 +52,7 @@ class Clearance(PairMetric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
+    critical = 1.0
     source = "Euclidean distance of the bounding boxes"
 
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:

@@ -34,6 +34,7 @@ class Dce(PairMetric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
+    critical = 1.0
     source = "Eggert 2014, boxes in the plane"
 
     def __init__(self, centers: bool = False) -> None:

@@ -103,6 +103,7 @@ class Thw(PairMetric):
     unit = "s"
     lower_is_critical = True
     cap = 10.0
+    critical = 0.9
     source = "Jansson 2005, gap between boxes"
 
     def __init__(self, accelerating: bool = False) -> None:

@@ -58,6 +58,7 @@ class Stn(PairMetric):
     lower_is_critical = False
     cap = 0.0
     limit = 5.0
+    critical = 1.0
     source = "Brännström et al. 2008"
 
     def __init__(self, acceleration: float = 8.0) -> None:

@@ -47,6 +47,7 @@ class Pet(PairMetric):
     unit = "s"
     lower_is_critical = True
     cap = 10.0
+    critical = 1.5
     source = "Allen, Shin and Cooper 1978, areas swept by the boxes"
 
     def __init__(self, area: Area | None = None, signed: bool = False) -> None:

@@ -59,6 +59,7 @@ class Rss(PairMetric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
+    critical = 0.0
     source = "Shalev-Shwartz et al. 2017, in the frame of the ego"
 
     def __init__(

@@ -39,6 +39,7 @@ class Ttc(PairMetric):
     unit = "s"
     lower_is_critical = True
     cap = 10.0
+    critical = 1.5
     source = "Hayward 1972, boxes in the plane"
 
     def __init__(self, accelerating: bool = False) -> None:

@@ -52,6 +52,7 @@ class Wttc(PairMetric):
     unit = "s"
     lower_is_critical = True
     cap = 10.0
+    critical = 1.0
     source = "Wachenfeld et al. 2016"
 
     def __init__(self, vehicle_acceleration: float = 6.9, vulnerable_acceleration: float = 2.5) -> None:

@@ -3,11 +3,13 @@
 from cornercase.optimizers.base import OPTIMIZERS, Optimizer
 from cornercase.optimizers.bayes import BayesOptimizer
 from cornercase.optimizers.grid import GridOptimizer
+from cornercase.optimizers.level_set import LevelSetOptimizer
 from cornercase.optimizers.sobol import SequenceOptimizer, random, sobol
 
 OPTIMIZERS.register("bayes", BayesOptimizer)
 OPTIMIZERS.register("grid", GridOptimizer)
+OPTIMIZERS.register("level-set", LevelSetOptimizer)
 OPTIMIZERS.register("random", random)
 OPTIMIZERS.register("sobol", sobol)
 
-__all__ = ["OPTIMIZERS", "BayesOptimizer", "GridOptimizer", "Optimizer", "SequenceOptimizer"]
+__all__ = ["OPTIMIZERS", "BayesOptimizer", "GridOptimizer", "LevelSetOptimizer", "Optimizer", "SequenceOptimizer"]

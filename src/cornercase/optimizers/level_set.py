@@ -1,0 +1,126 @@
+"""Search for the whole set of critical scenarios, by its boundary."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cornercase.optimizers.sobol import SequenceOptimizer
+from cornercase.scenario.space import ParameterSpace
+from cornercase.surrogate import GaussianProcess, encoded
+from cornercase.typing import FloatArray, IntArray
+
+_INITIAL = 24
+
+
+class LevelSetOptimizer:
+    """Asks for the scenarios of which a Gaussian process knows least whether they are critical.
+
+    A scenario is critical when its score is at most the threshold. Each point of a round has the largest
+    ``1.96 s - |m - threshold|`` of all candidates (the straddle heuristic), with the mean m of the process and its
+    standard deviation s; then s is what it would be with that point known, so that a round spreads over the
+    boundary. Scores far from the threshold say little about the boundary and are drawn together by a hyperbolic
+    tangent. The first 24 points, and a share of all others, are a Sobol' sequence, so that a critical region that
+    the process knows nothing of is met.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+    threshold : float
+        Score up to which a scenario is critical.
+    candidates : int, default 20000
+        Points among which a round chooses; drawn anew for each.
+    filling : float, default 0.1
+        Share of the points that fills the space.
+
+    Notes
+    -----
+    Source: B. Bryan, J. Schneider et al., "Active learning for identifying function threshold boundaries", NIPS
+    (2005).
+    """
+
+    name = "level-set"
+
+    def __init__(
+        self, space: ParameterSpace, seed: int, threshold: float, candidates: int = 20_000, filling: float = 0.1
+    ) -> None:
+        self._space, self._seed, self.threshold = space, seed, threshold
+        self._candidates, self._filling = candidates, filling
+        self._start = SequenceOptimizer(space, seed, "sobol")
+        self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
+
+    def ask(self, n: int) -> FloatArray:
+        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
+        told = len(self._points)
+        known = np.isfinite(self._scores)
+        if told < _INITIAL or known.sum() < 3 or np.ptp(self._scores[known]) == 0.0:
+            return self._start.ask(n)
+        filling = self._start.ask(self._filled(told + n) - self._filled(told))
+        seed = int(np.random.SeedSequence([self._seed, told]).generate_state(1)[0])
+        rest = SequenceOptimizer(self._space, seed, "sobol")
+        rest.tell(np.concatenate([self._points, filling]), np.zeros(told + len(filling)))
+        wanted = n - len(filling)
+        candidates = rest.ask(max(self._candidates, wanted))
+        if len(candidates) > wanted > 0:
+            candidates = candidates[self._straddle(candidates, filling, wanted)]
+        return np.concatenate([candidates[:wanted], filling])
+
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Take scores, lower being more critical; NaN for a scenario that failed."""
+        self._points = np.concatenate([self._points, points])
+        self._scores = np.concatenate([self._scores, scores])
+        self._start.tell(points, scores)
+
+    def critical(self, points: FloatArray) -> FloatArray:
+        """Probability that scenarios are critical, shape (n,), by the process of all that was told.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, d)
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+        """
+        from scipy.stats import norm
+
+        mean, deviation, _ = self._process().predict(encoded(self._space, points))
+        return np.asarray(norm.cdf(-mean / deviation))
+
+    def _process(self) -> GaussianProcess:
+        known = np.isfinite(self._scores)
+        return GaussianProcess().fit(encoded(self._space, self._points[known]), self._near(self._scores[known]))
+
+    def _near(self, scores: FloatArray) -> FloatArray:
+        """Scores with the threshold at 0, drawn together where they are far from it."""
+        return np.tanh((scores - self.threshold) / np.std(scores))
+
+    def _straddle(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
+        process = self._process()
+        places = encoded(self._space, np.concatenate([candidates, filling]))
+        mean, deviation, rows = process.predict(places)
+        variance = deviation**2
+        noise = process.noise**2
+        learned: list[FloatArray] = []
+        chosen: list[int] = []
+
+        def learn(i: int) -> None:
+            shared = process.covariance(places, rows, i)
+            for earlier in learned:
+                shared = shared - earlier * earlier[i]
+            learned.append(shared / math.sqrt(max(shared[i], 0.0) + noise))
+            np.maximum(variance - learned[-1] ** 2, 0.0, out=variance)
+
+        for i in range(len(candidates), len(places)):
+            learn(i)
+        for _ in range(n):
+            gain = 1.96 * np.sqrt(variance[: len(candidates)]) - np.abs(mean[: len(candidates)])
+            gain[chosen] = -np.inf
+            chosen.append(int(np.argmax(gain)))
+            learn(chosen[-1])
+        return np.array(chosen, dtype=np.int64)
+
+    def _filled(self, told: int) -> int:
+        return math.floor(self._filling * told + 1e-9)

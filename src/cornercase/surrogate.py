@@ -1,0 +1,168 @@
+"""Gaussian process over the unit cube: what the scenarios that were run say about those that were not."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.optimize import minimize
+from threadpoolctl import threadpool_limits
+
+from cornercase.dtw.cpu import available_cpus
+from cornercase.scenario.space import ParameterSpace
+from cornercase.typing import FloatArray
+
+Floats = npt.NDArray[np.floating[Any]]
+
+_ROOT5 = float(np.sqrt(5.0))
+_CHUNK, _LEARNED = 1024, 200
+_WIDTHS, _SIGNAL, _NOISE = (1e-2, 10.0), (1e-2, 30.0), (1e-6, 0.3)
+
+
+def encoded(space: ParameterSpace, points: FloatArray) -> FloatArray:
+    """Points for a kernel: a choice among names becomes a corner of a simplex, as far from each other one.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    points : ndarray of float64, shape (n, d)
+
+    Returns
+    -------
+    ndarray of float64, shape (n, e)
+    """
+    columns = []
+    for j, parameter in enumerate(space.parameters):
+        if parameter.choices:
+            columns.append(np.eye(len(parameter.choices))[parameter.numbers(points[:, j])] * np.sqrt(0.5))
+        else:
+            columns.append(points[:, j : j + 1])
+    return np.concatenate(columns, axis=1)
+
+
+class GaussianProcess:
+    """Gaussian process with a Matérn kernel (5/2) and a width of its own for each dimension.
+
+    Widths, size and noise are those of the greatest marginal likelihood times a wide prior on the widths, which
+    keeps them from running away while there are few points (Rasmussen and Williams, Gaussian Processes for Machine
+    Learning, 2006, equations 4.17, 5.8 and 5.9).
+
+    Attributes
+    ----------
+    widths : ndarray of float64, shape (e,)
+    signal, noise : float
+        Standard deviations of the process and of single values.
+    """
+
+    def __init__(self) -> None:
+        self.widths, self.signal, self.noise = np.zeros(0), 1.0, 0.1
+
+    def fit(self, points: FloatArray, values: FloatArray) -> GaussianProcess:
+        """Learn from values, shape (n,), at points, shape (n, e); widths and noise from 200 of them at most."""
+        dims = points.shape[1]
+        start = np.log(np.append(np.full(dims, 0.4), (1.0, 0.05)))
+        bounds = np.log([*[_WIDTHS] * dims, _SIGNAL, _NOISE])
+        mean = float(values.mean())
+        some = np.unique(np.linspace(0, len(values) - 1, _LEARNED).astype(np.int64))
+        squares = (points[some, None] - points[some]) ** 2
+        # Sums in one order, whatever the number of threads: the points that follow hang on the last digits.
+        with threadpool_limits(limits=1):
+            found = minimize(
+                _loss, start, (squares, values[some] - mean), jac=True, method="L-BFGS-B",
+                bounds=[(low, high) for low, high in bounds.tolist()], options={"maxiter": 50},
+            )  # fmt: skip
+            *widths, self.signal, self.noise = np.exp(found.x)
+            self.widths = np.array(widths)
+            self._points, self._mean = points / self.widths, mean
+            covariance = self.signal**2 * _correlation(_distances(self._points, self._points))
+            covariance[np.diag_indices(len(points))] += self.noise**2
+            self._lower = cholesky(covariance, lower=True)
+            self._weights = cho_solve((self._lower, True), values - mean)
+            self._inverse = solve_triangular(self._lower, np.eye(len(points)), lower=True)
+        return self
+
+    def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float32]]:
+        """Mean and standard deviation of the process at points, each (n,), and what `condition` needs.
+
+        In single precision, which 100,000 points and 400 values make worth while.
+        """
+        mean, deviation = np.empty(len(points)), np.empty(len(points))
+        rows = np.empty((len(points), len(self._points)), dtype=np.float32)
+        inverse = self._inverse.T.astype(np.float32)
+        weights = self._weights.astype(np.float32)
+        scaled = (points / self.widths).astype(np.float32)
+        known = self._points.astype(np.float32)
+
+        def part(first: int) -> None:
+            these = slice(first, first + _CHUNK)
+            cross = _correlation(_distances(scaled[these], known))
+            cross *= np.float32(self.signal**2)
+            np.matmul(cross, inverse, out=rows[these])
+            mean[these] = cross @ weights
+            deviation[these] = np.einsum("ij,ij->i", rows[these], rows[these])
+
+        # Each part is summed by one thread, so their number does not show.
+        with threadpool_limits(limits=1), ThreadPoolExecutor(available_cpus()) as pool:
+            list(pool.map(part, range(0, len(points), _CHUNK)))
+        return mean + self._mean, np.sqrt(np.maximum(self.signal**2 - deviation, 1e-8 * self.signal**2)), rows
+
+    def covariance(self, points: FloatArray, rows: npt.NDArray[np.float32], i: int) -> FloatArray:
+        """Covariance of the process at all points with that at one of them, shape (n,); `rows` as of `predict`."""
+        prior = self.signal**2 * _correlation(_distances(points / self.widths, points[i : i + 1] / self.widths))[:, 0]
+        return np.asarray(prior - rows @ rows[i], dtype=np.float64)
+
+
+def _distances(a: Floats, b: Floats) -> Floats:
+    squares: Floats = (a * a).sum(1)[:, None] + (b * b).sum(1) - 2.0 * (a @ b.T)
+    np.sqrt(np.maximum(squares, 0.0, out=squares), out=squares)
+    return squares
+
+
+def _correlation(distance: Floats) -> Floats:
+    """Matérn correlation (5/2) at scaled distances; the array is used up."""
+    number = distance.dtype.type
+    distance *= number(_ROOT5)
+    polynomial = distance * number(1.0 / 3.0)
+    polynomial += number(1.0)
+    polynomial *= distance
+    polynomial += number(1.0)
+    np.exp(np.negative(distance, out=distance), out=distance)
+    polynomial *= distance
+    return polynomial
+
+
+def _matern(distance: Floats) -> tuple[Floats, Floats]:
+    """Correlation at scaled distances, and what its derivative by the logarithm of a width is, over the square."""
+    scaled = distance * distance.dtype.type(_ROOT5)
+    fall = np.exp(-scaled)
+    slope = (1.0 + scaled) * fall
+    return slope + (scaled * scaled) * fall * scaled.dtype.type(1.0 / 3.0), slope * scaled.dtype.type(5.0 / 3.0)
+
+
+def _loss(parameters: FloatArray, squares: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
+    """Negative logarithm of the marginal likelihood and the prior, and its gradient."""
+    *logs, log_signal, log_noise = parameters
+    widths, signal2, noise2 = np.exp(logs), np.exp(2.0 * log_signal), np.exp(2.0 * log_noise)
+    scaled = squares / widths**2
+    correlation, slope = _matern(np.sqrt(scaled.sum(-1)))
+    covariance = signal2 * correlation
+    covariance[np.diag_indices(len(values))] += noise2
+    try:
+        lower = cholesky(covariance, lower=True)
+    except LinAlgError:
+        return 1e25, np.zeros_like(parameters)
+    weights = cho_solve((lower, True), values)
+    inverse = cho_solve((lower, True), np.eye(len(values)))
+    outer = np.outer(weights, weights) - inverse
+    gradient = np.empty_like(parameters)
+    common = outer * slope * signal2
+    gradient[: len(widths)] = [0.5 * np.sum(common * scaled[..., j]) for j in range(len(widths))]
+    gradient[-2] = np.sum(outer * correlation) * signal2
+    gradient[-1] = np.trace(outer) * noise2
+    likelihood = -0.5 * values @ weights - np.log(np.diag(lower)).sum()
+    away = np.asarray(logs) - np.log(0.5)
+    gradient[: len(widths)] -= away
+    return float(-(likelihood - 0.5 * away @ away)), -gradient
