@@ -102,7 +102,8 @@ class LevelSetOptimizer:
         places = encoded(self._space, np.concatenate([candidates, filling]))
         mean, deviation, rows = process.predict(places)
         variance = deviation**2
-        noise = process.noise**2
+        # Below what single precision tells from zero there is nothing to learn.
+        least, noise = 1e-5 * process.signal**2, process.noise**2
         learned: list[FloatArray] = []
         chosen: list[int] = []
 
@@ -110,7 +111,7 @@ class LevelSetOptimizer:
             shared = process.covariance(places, rows, i)
             for earlier in learned:
                 shared = shared - earlier * earlier[i]
-            learned.append(shared / math.sqrt(max(shared[i], 0.0) + noise))
+            learned.append(shared / math.sqrt(max(shared[i], least) + noise))
             np.maximum(variance - learned[-1] ** 2, 0.0, out=variance)
 
         for i in range(len(candidates), len(places)):
