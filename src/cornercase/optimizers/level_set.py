@@ -111,7 +111,10 @@ class LevelSetOptimizer:
             shared = process.covariance(places, rows, i)
             for earlier in learned:
                 shared = shared - earlier * earlier[i]
-            learned.append(shared / math.sqrt(max(shared[i], least) + noise))
+            step = shared / math.sqrt(max(variance[i], least) + noise)
+            # Nothing can be learned beyond what is not known; rounding must not say otherwise.
+            most = np.sqrt(variance)
+            learned.append(np.clip(step, -most, most))
             np.maximum(variance - learned[-1] ** 2, 0.0, out=variance)
 
         for i in range(len(candidates), len(places)):
