@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
@@ -149,6 +151,9 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
     assert own.returncode == 0, own.stderr
     with Study.open(tmp_path / "own.db", readonly=True) as study:
         assert study.meta["critical"] == METRICS.create("wttc").critical == 1.0
+        expected = int((study.scores("wttc") <= 1.0).sum())
+    shown = json.loads(cornercase("show", tmp_path / "own.db", "--json").stdout)
+    assert shown["critical"] == {"is": "wttc <= 1 s", "scenarios": expected}
     other = cornercase(*common, "--metric", "wttc", "--critical", "0.5", "--budget", "40", "-o", tmp_path / "own.db")
     assert other.returncode == 2
     assert "another threshold" in other.stderr

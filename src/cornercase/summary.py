@@ -52,6 +52,14 @@ def summarize(study: Study) -> dict[str, Any]:
             "median": float(np.median(scores)),
             "at": done[worst].values,
         }
+    if done and meta.get("critical") is not None:
+        first = METRICS.create(meta["metrics"][0])
+        scores, limit = study.scores(first.name), float(meta["critical"])
+        critical = scores <= limit if first.lower_is_critical else scores >= limit
+        summary["critical"] = {
+            "is": f"{first.name} {'<=' if first.lower_is_critical else '>='} {limit:g} {first.unit}",
+            "scenarios": int(critical.sum()),
+        }
     for name in study.analyses():
         labels = study.analysis(name)[0]["labels"]
         summary["clusters"][name] = {
