@@ -13,7 +13,8 @@ coordinate = st.floats(-30, 30)
 angle = st.floats(-7, 7)
 size = st.floats(0.3, 8)
 box = st.tuples(coordinate, coordinate, angle, size, size).map(lambda b: box_corners(*b))
-vector = st.tuples(st.floats(-20, 20), st.floats(-20, 20)).map(np.array)
+# Less than 1e-6 m/s leads to contacts after so many years that rounding is larger than the boxes.
+vector = st.tuples(st.floats(-20, 20), st.floats(-20, 20)).map(lambda v: np.round(v, 6))
 
 
 def outline(corners, n=400):
