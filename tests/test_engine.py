@@ -487,3 +487,18 @@ def test_a_driver_does_not_see_who_is_hidden(tmp_path):
         ends[seen] = recording.x[0, -1]
     assert ends["true"] < 88.0
     assert ends["false"] > 150.0
+
+
+def test_a_traffic_signal_is_what_it_was_switched_to(tmp_path):
+    switch = """<GlobalAction><InfrastructureAction><TrafficSignalAction><TrafficSignalStateAction name="7" state="{}"/>
+</TrafficSignalAction></InfrastructureAction></GlobalAction>"""
+    green = """<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByValueCondition>
+<TrafficSignalCondition name="7" state="green"/></ByValueCondition></Condition></ConditionGroup>"""
+    story = story_of(
+        event("red", switch.format("red"), time_trigger("1"))
+        + event("green", switch.format("green"), time_trigger("2"))
+        + event("go", speed_action("25"), green)
+    )
+    recording = run(scenario_file(tmp_path, init=moving(), story=story, stop=time_trigger("4")))
+    fast = recording.time[recording.speed[0] > 20]
+    assert fast[0] == pytest.approx(2.0 + 2 * DT, abs=1.5 * DT)

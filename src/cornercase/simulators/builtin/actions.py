@@ -26,8 +26,13 @@ from cornercase.typing import BoolArray
 
 # Actions that change nothing a criticality metric sees.
 WITHOUT_EFFECT: Final = (
-    "EnvironmentAction", "AppearanceAction", "InfrastructureAction", "UserDefinedAction",
+    "EnvironmentAction", "AppearanceAction", "TrafficSignalControllerAction", "UserDefinedAction",
     "OverrideControllerValueAction", "SetMonitorAction",
+)  # fmt: skip
+
+
+_HOLDERS: Final = (
+    "LongitudinalAction", "LateralAction", "RoutingAction", "InfrastructureAction", "TrafficSignalAction",
 )  # fmt: skip
 
 
@@ -57,7 +62,7 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
         The action is not supported, or is malformed.
     """
     inner = next(iter(element.iterchildren("*")), None)
-    while inner is not None and inner.tag in ("LongitudinalAction", "LateralAction", "RoutingAction"):
+    while inner is not None and inner.tag in _HOLDERS:
         inner = next(iter(inner.iterchildren("*")), None)
     if inner is None:
         raise InputError(f"{scope.source}, line {element.sourceline}: <{element.tag}> holds no action.")
@@ -187,6 +192,20 @@ class ValueAction:
         return where.copy()
 
 
+class SignalAction:
+    """Switches a traffic signal, which conditions can ask for."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
+        self._name, self._state = scope.text(element, "name"), scope.text(element, "state")
+
+    def start(self, world: World, where: BoolArray) -> None:
+        before = world.signals.get(self._name, np.full(world.scenarios, ""))
+        world.signals[self._name] = np.where(where, self._state, before)
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
 _READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action]]] = {
     "TeleportAction": TeleportAction,
     "SpeedAction": SpeedAction,
@@ -209,4 +228,5 @@ _GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | N
     "EntityAction": PresenceAction,
     "VariableAction": ValueAction,
     "ParameterAction": ValueAction,
+    "TrafficSignalStateAction": SignalAction,
 }

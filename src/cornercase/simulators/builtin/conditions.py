@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 Test = Callable[[World], BoolArray]
 
-# What only a user's own program, a traffic light or the hour of the day could make true.
+# What only a user's own program, a controller of traffic lights or the hour of the day could make true.
 NEVER_TRUE: Final = (
-    "UserDefinedValueCondition", "TrafficSignalCondition", "TrafficSignalControllerCondition", "TimeOfDayCondition",
+    "UserDefinedValueCondition", "TrafficSignalControllerCondition", "TimeOfDayCondition",
 )  # fmt: skip
 
 
@@ -252,10 +252,16 @@ def _never(element: etree._Element, scope: Scope, world: World, elements: Elemen
     return lambda world: result
 
 
+def _signal(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    name, state, n = scope.text(element, "name"), scope.text(element, "state"), scope.scenarios
+    return lambda world: np.asarray(world.signals[name] == state) if name in world.signals else np.zeros(n, np.bool_)
+
+
 _BY_VALUE: Final[dict[str, Callable[[etree._Element, Scope, World, Elements], Test]]] = {
     "SimulationTimeCondition": _simulation_time,
     "StoryboardElementStateCondition": _element_state,
     "ParameterCondition": _held,
     "VariableCondition": _held,
+    "TrafficSignalCondition": _signal,
     **dict.fromkeys(NEVER_TRUE, _never),
 }

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from cornercase.geometry import box_corners, boxes_overlap
 from cornercase.scenario.opendrive import RoadNetwork
@@ -104,6 +105,8 @@ class World:
         Time at which the entity came to the end of its road; infinite before.
     variables, parameters : dict of str to ndarray, each (N,)
         The file's variables, and its parameters as conditions see them, as numbers or as texts.
+    signals : dict of str to ndarray, each (N,)
+        States of the traffic signals that were switched, as texts.
     selections : dict of str to list of int
         Rows of the entities of each selection.
     actor : int or None
@@ -141,6 +144,7 @@ class World:
         self.touching = np.zeros((len(entities), *shape), dtype=np.bool_)
         self.distance, self.offset = np.zeros(shape), np.zeros(shape)
         self.target_speed = np.full(shape, np.inf)
+        self.signals: dict[str, npt.NDArray[np.str_]] = {}
         self.drivers: list[Driving] = []
         self.driver = np.full(shape, -1)
         self.activated, self.driven = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
