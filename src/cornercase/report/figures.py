@@ -62,7 +62,10 @@ def criticality(values: FloatArray, parameters: Sequence[Parameter], scores: Flo
     scores : ndarray of float64, shape (n,)
     metric : Metric
     """
-    pairs = list(combinations(range(len(parameters)), 2))[:6] or [(0, 0)]
+    # Numbers first: more is seen of them; what has one value shows nothing.
+    varied = [i for i, one in enumerate(parameters) if one.size != 1] or [0]
+    varied.sort(key=lambda i: bool(parameters[i].choices))
+    pairs = list(combinations(varied, 2))[:6] or [(varied[0], varied[0])]
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
     figure = Figure(figsize=(4.6 * columns + 1.0, 4.0 * rows), layout="constrained")
