@@ -185,9 +185,9 @@ def test_speed_limit_is_the_smallest_that_every_place_ahead_demands(curvatures, 
     route = plan_route(path, lateral_acceleration=lateral, deceleration=braking)
     for k in range(0, 101, 10):
         demands = [lateral / max(abs(curvature[j]), lateral / 1e4) + 2 * braking * (s[j] - s[k]) for j in range(101)]
-        assert route.squared_speed[k] <= min(demands[k:]) * (1 + 1e-9)
+        assert route.squared_speed[0, k] <= min(demands[k:]) * (1 + 1e-9)
         # Nowhere lower than what the places around, one step back, demand.
-        assert route.squared_speed[k] >= min(demands[max(k - 1, 0) :]) - 2 * braking * 0.5 - 1e-9
+        assert route.squared_speed[0, k] >= min(demands[max(k - 1, 0) :]) - 2 * braking * 0.5 - 1e-9
 
 
 @given(

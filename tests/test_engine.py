@@ -502,3 +502,61 @@ def test_a_traffic_signal_is_what_it_was_switched_to(tmp_path):
     recording = run(scenario_file(tmp_path, init=moving(), story=story, stop=time_trigger("4")))
     fast = recording.time[recording.speed[0] > 20]
     assert fast[0] == pytest.approx(2.0 + 2 * DT, abs=1.5 * DT)
+
+
+# Ahead of the ego a car stands, across a bend that each concrete scenario takes otherwise.
+BEND = """<ClothoidSpline><ClothoidSplineSegment curvatureStart="0" curvatureEnd="0" length="30"><PositionStart>
+<WorldPosition x="0" y="-2" h="0"/></PositionStart></ClothoidSplineSegment><ClothoidSplineSegment curvatureStart="0"
+curvatureEnd="$bend" length="60"/></ClothoidSpline>"""
+
+
+def bend_file(folder, shape=BEND, reference="<None/>"):
+    position = place(70, 0, 'h="1.57"')
+    across = f"<PrivateAction><TeleportAction>{position}</TeleportAction></PrivateAction>"
+    follow = trajectory(shape, reference, "follow")
+    return scenario_file(
+        folder,
+        init=private("Ego", follow, speed_action("10")) + private("Other", across, speed_action("0")),
+        entities=car("Ego") + car("Other"),
+        parameters='<ParameterDeclaration name="bend" parameterType="double" value="0.001"/>',
+    )
+
+
+def test_a_driver_brakes_along_a_trajectory_that_runs_otherwise_in_each_scenario(tmp_path):
+    path = bend_file(tmp_path)
+    bends = (0.0005, 0.002, 0.08)
+    concretes = [ConcreteScenario(path, {"bend": bend}) for bend in bends]
+    simulator = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
+    together = list(simulator.run(concretes))
+    for concrete, recording in zip(concretes, together, strict=True):
+        assert not recording.collisions
+        (alone,) = simulator.run([concrete])
+        assert same_recording(alone, recording)
+    straight, _, away = together
+    assert straight.speed[0][-1] < 0.1
+    assert straight.x[0][-1] > 40.0
+    # The sharp bend leads past the car.
+    assert away.speed[0][away.time < 15.0].min() > 5.0
+    # Where nobody drives it goes on.
+    (undriven,) = BuiltinSimulator(time_step=DT, duration=20.0).run(concretes[:1])
+    assert undriven.collisions
+
+
+def test_a_driver_slows_down_for_the_bend_of_a_trajectory(tmp_path):
+    path = bend_file(tmp_path)
+    (recording,) = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"}).run(
+        [ConcreteScenario(path, {"bend": 0.2})]
+    )
+    # 3 m/s² across at a radius of 5 m.
+    assert recording.speed[0].min() == pytest.approx(np.sqrt(3.0 * 5.0), rel=0.1)
+
+
+def test_a_trajectory_with_times_leaves_the_driver_nothing_to_decide(tmp_path):
+    timed = '<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>'
+    legs = "".join(f'<Vertex time="{t}">{place(x, -2)}</Vertex>' for t, x in ((0, 0), (3, 40), (8, 90)))
+    path = bend_file(tmp_path, f"<Polyline>{legs}</Polyline>", timed)
+    recordings = [
+        next(iter(BuiltinSimulator(time_step=DT, duration=9.0, drivers=drivers).run([ConcreteScenario(path, {})])))
+        for drivers in ({}, {"Ego": "normal"})
+    ]
+    assert same_recording(*recordings)

@@ -13,17 +13,20 @@ from cornercase.typing import BoolArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """What the reference point of the driven entity will follow; the same for all scenarios of a batch.
+    """What the reference point of the driven entity will follow.
+
+    A lane is the same for all scenarios of a batch and has arrays of shape (P,). A trajectory may run otherwise in
+    each scenario; then they are of shape (N, P).
 
     Attributes
     ----------
-    distance : ndarray of float64, shape (P,)
-        m along the path, increasing from 0, at most about 0.25 m apart in curves.
-    x, y : ndarray of float64, shape (P,)
+    distance : ndarray of float64, shape (P,) or (N, P)
+        m along the path, increasing from 0, at most about 0.5 m apart in curves.
+    x, y : ndarray of float64, shape (P,) or (N, P)
         m.
-    heading : ndarray of float64, shape (P,)
+    heading : ndarray of float64, shape (P,) or (N, P)
         rad, unwrapped.
-    curvature : ndarray of float64, shape (P,)
+    curvature : ndarray of float64, shape (P,) or (N, P)
         1/m, positive to the left.
 
     Raises
@@ -40,11 +43,11 @@ class Path:
 
     def __post_init__(self) -> None:
         shape = self.distance.shape
-        if len(shape) != 1 or shape[0] < 2:
+        if len(shape) not in (1, 2) or shape[-1] < 2:
             raise ValueError("a path has at least two samples")
         if any(getattr(self, name).shape != shape for name in ("x", "y", "heading", "curvature")):
             raise ValueError("all arrays of a path have one shape")
-        if self.distance[0] != 0.0 or not (np.diff(self.distance) > 0.0).all():
+        if self.distance[..., 0].any() or not (np.diff(self.distance) > 0.0).all():
             raise ValueError("the distances of a path increase from 0")
 
 

@@ -15,23 +15,22 @@ _FASTEST = 100.0
 
 
 class Route(NamedTuple):
-    """A path at equal distances.
+    """A path at equal distances, in one row for all scenarios or in one for each.
 
     Attributes
     ----------
-    step : float
+    step : ndarray of float64, shape (N,)
         m between samples.
-    x, y, heading, cos, sin : ndarray of float64, shape (R,)
-        m, rad, 1, 1.
-    squared_speed : ndarray of float64, shape (R,)
+    x, y, cos, sin : ndarray of float64, shape (N, R)
+        m, m, 1, 1.
+    squared_speed : ndarray of float64, shape (N, R)
         Square of the highest speed from which the curves ahead can be taken, in m²/s²; the lowest within one
         step.
     """
 
-    step: float
+    step: FloatArray
     x: FloatArray
     y: FloatArray
-    heading: FloatArray
     cos: FloatArray
     sin: FloatArray
     squared_speed: FloatArray
@@ -53,24 +52,33 @@ def plan_route(path: Path, *, lateral_acceleration: float, deceleration: float) 
     -------
     Route
     """
-    here = path.distance
-    in_curve = lateral_acceleration / np.maximum(np.abs(path.curvature), lateral_acceleration / _FASTEST**2)
+    rows = [
+        _plan_row(row, lateral_acceleration, deceleration, _samples(path))
+        for row in zip(*map(np.atleast_2d, (path.distance, path.x, path.y, path.heading, path.curvature)), strict=True)
+    ]
+    step, *curves = (np.array(column) for column in zip(*rows, strict=True))
+    return Route(step, *curves)
+
+
+def _samples(path: Path) -> int:
+    return max(2, int(np.ceil(path.distance.max() / _STEP)) + 1)
+
+
+def _plan_row(
+    row: tuple[FloatArray, ...],
+    lateral_acceleration: float,
+    deceleration: float,
+    count: int,
+) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    here, x, y, heading, curvature = row
+    in_curve = lateral_acceleration / np.maximum(np.abs(curvature), lateral_acceleration / _FASTEST**2)
     from_start = in_curve + 2.0 * deceleration * here
     squared = np.minimum.accumulate(from_start[::-1])[::-1] - 2.0 * deceleration * here
-    count = max(2, int(np.ceil(here[-1] / _STEP)) + 1)
     at = np.linspace(0.0, here[-1], count)
-    heading = np.interp(at, here, path.heading)
+    towards = np.interp(at, here, heading)
     step = float(at[1])
     # The lowest around each sample, so that what is interpolated is nowhere above the limit of the path.
-    first = np.searchsorted(here, at - step)
-    last = np.searchsorted(here, at + step, "right")
-    lowest = [squared[i:j].min() for i, j in zip(first.tolist(), last.tolist(), strict=True)]
-    return Route(
-        step,
-        np.interp(at, here, path.x),
-        np.interp(at, here, path.y),
-        heading,
-        np.cos(heading),
-        np.sin(heading),
-        np.minimum(lowest, np.interp(at, here, squared)),
-    )
+    around = np.stack([np.searchsorted(here, at - step), np.searchsorted(here, at + step, "right")], axis=1)
+    lowest = np.minimum.reduceat(np.append(squared, np.inf), around.ravel())[::2]
+    squared_speed = np.minimum(lowest, np.interp(at, here, squared))
+    return step, np.interp(at, here, x), np.interp(at, here, y), np.cos(towards), np.sin(towards), squared_speed

@@ -103,7 +103,7 @@ def decide(
     """
     scenarios, others = known.shape
     result = np.zeros(scenarios)
-    samples = route.x.size
+    samples = route.x.shape[1]
     # Row 0 is the place where the driven entity is, the others are the route's samples ahead of it:
     # distance from here, centre of the box, cosine and sine of its heading, time of arrival.
     ahead = np.empty((samples + 1, 6))
@@ -111,14 +111,15 @@ def decide(
     for n in range(scenarios):
         if not active[n]:
             continue
+        way = n if route.x.shape[0] > 1 else 0
         v = max(speed[n], 0.0)
         wanted = target_speed[n] * behaviour.target_share
         if not wanted < math.inf:
             wanted = behaviour.max_speed
         count = _look_ahead(
-            behaviour, route, distance[n], x[n], y[n], heading[n], v, wanted, center_x, half_length, ahead
+            behaviour, route, way, distance[n], x[n], y[n], heading[n], v, wanted, center_x, half_length, ahead
         )
-        a = _keep_speed(behaviour, route, time_step, distance[n], v, wanted)
+        a = _keep_speed(behaviour, route, way, time_step, distance[n], v, wanted)
         for o in range(others):
             if not noticed[n, o]:
                 conflict_since[n, o], yielding[n, o] = math.inf, False
@@ -147,39 +148,39 @@ def decide(
 
 
 @_kernel
-def _look_ahead(behaviour, route, distance, x, y, heading, v, wanted, center_x, half_length, ahead):
+def _look_ahead(behaviour, route, row, distance, x, y, heading, v, wanted, center_x, half_length, ahead):
     """Fill the table of places ahead, and return how many there are."""
     cos, sin = math.cos(heading), math.sin(heading)
     ahead[0, 0] = 0.0
     ahead[0, 1], ahead[0, 2] = x + center_x * cos, y + center_x * sin
     ahead[0, 3], ahead[0, 4], ahead[0, 5] = cos, sin, 0.0
-    at = min(max(distance / route.step, 0.0), route.x.size - 1.0)
+    at = min(max(distance / route.step[row], 0.0), route.x.shape[1] - 1.0)
     first = int(at)
     part = at - first
-    after = min(first + 1, route.x.size - 1)
+    after = min(first + 1, route.x.shape[1] - 1)
     # The driven entity may be beside its path, and is taken to stay so.
-    path_x = route.x[first] + part * (route.x[after] - route.x[first])
-    path_y = route.y[first] + part * (route.y[after] - route.y[first])
-    offset = (y - path_y) * route.cos[first] - (x - path_x) * route.sin[first]
+    path_x = route.x[row, first] + part * (route.x[row, after] - route.x[row, first])
+    path_y = route.y[row, first] + part * (route.y[row, after] - route.y[row, first])
+    offset = (y - path_y) * route.cos[row, first] - (x - path_x) * route.sin[row, first]
     braking = v * v / (2.0 * behaviour.comfortable_deceleration)
     reach = min(max(v * behaviour.horizon, braking) + behaviour.braking_distance + 30.0, LOOKAHEAD)
     count = 1
     squared, top = v * v, wanted * wanted
-    for k in range(first + 1, route.x.size):
-        way = k * route.step - distance
+    for k in range(first + 1, route.x.shape[1]):
+        way = k * route.step[row] - distance
         if way <= 1e-6:
             continue
         if way > reach:
             break
         leg = way - ahead[count - 1, 0]
-        limit = min(top, route.squared_speed[k])
+        limit = min(top, route.squared_speed[row, k])
         slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
         then = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
         both = math.sqrt(squared) + math.sqrt(then)
         ahead[count, 0] = way
-        ahead[count, 1] = route.x[k] + center_x * route.cos[k] - offset * route.sin[k]
-        ahead[count, 2] = route.y[k] + center_x * route.sin[k] + offset * route.cos[k]
-        ahead[count, 3], ahead[count, 4] = route.cos[k], route.sin[k]
+        ahead[count, 1] = route.x[row, k] + center_x * route.cos[row, k] - offset * route.sin[row, k]
+        ahead[count, 2] = route.y[row, k] + center_x * route.sin[row, k] + offset * route.cos[row, k]
+        ahead[count, 3], ahead[count, 4] = route.cos[row, k], route.sin[row, k]
         ahead[count, 5] = ahead[count - 1, 5] + (2.0 * leg / both if both > 0.0 else math.inf)
         squared = then
         count += 1
@@ -216,12 +217,12 @@ def _foresee(x, y, heading, speed, turn, center_x, horizon, legs):
 
 
 @_kernel
-def _keep_speed(behaviour, route, time_step, distance, v, wanted):
+def _keep_speed(behaviour, route, row, time_step, distance, v, wanted):
     """Acceleration towards the speed that is wanted and that the curves ahead allow."""
     next_place = distance + (v + behaviour.acceleration * time_step) * time_step
-    at = min(max(next_place / route.step, 0.0), route.x.size - 1.0)
-    k = min(int(at), route.x.size - 2)
-    squared = route.squared_speed[k] + (at - k) * (route.squared_speed[k + 1] - route.squared_speed[k])
+    at = min(max(next_place / route.step[row], 0.0), route.x.shape[1] - 1.0)
+    k = min(int(at), route.x.shape[1] - 2)
+    squared = route.squared_speed[row, k] + (at - k) * (route.squared_speed[row, k + 1] - route.squared_speed[row, k])
     # Who is late for a curve brakes harder than is comfortable, but this is no emergency.
     in_curve = max((math.sqrt(squared) - v) / time_step, -2.0 * behaviour.comfortable_deceleration)
     free = max((wanted - v) / time_step, -behaviour.comfortable_deceleration)

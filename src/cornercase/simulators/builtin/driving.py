@@ -9,13 +9,19 @@ from cornercase.drivers import DRIVERS, Driver, Path, Situation
 from cornercase.errors import InputError, suggestion
 from cornercase.scenario.openscenario import DRIVER_PROPERTY
 from cornercase.scenario.scope import Scope
-from cornercase.simulators.builtin.tracks import LaneTrack
+from cornercase.simulators.builtin.tracks import LaneTrack, Track
+from cornercase.simulators.builtin.trajectories import ClothoidSpline, Polyline, Trajectory
 from cornercase.simulators.builtin.world import World
 from cornercase.typing import BoolArray
 
+# Spacing in m at which a driver is told a trajectory, how far straight on beyond its end, and how far on a closed one.
+_SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
+
 
 class Driving:
-    """One entity of a batch whose speed a driver decides where it is in charge, along the lanes that it follows.
+    """One entity of a batch whose speed a driver decides where it is in charge, along its lanes and trajectories.
+
+    A trajectory with times leaves the driver nothing to decide.
 
     Parameters
     ----------
@@ -32,6 +38,7 @@ class Driving:
         world.drivers.append(self)
         self._others = [a for a in range(len(world.entities)) if a != entity]
         self._paths: dict[int, Path] = {}
+        self._begun: dict[int, int] = {}
         driver.start(world.scenarios, len(self._others))
 
     def step(self, dt: float) -> None:
@@ -42,22 +49,20 @@ class Driving:
             return
         for k, track in enumerate(world.tracks[e]):
             rows = active & (world.track[e] == k)
-            if isinstance(track, LaneTrack) and rows.any():
+            timed = isinstance(track, Polyline | ClothoidSpline) and track.time is not None
+            if rows.any() and not timed:
                 acceleration = self._driver.acceleration(self._situation(k, track, dt, rows))
                 speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
 
-    def _situation(self, k: int, track: LaneTrack, dt: float, rows: BoolArray) -> Situation:
+    def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, others = self._world, self._entity, self._others
-        if k not in self._paths:
-            line = track.path
-            self._paths[k] = Path(line.distance, line.x, line.y, line.heading, line.curvature)
         box, boxes = world.entities[e], [world.entities[a] for a in others]
         there = (world.present & world.visible)[others].T
         return Situation(
             time=world.time,
             time_step=dt,
-            path=self._paths[k],
+            path=self._path(k, track),
             distance=world.distance[e],
             x=world.x[e],
             y=world.y[e],
@@ -78,6 +83,33 @@ class Driving:
             others_kind=tuple(one.kind for one in boxes),
             active=rows,
         )
+
+    def _path(self, k: int, track: Track) -> Path:
+        if isinstance(track, LaneTrack):
+            if k not in self._paths:
+                line = track.path
+                self._paths[k] = Path(line.distance, line.x, line.y, line.heading, line.curvature)
+        elif isinstance(track, Polyline | ClothoidSpline) and self._begun.get(k) != track.version:
+            # Where it is begun anew it may run otherwise.
+            self._paths[k], self._begun[k] = _sampled(track), track.version
+        return self._paths[k]
+
+
+def _sampled(track: Trajectory) -> Path:
+    """Samples of a trajectory that may run otherwise in each scenario.
+
+    They are at the same distances in each, and go on further than a driver looks, so that what a driver sees in one
+    scenario does not hang on the others.
+    """
+    ends = np.minimum(track.lengths, _LONGEST)
+    places = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
+    every = np.arange(len(ends))
+    x, y, heading, curvature = (np.empty((len(ends), len(places))) for _ in range(4))
+    for k, place in enumerate(places):
+        at = np.full(len(ends), place)
+        x[:, k], y[:, k], heading[:, k] = track.at(at, np.zeros(len(ends)), every)
+        curvature[:, k] = np.where(at <= ends, track.curvature(at, every), 0.0)
+    return Path(np.tile(places, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
 
 
 class ControllerAction:

@@ -39,6 +39,8 @@ class Polyline:
     """
 
     ends = False
+    version = 0
+    """How often it was changed by `adopt`."""
 
     def __init__(
         self,
@@ -99,6 +101,7 @@ class Polyline:
         for name in ("x", "y", "heading", "time", "distance", "_length", "lengths", "_direction", "_facing", "_speeds"):
             if getattr(self, name) is not None:
                 getattr(self, name)[rows] = getattr(other, name)[rows]
+        self.version += 1
 
     def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:
         """Whether the file says the heading there, shape (R,)."""
@@ -183,6 +186,8 @@ class ClothoidSpline:
     """
 
     ends = False
+    version = 0
+    """How often it was changed by `adopt`."""
 
     def __init__(
         self,
@@ -272,6 +277,7 @@ class ClothoidSpline:
             if getattr(self, name) is not None:
                 getattr(self, name)[rows] = getattr(other, name)[rows]
         self._sample()
+        self.version += 1
 
     def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:
         return np.zeros(len(rows), dtype=np.bool_)
