@@ -16,6 +16,8 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +34,37 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 SIZES = (50, 100, 200, 300, 400)
 SMALLEST_REGION = 1e-3
 
-# Name: folder of the example, other entity, metric, what a collision does, score from which it is critical.
+
+@dataclass(frozen=True)
+class Case:
+    """A logical scenario, who drives its ego, and what is critical: a score of at most so much."""
+
+    file: str
+    other: str
+    metric: str
+    critical: float
+    ranges: tuple[str, ...] = ()
+    driver: str | None = None
+    on_collision: str = "continue"
+
+
+# Files of the examples, and of Euro NCAP's protocols as ASAM publishes them.
 CASES = {
-    "x-intersection": ("x_intersection", "Pedestrian", "wttc", "continue", 0.5),
-    "t-intersection": ("t_intersection", "C", "ttc", "stop", 0.5),
-}
+    "x-intersection": Case("x_intersection/x_intersection.xosc", "Pedestrian", "wttc", 0.5),
+    "t-intersection": Case("t_intersection/t_intersection.xosc", "C", "ttc", 0.5, on_collision="stop"),
+    "cpnco": Case(
+        "CA-FC_2026/CPNCO.xosc", "VRU", "ttc", 0.5,
+        ("Ego_speed_kph=10:60", "VRU_finalSpeed_kph=3:10", "ImpactLocation=10:90"), "normal",
+    ),
+    "ccftap": Case(
+        "CA-FC_2026/CCFtap.xosc", "Target", "clearance", 0.6,
+        ("Ego_speed_kph=10:25", "Target_final_speed_kph=30:60", "Trajectory_R2=9:15"), "aggressive",
+    ),
+    "cpta": Case(
+        "AEB_VRU_2023/NCAP_AEB_VRU_CPTA_2023.xosc", "VRU", "wttc", 0.4,
+        ("Ego_speed_kph=10:25", "VRU_finalSpeed_kph=3:8", "VRU_centerlineOffset=7:12"), "aggressive",
+    ),
+}  # fmt: skip
 
 SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
     "grid": lambda space, seed, critical, budget: GridOptimizer(space, seed, budget),
@@ -47,9 +75,12 @@ SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
 }
 
 
-def logical(name: str) -> LogicalScenario:
-    folder = CASES[name][0]
-    return LogicalScenario.read(EXAMPLES / folder / f"{folder}.xosc", EXAMPLES / folder / f"{folder}.space.xosc")
+def logical(name: str, ncap: Path | None) -> LogicalScenario:
+    case = CASES[name]
+    if not case.ranges:
+        path = EXAMPLES / case.file
+        return LogicalScenario.read(path, path.with_suffix(".space.xosc"))
+    return LogicalScenario.read((ncap or Path()) / case.file, None, case.ranges)
 
 
 def stepped(space: ParameterSpace, steps: int) -> ParameterSpace:
@@ -61,27 +92,28 @@ def stepped(space: ParameterSpace, steps: int) -> ParameterSpace:
     return ParameterSpace(parameters)
 
 
-def scores(name: str, values: list[dict[str, Any]]) -> npt.NDArray[np.float64]:
-    _, other, metric_name, on_collision, _ = CASES[name]
-    scenario, metric = logical(name), METRICS.create(metric_name)
-    simulator = BuiltinSimulator(on_collision=on_collision)
+def scores(name: str, ncap: Path | None, values: list[dict[str, Any]]) -> npt.NDArray[np.float64]:
+    case, scenario = CASES[name], logical(name, ncap)
+    metric = METRICS.create(case.metric)
+    drivers = {} if case.driver is None else {"Ego": case.driver}
+    simulator = BuiltinSimulator(on_collision=case.on_collision, drivers=drivers)
     found = np.full(len(values), np.nan)
     for k, recording in enumerate(simulator.run([scenario.concrete(one) for one in values])):
         if not isinstance(recording, Exception):
-            found[k] = metric.score(metric.course(recording, "Ego", other))
+            found[k] = metric.score(metric.course(recording, "Ego", case.other))
     return found
 
 
-def truth(name: str, steps: int, folder: Path) -> npt.NDArray[np.float64]:
+def truth(name: str, ncap: Path | None, steps: int, folder: Path) -> npt.NDArray[np.float64]:
     """Scores of the whole grid, in the order of its lattice."""
     path = folder / f"{name}-{steps}.npy"
     if not path.exists():
-        space = stepped(logical(name).space, steps)
+        space = stepped(logical(name, ncap).space, steps)
         values = space.values(space.lattice())
         begin = time.perf_counter()
         parts = [values[k : k + 1000] for k in range(0, len(values), 1000)]
         with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            whole = np.concatenate(list(pool.map(scores, [name] * len(parts), parts)))
+            whole = np.concatenate(list(pool.map(scores, repeat(name), repeat(ncap), parts)))
         folder.mkdir(parents=True, exist_ok=True)
         np.save(path, whole)
         print(f"{name}: {len(whole)} scenarios in {time.perf_counter() - begin:.0f} s, kept in {path}", flush=True)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from cornercase.metrics.base import PairMetric, checked
+from cornercase.metrics.base import PairMetric, checked, over
 from cornercase.metrics.following import Following
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
@@ -36,7 +33,7 @@ class Drac(PairMetric):
 
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = Following.of(recording, ego, other)
-        return _over(np.maximum(pair.closing, 0.0) ** 2, 2.0 * pair.gap)
+        return over(np.maximum(pair.closing, 0.0) ** 2, 2.0 * pair.gap)
 
 
 class Mdrac(PairMetric):
@@ -71,7 +68,7 @@ class Mdrac(PairMetric):
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = Following.of(recording, ego, other)
         closing = np.maximum(pair.closing, 0.0)
-        return _over(closing**2, 2.0 * (pair.gap - closing * self.reaction_time))
+        return over(closing**2, 2.0 * (pair.gap - closing * self.reaction_time))
 
 
 class Dst(PairMetric):
@@ -108,7 +105,7 @@ class Dst(PairMetric):
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = Following.of(recording, ego, other)
         closing = np.maximum(pair.closing, 0.0)
-        return _over(closing**2, 2.0 * (pair.gap - pair.leader_speed * self.safety_time))
+        return over(closing**2, 2.0 * (pair.gap - pair.leader_speed * self.safety_time))
 
 
 class LongitudinalAcceleration(PairMetric):
@@ -170,7 +167,7 @@ class Btn(PairMetric):
         self.deceleration = deceleration
 
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return _over(-required_acceleration(Following.of(recording, ego, other)), self.deceleration)
+        return over(-required_acceleration(Following.of(recording, ego, other)), self.deceleration)
 
 
 class StoppingDistance(PairMetric):
@@ -200,7 +197,7 @@ class StoppingDistance(PairMetric):
         self.deceleration = deceleration
 
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return _over(recording.speed[recording.index(ego)] ** 2, 2.0 * self.deceleration)
+        return over(recording.speed[recording.index(ego)] ** 2, 2.0 * self.deceleration)
 
 
 def required_acceleration(pair: Following) -> FloatArray:
@@ -218,19 +215,11 @@ def required_acceleration(pair: Following) -> FloatArray:
     closing, rate = pair.closing, pair.leader_acceleration
     brakes = (pair.leader_speed > 0.0) & (rate < 0.0)
     stopping = np.where(brakes, 0.5 * pair.leader_speed**2 / np.where(brakes, -rate, 1.0), 0.0)
-    behind_it = -_over(pair.speed**2, 2.0 * (pair.gap + stopping))
+    behind_it = -over(pair.speed**2, 2.0 * (pair.gap + stopping))
     # A leader that stands does not start backwards because it holds its brake.
     steady = np.where((pair.leader_speed == 0.0) & (rate < 0.0), 0.0, rate)
-    alongside = steady - _over(np.maximum(closing, 0.0) ** 2, 2.0 * pair.gap)
+    alongside = steady - over(np.maximum(closing, 0.0) ** 2, 2.0 * pair.gap)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         in_time = (closing > 0.0) & (2.0 * pair.gap / closing <= pair.leader_speed / np.where(brakes, -rate, 1.0))
     required = np.where(brakes & ~in_time, behind_it, np.where(closing > 0.0, alongside, 0.0))
     return np.where(np.isnan(pair.gap + closing + rate), np.nan, np.minimum(required, 0.0))
-
-
-def _over(numerator: npt.NDArray[Any], divisor: npt.NDArray[Any] | float) -> FloatArray:
-    """Quotient; 0 where the numerator is 0, inf where it is not and the divisor is not positive."""
-    divisor = np.broadcast_to(divisor, numerator.shape)
-    positive = divisor > 0.0
-    quotient = np.where(positive, numerator / np.where(positive, divisor, 1.0), np.inf)
-    return np.where(np.isnan(numerator + divisor), np.nan, np.where(numerator == 0.0, 0.0, quotient))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Literal, get_args
 
 import numpy as np
@@ -10,12 +11,43 @@ from cornercase.errors import InputError, suggestion
 from cornercase.metrics.base import PairMetric, checked
 from cornercase.metrics.ttc import Ttc
 from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.typing import BoolArray, FloatArray
 
 Rule = Literal["linear", "samples"]
 
 
-class Tet(PairMetric):
+class _Exposure(PairMetric):
+    """Sums up, over the instants, how far the time to collision is below a threshold."""
+
+    lower_is_critical = False
+    cap = 0.0
+
+    def __init__(self, threshold: float = 1.5, rule: Rule = "linear") -> None:
+        checked(self.name, threshold=threshold)
+        if rule not in get_args(Rule):
+            raise InputError(f"{self.name} has no rule '{rule}'; {suggestion(rule, get_args(Rule))}")
+        self.threshold, self.rule = threshold, rule
+
+    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        below = self.threshold - Ttc().course(recording, ego, other)
+        below = np.where(np.isnan(below), -np.inf, below)
+        steps = np.diff(recording.time)
+        if self.rule == "samples":
+            return np.cumsum(self._at(below) * np.append(steps, steps[-1:] if len(steps) else 0.0))
+        low, high = np.minimum(below[:-1], below[1:]), np.maximum(below[:-1], below[1:])
+        mean = self._mean(low, high, (low < 0.0) & (high > 0.0))
+        return np.append(0.0, np.cumsum(mean * steps))
+
+    @abstractmethod
+    def _at(self, below: FloatArray) -> FloatArray:
+        """What an instant counts for, by how far it is below the threshold, (T,); -inf for never."""
+
+    @abstractmethod
+    def _mean(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
+        """What the straight line between two instants counts for, (T - 1,)."""
+
+
+class Tet(_Exposure):
     """Time exposed time to collision: for how long the time to collision has been at most τ.
 
     ``∫ 1[TTC <= τ] dt`` in s, from the beginning up to each instant, so the course never falls and ends in the
@@ -38,26 +70,17 @@ class Tet(PairMetric):
 
     name = "tet"
     unit = "s"
-    lower_is_critical = False
-    cap = 0.0
     source = "Minderhoud and Bovy 2001"
 
-    def __init__(self, threshold: float = 1.5, rule: Rule = "linear") -> None:
-        self.threshold, self.rule = _options(self.name, threshold, rule)
+    def _at(self, below: FloatArray) -> FloatArray:
+        return (below >= 0.0).astype(np.float64)
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        below = _shortfall(recording, ego, other, self.threshold)
-        if self.rule == "samples":
-            return _samples(recording.time, (below >= 0.0).astype(np.float64))
-        before, after = below[:-1], below[1:]
-        low, high = np.minimum(before, after), np.maximum(before, after)
-        crosses = (low < 0.0) & (high > 0.0)
+    def _mean(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
         # Towards a time to collision of inf the straight line leaves the threshold at once.
-        part = np.where(crosses, high / _between(low, high), (low >= 0.0).astype(np.float64))
-        return np.append(0.0, np.cumsum(part * np.diff(recording.time)))
+        return np.where(crosses, high / _between(low, high, crosses), (low >= 0.0).astype(np.float64))
 
 
-class Tit(PairMetric):
+class Tit(_Exposure):
     """Time integrated time to collision: for how long, and by how much, it has been below τ.
 
     ``∫ (τ - TTC)₊ dt`` in s², from the beginning up to each instant, so the course never falls and ends in the
@@ -79,46 +102,16 @@ class Tit(PairMetric):
 
     name = "tit"
     unit = "s²"
-    lower_is_critical = False
-    cap = 0.0
     source = "Minderhoud and Bovy 2001"
 
-    def __init__(self, threshold: float = 1.5, rule: Rule = "linear") -> None:
-        self.threshold, self.rule = _options(self.name, threshold, rule)
+    def _at(self, below: FloatArray) -> FloatArray:
+        return np.maximum(below, 0.0)
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        below = _shortfall(recording, ego, other, self.threshold)
-        if self.rule == "samples":
-            return _samples(recording.time, np.maximum(below, 0.0))
-        before, after = below[:-1], below[1:]
-        low, high = np.minimum(before, after), np.maximum(before, after)
-        crosses = (low < 0.0) & (high > 0.0)
-        triangle = 0.5 * np.where(crosses, high, 0.0) ** 2 / _between(low, high)
-        mean = np.where(crosses, triangle, np.maximum(0.5 * (np.maximum(low, 0.0) + high), 0.0))
-        return np.append(0.0, np.cumsum(mean * np.diff(recording.time)))
+    def _mean(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
+        triangle = 0.5 * np.where(crosses, high, 0.0) ** 2 / _between(low, high, crosses)
+        return np.where(crosses, triangle, np.maximum(0.5 * (np.maximum(low, 0.0) + high), 0.0))
 
 
-def _options(name: str, threshold: float, rule: Rule) -> tuple[float, Rule]:
-    checked(name, threshold=threshold)
-    if rule not in get_args(Rule):
-        raise InputError(f"{name} has no rule '{rule}'; {suggestion(rule, get_args(Rule))}")
-    return threshold, rule
-
-
-def _shortfall(recording: Recording, ego: str, other: str, threshold: float) -> FloatArray:
-    """How far the time to collision is below the threshold, (T,); negative above it, -inf for never."""
-    below = threshold - Ttc().course(recording, ego, other)
-    return np.where(np.isnan(below), -np.inf, below)
-
-
-def _between(low: FloatArray, high: FloatArray) -> FloatArray:
+def _between(low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
     """Difference where the line from `low` to `high` crosses the threshold, 1 elsewhere."""
-    crosses = (low < 0.0) & (high > 0.0)
     return np.where(crosses, np.where(crosses, high, 1.0) - np.where(crosses, low, 0.0), 1.0)
-
-
-def _samples(time: FloatArray, values: FloatArray) -> FloatArray:
-    """Sum of values up to each instant, each times the step that follows it."""
-    steps = np.diff(time)
-    steps = np.append(steps, steps[-1:] if len(steps) else 0.0)
-    return np.cumsum(values * steps)

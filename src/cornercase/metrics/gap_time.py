@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase.metrics.base import PairMetric, checked
+from cornercase.metrics.base import PairMetric, checked, over
 from cornercase.metrics.trajectory_distance import ways_to_crossing
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
@@ -44,7 +44,7 @@ class GapTime(PairMetric):
         return _apart(mine, others)
 
 
-class SquaredGapTime(PairMetric):
+class SquaredGapTime(GapTime):
     """Difference of the squared times at which both reach the crossing of their tracks.
 
     ``|t² - t_other²|`` in s², the gap time times the sum of both arrival times, so that the same gap counts
@@ -62,13 +62,8 @@ class SquaredGapTime(PairMetric):
 
     name = "spret"
     unit = "s²"
-    lower_is_critical = True
     cap = 100.0
     source = "Squared predicted relative encroachment time, as in Westhofen et al. 2023"
-
-    def __init__(self, ahead: float = 100.0) -> None:
-        checked(self.name, ahead=ahead)
-        self.ahead = ahead
 
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         mine, others = _arrivals(recording, ego, other, self.ahead)
@@ -83,8 +78,7 @@ def _arrivals(recording: Recording, ego: str, other: str, ahead: float) -> tuple
 
 
 def _time(way: FloatArray, speed: FloatArray) -> FloatArray:
-    moves = speed > 0.0
-    time = np.where(moves, way / np.where(moves, speed, 1.0), np.where(way > 0.0, np.inf, 0.0))
+    time = np.where(speed > 0.0, over(way, speed), np.where(way > 0.0, np.inf, 0.0))
     return np.where(np.isnan(way + speed), np.nan, time)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase.metrics.base import PairMetric, boxes, checked, velocity
+from cornercase.metrics.base import PairMetric, boxes, checked, over, velocity
 from cornercase.metrics.following import Following
 from cornercase.recording import Recording
 from cornercase.typing import FloatArray
@@ -67,9 +67,7 @@ class Stn(PairMetric):
 
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         required = required_acceleration(recording, ego, other)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share: FloatArray = np.where(required == 0.0, 0.0, required / self.acceleration)
-        return share
+        return over(required, self.acceleration)
 
 
 def required_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:
