@@ -511,7 +511,7 @@ curvatureEnd="$bend" length="60"/></ClothoidSpline>"""
 
 
 def bend_file(folder, shape=BEND, reference="<None/>"):
-    position = place(70, 0, 'h="1.57"')
+    position = place(70, -1, 'h="1.57"')
     across = f"<PrivateAction><TeleportAction>{position}</TeleportAction></PrivateAction>"
     follow = trajectory(shape, reference, "follow")
     return scenario_file(
