@@ -46,6 +46,7 @@ class Case:
     ranges: tuple[str, ...] = ()
     driver: str | None = None
     on_collision: str = "continue"
+    time_step: float = 0.05
 
 
 # Files of the examples, and of Euro NCAP's protocols as ASAM publishes them.
@@ -54,15 +55,15 @@ CASES = {
     "t-intersection": Case("t_intersection/t_intersection.xosc", "C", "ttc", 0.5, on_collision="stop"),
     "cpnco": Case(
         "CA-FC_2026/CPNCO.xosc", "VRU", "ttc", 0.5,
-        ("Ego_speed_kph=10:60", "VRU_finalSpeed_kph=3:10", "ImpactLocation=10:90"), "normal",
+        ("Ego_speed_kph=10:60", "VRU_finalSpeed_kph=3:10", "ImpactLocation=10:90"), "normal", time_step=0.02,
     ),
     "ccftap": Case(
         "CA-FC_2026/CCFtap.xosc", "Target", "clearance", 0.6,
-        ("Ego_speed_kph=10:25", "Target_final_speed_kph=30:60", "Trajectory_R2=9:15"), "aggressive",
+        ("Ego_speed_kph=10:25", "Target_final_speed_kph=30:60", "Trajectory_R2=9:15"), "aggressive", time_step=0.02,
     ),
     "cpta": Case(
         "AEB_VRU_2023/NCAP_AEB_VRU_CPTA_2023.xosc", "VRU", "wttc", 0.4,
-        ("Ego_speed_kph=10:25", "VRU_finalSpeed_kph=3:8", "VRU_centerlineOffset=7:12"), "aggressive",
+        ("Ego_speed_kph=10:25", "VRU_finalSpeed_kph=3:8", "VRU_centerlineOffset=7:12"), "aggressive", time_step=0.02,
     ),
 }  # fmt: skip
 
@@ -96,7 +97,7 @@ def scores(name: str, ncap: Path | None, values: list[dict[str, Any]]) -> npt.ND
     case, scenario = CASES[name], logical(name, ncap)
     metric = METRICS.create(case.metric)
     drivers = {} if case.driver is None else {"Ego": case.driver}
-    simulator = BuiltinSimulator(on_collision=case.on_collision, drivers=drivers)
+    simulator = BuiltinSimulator(time_step=case.time_step, on_collision=case.on_collision, drivers=drivers)
     found = np.full(len(values), np.nan)
     for k, recording in enumerate(simulator.run([scenario.concrete(one) for one in values])):
         if not isinstance(recording, Exception):

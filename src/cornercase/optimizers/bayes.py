@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cornercase.optimizers.sobol import SequenceOptimizer
+from cornercase.optimizers.candidates import CandidateOptimizer
 from cornercase.scenario.space import ParameterSpace
 from cornercase.typing import FloatArray, IntArray
 
 _INITIAL = 20
 
 
-class BayesOptimizer:
+class BayesOptimizer(CandidateOptimizer):
     """Gaussian process over the unit cube, whose samples say where to look next.
 
     The setting is that of Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic
@@ -54,41 +53,14 @@ class BayesOptimizer:
         features: int = 500,
         filling: float = 0.3,
     ) -> None:
-        self._space, self._seed = space, seed
-        self._candidates, self._features, self._filling = candidates, features, filling
-        self._start = SequenceOptimizer(space, seed, "sobol")
-        self._points = np.zeros((0, space.dimension))
-        self._scores = np.zeros(0)
+        super().__init__(space, seed, initial=_INITIAL, candidates=candidates, filling=filling)
+        self._features = features
 
-    def ask(self, n: int) -> FloatArray:
-        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
-        told = len(self._points)
-        known = np.isfinite(self._scores)
-        if told < _INITIAL or known.sum() < 3 or np.ptp(self._scores[known]) == 0.0:
-            return self._start.ask(n)
-        filling = self._start.ask(self._filled(told + n) - self._filled(told))
-        rest = SequenceOptimizer(self._space, _seed(self._seed, told), "sobol")
-        rest.tell(np.concatenate([self._points, filling]), np.zeros(told + len(filling)))
-        wanted = n - len(filling)
-        candidates = rest.ask(max(self._candidates, wanted))
-        if len(candidates) > wanted > 0:
-            candidates = candidates[self._thompson(candidates, known, wanted)]
-        return np.concatenate([candidates[:wanted], filling])
-
-    def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, lower being more critical; NaN for a scenario that failed."""
-        self._points = np.concatenate([self._points, points])
-        self._scores = np.concatenate([self._scores, scores])
-        self._start.tell(points, scores)
-
-    def _filled(self, told: int) -> int:
-        return math.floor(self._filling * told + 1e-9)
-
-    def _thompson(self, candidates: FloatArray, known: Any, n: int) -> IntArray:
-        """Choose `n` different candidates, each the best of its share of them by a sample of its own."""
+    def _choose(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
+        # Each is the best of its share of the candidates by a sample of its own.
         import physbo
 
-        points, scores = self._points[known], self._scores[known]
+        points, scores = self._points[self._known], self._scores[self._known]
         # PHYSBO maximises.
         target = -(scores - scores.mean()) / scores.std()
         # As many gradient steps for many points as for few: the learning sees them in batches.
@@ -98,7 +70,7 @@ class BayesOptimizer:
         learning.max_epoch = max(1, learning.max_epoch // batches)
         learning.max_epoch_init_params_search = max(1, learning.max_epoch_init_params_search // batches)
         learning.num_disp, learning.eval_size = 1, 512
-        with _alone(_seed(self._seed, len(self._points))):
+        with _alone(self._round_seed):
             policy = physbo.search.discrete.Policy(test_X=2.0 * candidates - 1.0, config=config)
             policy.bayes_search(
                 training=physbo.Variable(X=2.0 * points - 1.0, t=target),
@@ -126,7 +98,3 @@ def _alone(seed: int) -> Iterator[None]:
             yield
     finally:
         np.random.set_state(state)  # noqa: NPY002
-
-
-def _seed(seed: int, told: int) -> int:
-    return int(np.random.SeedSequence([seed, told]).generate_state(1)[0])

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cornercase.optimizers.sobol import SequenceOptimizer
+from cornercase.optimizers.candidates import CandidateOptimizer
 from cornercase.scenario.space import ParameterSpace
 from cornercase.surrogate import GaussianProcess, encoded
 from cornercase.typing import FloatArray, IntArray
@@ -14,7 +14,7 @@ from cornercase.typing import FloatArray, IntArray
 _INITIAL = 24
 
 
-class LevelSetOptimizer:
+class LevelSetOptimizer(CandidateOptimizer):
     """Asks for the scenarios of which a Gaussian process knows least whether they are critical.
 
     A scenario is critical when its score is at most the threshold. Each point of a round has the largest
@@ -46,32 +46,8 @@ class LevelSetOptimizer:
     def __init__(
         self, space: ParameterSpace, seed: int, threshold: float, candidates: int = 20_000, filling: float = 0.1
     ) -> None:
-        self._space, self._seed, self.threshold = space, seed, threshold
-        self._candidates, self._filling = candidates, filling
-        self._start = SequenceOptimizer(space, seed, "sobol")
-        self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
-
-    def ask(self, n: int) -> FloatArray:
-        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
-        told = len(self._points)
-        known = np.isfinite(self._scores)
-        if told < _INITIAL or known.sum() < 3 or np.ptp(self._scores[known]) == 0.0:
-            return self._start.ask(n)
-        filling = self._start.ask(self._filled(told + n) - self._filled(told))
-        seed = int(np.random.SeedSequence([self._seed, told]).generate_state(1)[0])
-        rest = SequenceOptimizer(self._space, seed, "sobol")
-        rest.tell(np.concatenate([self._points, filling]), np.zeros(told + len(filling)))
-        wanted = n - len(filling)
-        candidates = rest.ask(max(self._candidates, wanted))
-        if len(candidates) > wanted > 0:
-            candidates = candidates[self._straddle(candidates, filling, wanted)]
-        return np.concatenate([candidates[:wanted], filling])
-
-    def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, lower being more critical; NaN for a scenario that failed."""
-        self._points = np.concatenate([self._points, points])
-        self._scores = np.concatenate([self._scores, scores])
-        self._start.tell(points, scores)
+        super().__init__(space, seed, initial=_INITIAL, candidates=candidates, filling=filling)
+        self.threshold = threshold
 
     def critical(self, points: FloatArray) -> FloatArray:
         """Probability that scenarios are critical, shape (n,), by the process of all that was told.
@@ -90,14 +66,14 @@ class LevelSetOptimizer:
         return np.asarray(norm.cdf(-mean / deviation))
 
     def _process(self) -> GaussianProcess:
-        known = np.isfinite(self._scores)
-        return GaussianProcess().fit(encoded(self._space, self._points[known]), self._near(self._scores[known]))
+        points, scores = self._points[self._known], self._scores[self._known]
+        return GaussianProcess().fit(encoded(self._space, points), self._near(scores))
 
     def _near(self, scores: FloatArray) -> FloatArray:
         """Scores with the threshold at 0, drawn together where they are far from it."""
         return np.tanh((scores - self.threshold) / np.std(scores))
 
-    def _straddle(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
+    def _choose(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
         process = self._process()
         places = encoded(self._space, np.concatenate([candidates, filling]))
         mean, deviation, rows = process.predict(places)
@@ -125,6 +101,3 @@ class LevelSetOptimizer:
             chosen.append(int(np.argmax(gain)))
             learn(chosen[-1])
         return np.array(chosen, dtype=np.int64)
-
-    def _filled(self, told: int) -> int:
-        return math.floor(self._filling * told + 1e-9)
