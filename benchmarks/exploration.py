@@ -1,11 +1,17 @@
 """Searches judged by what they missed: critical sets known on a dense grid, beside what each search finds of them.
 
-python benchmarks/exploration.py [--quick] [--steps N] [--seeds N] [--only NAME] [--truth FOLDER] [--json FILE]
+python benchmarks/exploration.py [--quick] [--steps N] [--seeds N] [--only NAME] [--ncap FOLDER] [--truth FOLDER]
+                                 [--json FILE] [--plot FILE]
 
 The truth is the score of every scenario of a grid of N steps per parameter, run once and kept in a folder. Each search
-then works on that grid, so that its scores are looked up and nothing is interpolated. What it found is what a Gaussian
-process of its scenarios takes for critical, the same process for all. A region is a connected part of the critical set
-of at least 0.1 % of the grid; it is hit by a critical scenario in it.
+then works on that grid, so that its scores are looked up and nothing is interpolated. What it found is what one and
+the same Gaussian process of its scenarios takes for critical. A region is a connected part of the critical set of at
+least 0.1 % of the grid; it is hit by a critical scenario in it.
+
+Also judged: what is said of the critical share and of the share of the critical set that is missed, and the criterion
+``missed<0.05``, by whether the truth lies within the 90 % intervals and by what is missed when it is first fulfilled.
+
+FOLDER is that of ASAM's Euro NCAP scenarios which holds CA-FC_2026 and AEB_VRU_2023; without it only the examples run.
 """
 
 from __future__ import annotations
@@ -24,15 +30,27 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import label
+from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 from cornercase import BuiltinSimulator, LogicalScenario
+from cornercase.critical_set import CriticalSet
 from cornercase.metrics import METRICS
-from cornercase.optimizers import BayesOptimizer, GridOptimizer, LevelSetOptimizer, SequenceOptimizer
+from cornercase.optimizers import (
+    BayesOptimizer,
+    EvolutionaryOptimizer,
+    GridOptimizer,
+    LevelSetOptimizer,
+    OptunaOptimizer,
+    SequenceOptimizer,
+)
 from cornercase.scenario.space import Parameter, ParameterSpace
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SIZES = (50, 100, 200, 300, 400)
 SMALLEST_REGION = 1e-3
+STOP = 0.05
+REFERENCES = ("grid", "bayes, filling 0")
 
 
 @dataclass(frozen=True)
@@ -72,6 +90,8 @@ SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
     "sobol": lambda space, seed, critical, budget: SequenceOptimizer(space, seed, "sobol"),
     "bayes, filling 0": lambda space, seed, critical, budget: BayesOptimizer(space, seed, filling=0.0),
     "bayes": lambda space, seed, critical, budget: BayesOptimizer(space, seed),
+    "evolutionary": lambda space, seed, critical, budget: EvolutionaryOptimizer(space, seed),
+    "optuna (TPE)": lambda space, seed, critical, budget: OptunaOptimizer(space, seed),
     "level-set": lambda space, seed, critical, budget: LevelSetOptimizer(space, seed, critical),
 }
 
@@ -121,57 +141,141 @@ def truth(name: str, ncap: Path | None, steps: int, folder: Path) -> npt.NDArray
     return np.load(path)
 
 
-def search(
-    make: Callable[[ParameterSpace, int, float, int], Any],
-    space: ParameterSpace,
-    whole: npt.NDArray[np.float64],
-    critical: float,
-    seed: int,
-    sizes: tuple[int, ...],
-) -> list[dict[str, float]]:
-    """Run one search, and judge it at each size."""
-    steps = [int(one.size or 0) for one in space.parameters]
-    lattice = space.lattice()
-    true = whole <= critical
-    regions, _ = label(true.reshape(steps), structure=np.ones([3] * len(steps)))
-    regions = regions.ravel()
-    counts = np.bincount(regions)
-    large = [k for k in range(1, len(counts)) if counts[k] >= SMALLEST_REGION * len(whole)]
+class Judge:
+    """The truth about one case, and what a search tells of it."""
 
-    def place(points: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
-        numbers = [one.numbers(points[:, j]) for j, one in enumerate(space.parameters)]
-        return np.ravel_multi_index(tuple(numbers), tuple(steps))
+    def __init__(self, name: str, ncap: Path | None, steps: int, folder: Path) -> None:
+        self.case, self.scores = CASES[name], truth(name, ncap, steps, folder)
+        self.space = stepped(logical(name, ncap).space, steps)
+        self.steps = [int(one.size or 0) for one in self.space.parameters]
+        self.lattice = self.space.lattice()
+        self.true = self.scores <= self.case.critical
+        regions, _ = label(self.true.reshape(self.steps), structure=np.ones([3] * len(self.steps)))
+        self.regions = regions.ravel()
+        counts = np.bincount(self.regions)
+        self.large = {k for k in range(1, len(counts)) if counts[k] >= SMALLEST_REGION * len(self.true)}
 
-    rows = []
-    points, spent, proposals = np.zeros((0, len(steps))), 0.0, 0
-    optimizer = make(space, seed, critical, sizes[-1])
+    def places(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+        """Where points stand in the lattice."""
+        numbers = [one.numbers(points[:, j]) for j, one in enumerate(self.space.parameters)]
+        return np.ravel_multi_index(tuple(numbers), tuple(self.steps))
+
+    def agreement(self, told: npt.NDArray[np.bool_]) -> dict[str, float]:
+        """Recall and precision of what is told to be critical."""
+        both = float((told & self.true).sum())
+        return {"recall": both / max(self.true.sum(), 1), "precision": both / max(told.sum(), 1)}
+
+    def row(self, points: npt.NDArray[np.float64], seed: int) -> dict[str, float]:
+        """All figures about scenarios that were run."""
+        places = self.places(points)
+        hit = set(self.regions[places]) & self.large
+        row = {"regions": len(hit) / max(len(self.large), 1), "best": float(np.nanmin(self.scores[places]))}
+        try:
+            known = CriticalSet(self.space, points, self.scores[places], self.case.critical, seed)
+        except ValueError:
+            return row | self.agreement(np.zeros(len(self.true), dtype=bool)) | {"share": 1.0, "missed": 1.0}
+        row |= self.agreement(known.found(self.lattice))
+        within = known.share.low <= self.true.mean() <= known.share.high
+        missed = known.missed.low <= 1.0 - row["recall"] <= known.missed.high
+        return row | {"share": float(within), "missed": float(missed), "most missed": known.missed.high}
+
+
+def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...]) -> dict[str, Any]:
+    """Run one search and judge it at each size; and find when the criterion would have stopped it."""
+    rows, stop = [], None
+    critical = judge.case.critical
+    points, spent, proposals = np.zeros((0, len(judge.steps))), 0.0, 0
+    optimizer = SEARCHES[kind](judge.space, seed, critical, sizes[-1])
     for size in sizes:
         if isinstance(optimizer, GridOptimizer):
-            optimizer, points = make(space, seed, critical, size), points[:0]
+            optimizer, points = SEARCHES[kind](judge.space, seed, critical, size), points[:0]
         while len(points) < size:
             begin = time.perf_counter()
             new = optimizer.ask(min(10, size - len(points)))
             if not len(new):
                 break
-            optimizer.tell(new, whole[place(new)])
+            optimizer.tell(new, judge.scores[judge.places(new)])
             spent, proposals = spent + time.perf_counter() - begin, proposals + len(new)
             points = np.concatenate([points, new])
-        ran = whole[place(points)]
-        judge = LevelSetOptimizer(space, 0, critical)
-        judge.tell(points, ran)
-        told = judge.critical(lattice) > 0.5 if np.ptp(ran[np.isfinite(ran)]) > 0 else np.zeros(len(whole), dtype=bool)
-        hit = set(regions[place(points)]) & set(large)
-        rows.append(
-            {
-                "size": size,
-                "recall": float((told & true).sum() / max(true.sum(), 1)),
-                "precision": float((told & true).sum() / max(told.sum(), 1)),
-                "regions": len(hit) / max(len(large), 1),
-                "best": float(np.nanmin(ran)),
-                "seconds": spent / max(proposals, 1),
-            }
-        )
+            if kind == "level-set" and stop is None and len(points) % 20 == 0:
+                row = judge.row(points, seed)
+                if row.get("most missed", 1.0) < STOP:
+                    stop = {"scenarios": len(points), "missed": 1.0 - row["recall"]}
+        rows.append({"size": size, "seconds": spent / max(proposals, 1), **judge.row(points, seed)})
+    return {"search": kind, "seed": seed, "rows": rows, "stop": stop, "places": judge.places(points).tolist()}
+
+
+def grid_needed(judge: Judge, recall: float, precision: float) -> int | None:
+    """Scenarios of the smallest grid that finds as much, told by the nearest of its scenarios; None if none does."""
+    for steps in range(4, max(judge.steps) + 1):
+        points = GridOptimizer(judge.space, 0, steps ** len(judge.steps)).ask(steps ** len(judge.steps))
+        nearest = cKDTree(points).query(judge.lattice)[1]
+        found = judge.agreement(judge.true[judge.places(points)][nearest])
+        if found["recall"] >= recall and found["precision"] >= precision:
+            return len(points)
+    return None
+
+
+_judge: Judge
+
+
+def begin_worker(*arguments: Any) -> None:
+    global _judge
+    _judge = Judge(*arguments)
+
+
+def work(kind: str, seed: int, sizes: tuple[int, ...]) -> dict[str, Any]:
+    with threadpool_limits(1):
+        return search(_judge, kind, seed, sizes)
+
+
+def table(name: str, runs: list[dict[str, Any]], sizes: tuple[int, ...]) -> list[dict[str, Any]]:
+    """Print and return medians and quartiles."""
+    rows = []
+    print(f"{'search':18} {'size':>5} {'recall':>20} {'precision':>20} {'regions':>8} {'best':>7} {'s/proposal':>11}")
+    for kind in SEARCHES:
+        mine = [run["rows"] for run in runs if run["search"] == kind]
+        for k, size in enumerate(sizes):
+            column = {key: [row[k][key] for row in mine] for key in mine[0][k]}
+            rows.append({"case": name, "search": kind, **column})
+            spread = {key: np.percentile(column[key], (25, 50, 75)) for key in ("recall", "precision")}
+            texts = [f"{m:.3f} ({a:.3f}-{b:.3f})" for a, m, b in spread.values()]
+            others = [float(np.median(column[key])) for key in ("regions", "best", "seconds")]
+            print(f"{kind:18} {size:5} {texts[0]:>20} {texts[1]:>20} {others[0]:8.2f} "
+                  f"{others[1]:7.3f} {others[2]:11.4f}", flush=True)  # fmt: skip
     return rows
+
+
+def plot(rows: list[dict[str, Any]], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    figure, axes = plt.subplots(2, len(cases), figsize=(3.4 * len(cases), 6.2), squeeze=False, sharex=True)
+    markers = dict(zip(SEARCHES, "sxd^vPo", strict=True))
+    for j, case in enumerate(cases):
+        for i, quantity in enumerate(("recall", "precision")):
+            for kind in SEARCHES:
+                mine = [row for row in rows if row["case"] == case and row["search"] == kind]
+                sizes = [row["size"][0] for row in mine]
+                low, middle, high = np.array([np.percentile(row[quantity], (25, 50, 75)) for row in mine]).T
+                reference = kind in REFERENCES
+                (line,) = axes[i, j].plot(
+                    sizes, middle, marker=markers[kind], label=kind, linewidth=2.2 if kind == "level-set" else 1.2,
+                    linestyle="--" if reference else "-", color={"grid": "0.4", "bayes, filling 0": "k"}.get(kind),
+                )  # fmt: skip
+                axes[i, j].fill_between(sizes, low, high, color=line.get_color(), alpha=0.12)
+            axes[i, j].axhline((0.95, 0.9)[i], color="0.7", linewidth=0.8)
+            axes[i, j].set_ylim(0, 1.02)
+            axes[i, j].set_ylabel(f"{quantity} (1)" if j == 0 else "")
+        axes[0, j].set_title(case)
+        axes[1, j].set_xlabel("scenarios (1)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncol=len(SEARCHES), frameon=False)
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:
@@ -180,34 +284,46 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--only", choices=CASES)
+    parser.add_argument("--ncap", type=Path, metavar="FOLDER", help="folder with CA-FC_2026 and AEB_VRU_2023")
     parser.add_argument("--truth", type=Path, default=Path("truth"), metavar="FOLDER")
     parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="FILE")
     options = parser.parse_args()
     steps, seeds, sizes = (12, 2, SIZES[:2]) if options.quick else (options.steps, options.seeds, SIZES)
-    table = []
+    rows, every, needed = [], {}, {}
     for name in [options.only] if options.only else CASES:
-        whole = truth(name, steps, options.truth)
-        space = stepped(logical(name).space, steps)
-        critical = CASES[name][4]
-        print(
-            f"\n{name}: {len(whole)} scenarios, {np.mean(whole <= critical):.1%} critical "
-            f"({CASES[name][2]} <= {critical:g})"
-        )
-        print(
-            f"{'search':18} {'size':>5} {'recall':>20} {'precision':>20} {'regions':>8} {'best':>7} {'s/proposal':>11}"
-        )
-        for kind, make in SEARCHES.items():
-            runs = [search(make, space, whole, critical, seed, sizes) for seed in range(1 if kind == "grid" else seeds)]
-            for k, size in enumerate(sizes):
-                column = {key: [run[k][key] for run in runs] for key in runs[0][k]}
-                table.append({"case": name, "search": kind, **column})
-                spread = {key: np.percentile(column[key], (25, 50, 75)) for key in ("recall", "precision")}
-                texts = [f"{m:.3f} ({a:.3f}-{b:.3f})" for a, m, b in spread.values()]
-                others = [float(np.median(column[key])) for key in ("regions", "best", "seconds")]
-                print(f"{kind:18} {size:5} {texts[0]:>20} {texts[1]:>20} {others[0]:8.2f} "
-                      f"{others[1]:7.3f} {others[2]:11.4f}", flush=True)  # fmt: skip
+        if CASES[name].ranges and options.ncap is None:
+            print(f"\n{name}: left out, without --ncap")
+            continue
+        judge = Judge(name, options.ncap, steps, options.truth)
+        print(f"\n{name}: {len(judge.true)} scenarios, {judge.true.mean():.1%} critical "
+              f"({judge.case.metric} <= {judge.case.critical:g}), {len(judge.large)} regions")  # fmt: skip
+        jobs = [(kind, seed) for kind in SEARCHES for seed in range(1 if kind == "grid" else seeds)]
+        begin = (name, options.ncap, steps, options.truth)
+        with ProcessPoolExecutor(len(os.sched_getaffinity(0)), initializer=begin_worker, initargs=begin) as pool:
+            runs = list(pool.map(work, *zip(*jobs, strict=True), repeat(sizes)))
+        every[name] = runs
+        rows += table(name, runs, sizes)
+        at = sizes.index(200) if 200 in sizes else -1
+        found = [run["rows"][at] for run in runs if run["search"] == "level-set"]
+        goal = [float(np.median([row[key] for row in found])) for key in ("recall", "precision")]
+        needed[name] = grid_needed(judge, *goal)
+        print(f"a grid needs {needed[name] or 'more than all'} scenarios for what level-set finds with {sizes[at]}")
+    flat = [(run, row) for runs in every.values() for run in runs for row in run["rows"]]
+    print("\nTruth within the 90 % interval, share of the runs")
+    print(f"{'search':18} {'critical share':>15} {'missed share':>13}")
+    for kind in (*SEARCHES, "all"):
+        mine = [row for run, row in flat if kind in ("all", run["search"])]
+        print(f"{kind:18} {np.mean([r['share'] for r in mine]):15.3f} {np.mean([r['missed'] for r in mine]):13.3f}")
+    stops = [run["stop"] for runs in every.values() for run in runs if run["stop"]]
+    total = sum(run["search"] == "level-set" for runs in every.values() for run in runs)
+    print(f"\nmissed<{STOP:g} stops {len(stops)} of {total} runs of level-set, after "
+          f"{np.median([one['scenarios'] for one in stops]) if stops else float('nan'):g} scenarios (median), the most "
+          f"missed then is {max((one['missed'] for one in stops), default=float('nan')):.3f}")  # fmt: skip
+    if options.plot:
+        plot(rows, options.plot)
     if options.json:
-        options.json.write_text(json.dumps(table, indent=1))
+        options.json.write_text(json.dumps({"rows": rows, "runs": every, "grid needed": needed}, indent=1))
 
 
 if __name__ == "__main__":

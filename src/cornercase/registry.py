@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib.metadata import entry_points
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from cornercase.errors import InputError, suggestion
 
@@ -38,16 +38,47 @@ class Registry(Generic[T]):
         return sorted({*self._factories, *(entry.name for entry in entry_points(group=self._group))})
 
     def create(self, name: str, **options: Any) -> T:
-        """Build the one called `name`.
+        """Build the one called `name`, which may hold options behind a colon: ``"ttc:accelerating=true"``.
+
+        What is built then has the whole of it as its name.
 
         Raises
         ------
         InputError
-            No such name.
+            No such name, no such option, or a value that it does not take.
         """
+        base, _, text = name.partition(":")
+        factory = self._factory(base)
+        if not text:
+            return factory(**options)
+        for option in text.split(","):
+            key, equals, value = (part.strip() for part in option.partition("="))
+            if not (key.isidentifier() and equals):
+                raise InputError(
+                    f"The {self._kind} '{name}' has the option '{option}'; give options as in '{base}:name=value'."
+                )
+            options[key] = _value(value)
+        try:
+            made: Any = factory(**options)
+        except (TypeError, AttributeError) as error:
+            raise InputError(f"The {self._kind} '{base}' does not take the options '{text}' ({error}).") from error
+        made.name = name
+        return cast(T, made)
+
+    def _factory(self, name: str) -> Callable[..., T]:
         if name in self._factories:
-            return self._factories[name](**options)
+            return self._factories[name]
         for entry in entry_points(group=self._group, name=name):
             factory: Callable[..., T] = entry.load()
-            return factory(**options)
+            return factory
         raise InputError(f"There is no {self._kind} '{name}'; {suggestion(name, self.names())}")
+
+
+def _value(text: str) -> bool | float | str:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number.is_integer() and "." not in text else number

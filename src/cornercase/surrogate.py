@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
+from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from cornercase.dtw.cpu import available_cpus
@@ -18,8 +19,9 @@ from cornercase.typing import FloatArray
 Floats = npt.NDArray[np.floating[Any]]
 
 _ROOT5 = float(np.sqrt(5.0))
-_CHUNK, _LEARNED = 1024, 200
-_WIDTHS, _SIGNAL, _NOISE = (1e-2, 10.0), (1e-2, 30.0), (1e-6, 0.3)
+_CHUNK, _LEARNED = 1024, 160
+_NEAR, _NOISES = 0.5, (0.02, 0.3, 1.0)
+_WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-6
 
 
 def encoded(space: ParameterSpace, points: FloatArray) -> FloatArray:
@@ -43,12 +45,64 @@ def encoded(space: ParameterSpace, points: FloatArray) -> FloatArray:
     return np.concatenate(columns, axis=1)
 
 
+def near_threshold(scores: FloatArray, threshold: float) -> FloatArray:
+    """Scores with the threshold at 0, drawn together by a hyperbolic tangent where they are far from it.
+
+    What lies far from the threshold says little about the boundary of the critical set, and a process that need not
+    follow it follows the boundary better. Half a standard deviation counts as near.
+
+    Parameters
+    ----------
+    scores : ndarray of float64, shape (n,)
+    threshold : float
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+    """
+    return np.tanh((scores - threshold) / (_NEAR * np.std(scores)))
+
+
+def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:
+    """Gaussian process of `near_threshold` that foretells best which scenarios are critical.
+
+    Where scores jump, a process that may take the jumps for noise loses the boundary; where they are noisy, one that
+    may not takes the noise for the boundary. So several are learned, with more and more noise allowed, and the one is
+    taken from which, with each scenario left out in turn, the rest says most surely on which side that one is.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (n, e)
+        As `encoded`.
+    scores : ndarray of float64, shape (n,)
+        Not all the same.
+    threshold : float
+
+    Returns
+    -------
+    GaussianProcess
+    """
+    values = near_threshold(scores, threshold)
+    side = np.where(scores <= threshold, 1.0, -1.0)
+    found = [GaussianProcess(most_noise).fit(points, values) for most_noise in _NOISES]
+    sure = []
+    for process in found:
+        mean, deviation = process.leave_one_out()
+        sure.append(norm.logcdf(-side * mean / deviation).sum())
+    return found[int(np.argmax(sure))]
+
+
 class GaussianProcess:
     """Gaussian process with a Matérn kernel (5/2) and a width of its own for each dimension.
 
     Widths, size and noise are those of the greatest marginal likelihood times a wide prior on the widths, which
     keeps them from running away while there are few points (Rasmussen and Williams, Gaussian Processes for Machine
     Learning, 2006, equations 4.17, 5.8 and 5.9).
+
+    Parameters
+    ----------
+    most_noise : float, default 0.3
+        Greatest standard deviation of single values.
 
     Attributes
     ----------
@@ -57,14 +111,15 @@ class GaussianProcess:
         Standard deviations of the process and of single values.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most_noise: float = 0.3) -> None:
+        self._most_noise = most_noise
         self.widths, self.signal, self.noise = np.zeros(0), 1.0, 0.1
 
     def fit(self, points: FloatArray, values: FloatArray) -> GaussianProcess:
-        """Learn from values, shape (n,), at points, shape (n, e); widths and noise from 200 of them at most."""
+        """Learn from values, shape (n,), at points, shape (n, e); widths and noise from 160 of them at most."""
         dims = points.shape[1]
-        start = np.log(np.append(np.full(dims, 0.4), (1.0, 0.05)))
-        bounds = np.log([*[_WIDTHS] * dims, _SIGNAL, _NOISE])
+        start = np.log(np.append(np.full(dims, 0.4), (1.0, min(0.05, self._most_noise))))
+        bounds = np.log([*[_WIDTHS] * dims, _SIGNAL, (_LEAST_NOISE, self._most_noise)])
         mean = float(values.mean())
         some = np.unique(np.linspace(0, len(values) - 1, _LEARNED).astype(np.int64))
         squares = (points[some, None] - points[some]) ** 2
@@ -76,12 +131,12 @@ class GaussianProcess:
             )  # fmt: skip
             *widths, self.signal, self.noise = np.exp(found.x)
             self.widths = np.array(widths)
-            self._points, self._mean = points / self.widths, mean
+            self._points, self._mean, self._values = points / self.widths, mean, values - mean
             covariance = self.signal**2 * _correlation(_distances(self._points, self._points))
             covariance[np.diag_indices(len(points))] += self.noise**2
-            self._lower = cholesky(covariance, lower=True)
-            self._weights = cho_solve((self._lower, True), values - mean)
-            self._inverse = solve_triangular(self._lower, np.eye(len(points)), lower=True)
+            lower = cholesky(covariance, lower=True)
+            self._weights = cho_solve((lower, True), self._values)
+            self._inverse = solve_triangular(lower, np.eye(len(points)), lower=True)
         return self
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray, npt.NDArray[np.float32]]:
@@ -108,6 +163,22 @@ class GaussianProcess:
         with threadpool_limits(limits=1), ThreadPoolExecutor(available_cpus()) as pool:
             list(pool.map(part, range(0, len(points), _CHUNK)))
         return mean + self._mean, np.sqrt(np.maximum(self.signal**2 - deviation, 1e-8 * self.signal**2)), rows
+
+    def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation, noise included, of each value by the process of all others, each (n,).
+
+        Rasmussen and Williams 2006, equation 5.12.
+        """
+        precision = (self._inverse**2).sum(axis=0)
+        return self._mean + self._values - self._weights / precision, 1.0 / np.sqrt(precision)
+
+    def joint(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Covariance of the values at points, noise included, as its lower factor (m, m) and deviations (m,)."""
+        scaled = points / self.widths
+        rows = self.signal**2 * _correlation(_distances(scaled, self._points)) @ self._inverse.T
+        covariance = self.signal**2 * _correlation(_distances(scaled, scaled)) - rows @ rows.T
+        covariance[np.diag_indices(len(points))] += self.noise**2 + 1e-6 * self.signal**2
+        return cholesky(covariance, lower=True), np.sqrt(np.diag(covariance))
 
     def covariance(self, points: FloatArray, rows: npt.NDArray[np.float32], i: int) -> FloatArray:
         """Covariance of the process at all points with that at one of them, shape (n,); `rows` as of `predict`."""

@@ -94,45 +94,7 @@ class PairMetric(ABC):
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray: ...
 
 
-class MetricRegistry(Registry[Metric]):
-    """Metrics by name, with options behind a colon: ``"ttc:accelerating=true"``."""
-
-    def create(self, name: str, **options: Any) -> Metric:
-        """Build the one called `name`; options in the name become part of the name of the metric.
-
-        Raises
-        ------
-        InputError
-            No such name, no such option, or a value that the metric does not take.
-        """
-        base, _, text = name.partition(":")
-        if not text:
-            return super().create(name, **options)
-        for option in text.split(","):
-            key, equals, value = (part.strip() for part in option.partition("="))
-            if not (key.isidentifier() and equals):
-                raise InputError(
-                    f"The metric '{name}' has the option '{option}'; give options as in 'ttc:accelerating=true'."
-                )
-            options[key] = _value(value)
-        try:
-            metric = super().create(base, **options)
-        except (TypeError, AttributeError) as error:
-            raise InputError(f"The metric '{base}' does not take the options '{text}' ({error}).") from error
-        metric.name = name
-        return metric
-
-
-def _value(text: str) -> bool | float | str:
-    if text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
-METRICS: Registry[Metric] = MetricRegistry("metric", "cornercase.metrics")
+METRICS: Registry[Metric] = Registry("metric", "cornercase.metrics")
 
 
 def capped(metric: Metric, course: FloatArray) -> FloatArray:

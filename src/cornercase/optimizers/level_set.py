@@ -8,7 +8,7 @@ import numpy as np
 
 from cornercase.optimizers.candidates import CandidateOptimizer
 from cornercase.scenario.space import ParameterSpace
-from cornercase.surrogate import GaussianProcess, encoded
+from cornercase.surrogate import GaussianProcess, boundary_process, encoded
 from cornercase.typing import FloatArray, IntArray
 
 _INITIAL = 24
@@ -18,10 +18,9 @@ class LevelSetOptimizer(CandidateOptimizer):
     """Asks for the scenarios of which a Gaussian process knows least whether they are critical.
 
     A scenario is critical when its score is at most the threshold. Each point of a round has the largest
-    ``1.96 s - |m - threshold|`` of all candidates (the straddle heuristic), with the mean m of the process and its
-    standard deviation s; then s is what it would be with that point known, so that a round spreads over the
-    boundary. Scores far from the threshold say little about the boundary and are drawn together by a hyperbolic
-    tangent. The first 24 points, and a share of all others, are a Sobol' sequence, so that a critical region that
+    ``1.96 s - |m - threshold|`` of all candidates (the straddle heuristic), with the mean m of a `boundary_process`
+    and its standard deviation s; then s is what it would be with that point known, so that a round spreads over the
+    boundary. The first 24 points, and a share of all others, are a Sobol' sequence, so that a critical region that
     the process knows nothing of is met.
 
     Parameters
@@ -49,29 +48,9 @@ class LevelSetOptimizer(CandidateOptimizer):
         super().__init__(space, seed, initial=_INITIAL, candidates=candidates, filling=filling)
         self.threshold = threshold
 
-    def critical(self, points: FloatArray) -> FloatArray:
-        """Probability that scenarios are critical, shape (n,), by the process of all that was told.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, d)
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-        """
-        from scipy.stats import norm
-
-        mean, deviation, _ = self._process().predict(encoded(self._space, points))
-        return np.asarray(norm.cdf(-mean / deviation))
-
     def _process(self) -> GaussianProcess:
         points, scores = self._points[self._known], self._scores[self._known]
-        return GaussianProcess().fit(encoded(self._space, points), self._near(scores))
-
-    def _near(self, scores: FloatArray) -> FloatArray:
-        """Scores with the threshold at 0, drawn together where they are far from it."""
-        return np.tanh((scores - self.threshold) / np.std(scores))
+        return boundary_process(encoded(self._space, points), scores, self.threshold)
 
     def _choose(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
         process = self._process()

@@ -1,0 +1,209 @@
+"""How much of a space is critical, and how much of that an exploration may have missed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.stats import norm, qmc
+from threadpoolctl import threadpool_limits
+
+from cornercase.scenario.space import ParameterSpace
+from cornercase.surrogate import boundary_process, encoded
+from cornercase.typing import BoolArray, FloatArray, IntArray
+
+# Points that stand for the space, those of them for which critical sets are drawn, and the number of draws.
+_PLACES, _JOINT, _DRAWS = 2**14, 1500, 400
+_INTERVAL: Final = (0.05, 0.95)
+_FEWEST: Final = 10
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A quantity with its 90 % credible interval.
+
+    Attributes
+    ----------
+    value, low, high : float
+        Mean, 5 % and 95 % quantile.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+class CriticalSet:
+    """What concrete scenarios that were run tell about the whole set of critical ones.
+
+    A Gaussian process of the scores (`boundary_process`) foretells each scenario that was run from all others. How well
+    it does corrects the probability that a scenario is critical: ``p = Φ(-(a + b t))`` with t its mean over its
+    standard deviation, and a and b from what was foretold, each scenario with the share of the space that is nearest
+    to it as its weight. Critical sets are drawn with these probabilities, with the correlation of the process from
+    place to place, and with a and b from their own posterior.
+
+    Found is what the process takes for critical: where its mean is beyond the threshold.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    points : ndarray of float64, shape (n, d)
+        Scenarios that were run, in the unit cube.
+    scores : ndarray of float64, shape (n,)
+        Lower is more critical; NaN for a scenario that failed.
+    threshold : float
+        Score up to which a scenario is critical.
+    seed : int, default 0
+
+    Raises
+    ------
+    ValueError
+        There are fewer than 10 scores, or all are the same.
+
+    Notes
+    -----
+    Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
+    equation 5.12. Correction of probabilities: J. Platt, "Probabilistic outputs for support vector machines" (1999),
+    here with the normal distribution function and Laplace's approximation of the posterior.
+    """
+
+    def __init__(
+        self, space: ParameterSpace, points: FloatArray, scores: FloatArray, threshold: float, seed: int = 0
+    ) -> None:
+        known = np.isfinite(scores)
+        points, scores = points[known], scores[known]
+        if len(scores) < _FEWEST or np.ptp(scores) == 0.0:
+            raise ValueError(f"At least {_FEWEST} different scores are needed.")
+        self._critical = scores <= threshold
+        self._places = _places(space, seed)
+        self._at = encoded(space, self._places)
+        self._ran = encoded(space, points)
+        self._process = boundary_process(self._ran, scores, threshold)
+        mean, deviation, _ = self._process.predict(self._at)
+        self._t = mean / np.hypot(deviation, self._process.noise)
+        self._is_found = mean <= 0.0
+        self._space = space
+        self._rng = np.random.default_rng(seed)
+        # Sums in one order, whatever the number of threads.
+        with threadpool_limits(limits=1):
+            self._learn()
+            self._draw(space, points)
+
+    def _learn(self) -> None:
+        """Find how the probabilities are to be corrected."""
+        mean, deviation = self._process.leave_one_out()
+        t = mean / deviation
+        nearest = np.asarray(cKDTree(self._ran).query(self._at)[1], dtype=np.int64)
+        share = np.bincount(nearest, minlength=len(t)) / len(nearest)
+        weights = share / (share**2).sum()
+        sign = np.where(self._critical, 1.0, -1.0)
+
+        def loss(parameters: FloatArray) -> float:
+            a, log_b = parameters
+            foretold = norm.logcdf(-sign * (a + np.exp(log_b) * t))
+            return float(-(weights * foretold).sum() + 0.5 * (parameters**2).sum())
+
+        best = minimize(loss, np.zeros(2), method="BFGS")
+        self._correction = self._rng.multivariate_normal(best.x, np.asarray(best.hess_inv), _DRAWS)
+
+    def _draw(self, space: ParameterSpace, points: FloatArray) -> None:
+        """Draw critical sets on some of the places, and the critical share on all."""
+        part = min(_JOINT, len(self._at))
+        factor, deviation = self._process.joint(self._at[:part])
+        normal = factor @ self._rng.standard_normal((part, _DRAWS)) / deviation[:, None]
+        limit = self._limit(slice(None, part))
+        drawn = normal <= limit
+        ran = {point.tobytes(): critical for point, critical in zip(space.snap(points), self._critical, strict=True)}
+        for i, place in enumerate(self._places[:part]):
+            if (known := ran.get(place.tobytes())) is not None:
+                drawn[i] = known
+        self._drawn: BoolArray = drawn
+        # Few places give the spread, many the level.
+        level = np.zeros(_DRAWS)
+        for first in range(0, len(self._at), _JOINT):
+            level += norm.cdf(self._limit(slice(first, first + _JOINT))).sum(axis=0)
+        self._shares = np.clip(drawn.mean(axis=0) + level / len(self._at) - norm.cdf(limit).mean(axis=0), 0.0, 1.0)
+
+    def _limit(self, part: slice) -> FloatArray:
+        a, log_b = self._correction.T
+        return np.asarray(-(a + np.exp(log_b) * self._t[part, None]))
+
+    def found(self, points: FloatArray) -> BoolArray:
+        """Whether scenarios are taken for critical.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, d)
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        mean, _, _ = self._process.predict(encoded(self._space, points))
+        return np.asarray(mean <= 0.0)
+
+    @cached_property
+    def share(self) -> Estimate:
+        """Critical share of the space."""
+        return _estimate(self._shares)
+
+    @cached_property
+    def missed(self) -> Estimate:
+        """Share of the critical set that is not found."""
+        unseen = (self._drawn & ~self._is_found[: len(self._drawn), None]).sum(axis=0)
+        return _estimate(unseen / np.maximum(self._drawn.sum(axis=0), 1))
+
+    def overlooked(self, size: float = 0.01) -> float:
+        """Probability that no scenario was run in some critical region.
+
+        Parameters
+        ----------
+        size : float, default 0.01
+            Share of the space from which a region counts.
+        """
+        count, edges = len(self._drawn), self._edges
+        ran = np.broadcast_to(self._critical[:, None], (len(self._critical), _DRAWS))
+        critical = np.concatenate([self._drawn, ran])
+        overlooked = 0
+        for one in critical.T:
+            kept = edges[:, one[edges[0]] & one[edges[1]]]
+            graph = coo_array((np.ones(kept.shape[1]), (kept[0], kept[1])), shape=(len(one), len(one)))
+            label = connected_components(graph, directed=False)[1]
+            sizes = np.bincount(label[:count][one[:count]], minlength=label.max() + 1)
+            hit = np.zeros(len(sizes), dtype=np.bool_)
+            hit[label[count:][self._critical]] = True
+            overlooked += bool(((sizes >= max(size * count, 1.0)) & ~hit).any())
+        return overlooked / _DRAWS
+
+    @cached_property
+    def _edges(self) -> IntArray:
+        """Pairs of neighbours among the places and the scenarios that were run, shape (2, E)."""
+        nodes = np.concatenate([self._at[: len(self._drawn)], self._ran])
+        found = cKDTree(nodes).query(nodes, k=min(2 * nodes.shape[1] + 1, len(nodes)))[1]
+        near = np.asarray(found, dtype=np.int64)[:, 1:]
+        return np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as plain values."""
+        return {
+            "share": vars(self.share),
+            "missed": vars(self.missed),
+            "overlooked": {"value": self.overlooked(), "size": 0.01},
+        }
+
+
+def _places(space: ParameterSpace, seed: int) -> FloatArray:
+    """Concrete scenarios that stand for the space, each as often as it is likely."""
+    with_all = space.snap(qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])).random(_PLACES))
+    return with_all[space.admits(with_all)]
+
+
+def _estimate(draws: FloatArray) -> Estimate:
+    low, high = np.quantile(draws, _INTERVAL)
+    return Estimate(float(draws.mean()), float(low), float(high))

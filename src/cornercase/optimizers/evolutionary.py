@@ -1,0 +1,111 @@
+"""Evolution of the scenarios that were run, for one score or several."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from cornercase.errors import InputError
+from cornercase.optimizers.sobol import SequenceOptimizer
+from cornercase.scenario.space import ParameterSpace
+from cornercase.typing import FloatArray
+
+_TRIES = 50
+
+
+class EvolutionaryOptimizer:
+    """Genetic algorithm; with several scores it is NSGA-II and looks for their Pareto front.
+
+    The parents of a round are the best of all that was told, by non-dominated sorting and crowding distance, chosen in
+    tournaments of two; their children come from simulated binary crossover and polynomial mutation, of choices among
+    names from uniform ones. Children that were run before, or that no constraint admits, are made anew.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+    population : int, default 40
+        Points of a Sobol' sequence at the beginning, and best ones that can be parents.
+
+    Raises
+    ------
+    InputError
+        The population is smaller than two.
+
+    Notes
+    -----
+    Source: K. Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE Transactions on
+    Evolutionary Computation 6 (2002); implemented with pymoo (J. Blank, K. Deb, IEEE Access 8, 2020).
+    """
+
+    name = "evolutionary"
+
+    def __init__(self, space: ParameterSpace, seed: int, population: int = 40) -> None:
+        if population < 2:
+            raise InputError(f"evolutionary cannot take a population of {population:g}; give 2 or more.")
+        self._space, self._seed, self._population = space, seed, int(population)
+        self._named = np.array([bool(parameter.choices) for parameter in space.parameters])
+        self._sequence = SequenceOptimizer(space, seed, "sobol")
+        self._points = np.zeros((0, space.dimension))
+        self._scores: FloatArray | None = None
+
+    def ask(self, n: int) -> FloatArray:
+        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
+        if self._scores is None or np.isfinite(self._scores).all(axis=1).sum() < self._population:
+            return self._sequence.ask(n)
+        children = self._children(n)
+        rest = SequenceOptimizer(self._space, self._seed, "sobol")
+        rest.tell(np.concatenate([self._points, children]), np.zeros(len(self._points) + len(children)))
+        return np.concatenate([children, rest.ask(n - len(children))])
+
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Take scores, shape (m,) or (m, k), lower being more critical; NaN for a scenario that failed."""
+        columns = scores.reshape(len(points), -1)
+        self._points = np.concatenate([self._points, points])
+        self._scores = columns if self._scores is None else np.concatenate([self._scores, columns])
+        self._sequence.tell(points, np.zeros(len(points)))
+
+    def _children(self, n: int) -> FloatArray:
+        from pymoo.core.mating import Mating
+        from pymoo.core.population import Population
+        from pymoo.core.problem import Problem
+        from pymoo.operators.crossover.sbx import SBX
+        from pymoo.operators.mutation.pm import PM
+        from pymoo.operators.selection.tournament import TournamentSelection
+        from pymoo.operators.survival.rank_and_crowding import RankAndCrowding
+
+        assert self._scores is not None
+        rng = np.random.default_rng([self._seed, len(self._points)])
+        known = np.isfinite(self._scores).all(axis=1)
+        problem = Problem(n_var=self._space.dimension, n_obj=self._scores.shape[1], xl=0.0, xu=1.0)
+        everyone = Population.new(X=self._points[known], F=self._scores[known])
+        parents = RankAndCrowding().do(problem, everyone, n_survive=self._population, random_state=rng)
+        mating = Mating(TournamentSelection(func_comp=_better), SBX(), PM())
+        met = {point.tobytes() for point in self._space.snap(self._points)}
+        found: list[FloatArray] = []
+        for _ in range(_TRIES):
+            if len(found) == n:
+                break
+            children = mating.do(problem, parents, 2 * n, random_state=rng).get("X")
+            children = self._space.snap(self._with_names(np.clip(children, 0.0, 1.0), parents.get("X"), rng))
+            for child in children[self._space.admits(children)]:
+                if len(found) < n and child.tobytes() not in met:
+                    met.add(child.tobytes())
+                    found.append(child)
+        return np.array(found).reshape(-1, self._space.dimension)
+
+    def _with_names(self, children: FloatArray, parents: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Children whose choices among names are those of some parent, or now and then any."""
+        inherited = parents[rng.integers(len(parents), size=children.shape), np.arange(children.shape[1])]
+        new = rng.random(children.shape)
+        mutates = rng.random(children.shape) < 1.0 / children.shape[1]
+        return np.where(self._named, np.where(mutates, new, inherited), children)
+
+
+def _better(population: Any, pairs: Any, random_state: Any = None, **_: Any) -> Any:
+    """Winner of each pair: the lower rank, or in the same rank who is less crowded."""
+    rank, crowding = population.get("rank"), population.get("crowding")
+    first, second = pairs.T
+    wins = (rank[first] < rank[second]) | ((rank[first] == rank[second]) & (crowding[first] >= crowding[second]))
+    return np.where(wins, first, second)[:, None]
