@@ -11,6 +11,7 @@ from scipy.stats import qmc
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
+from cornercase.critical_set import CriticalSet
 from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SequenceOptimizer
 from cornercase.scenario.space import Parameter, ParameterSpace
@@ -32,9 +33,7 @@ def two_regions(points):
 
 def found(points, scores):
     """Recall and precision of the critical set that a process of these scenarios tells."""
-    judge = LevelSetOptimizer(CUBE, 0, THRESHOLD)
-    judge.tell(points, scores)
-    told, true = judge.critical(EVERYWHERE) > 0.5, two_regions(EVERYWHERE) <= THRESHOLD
+    told, true = CriticalSet(CUBE, points, scores, THRESHOLD).found(EVERYWHERE), two_regions(EVERYWHERE) <= THRESHOLD
     return (told & true).sum() / true.sum(), (told & true).sum() / max(told.sum(), 1)
 
 
@@ -52,9 +51,7 @@ def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
         SequenceOptimizer(CUBE, 3, "sobol"),
     ):
         points = explored(optimizer, 200, function=tube)
-        judge = LevelSetOptimizer(CUBE, 0, THRESHOLD)
-        judge.tell(points, tube(points))
-        told = judge.critical(EVERYWHERE) > 0.5
+        told = CriticalSet(CUBE, points, tube(points), THRESHOLD).found(EVERYWHERE)
         recall[optimizer.name] = (told & true).sum() / true.sum()
         if optimizer.name == "level-set":
             assert (told & true).sum() / told.sum() > 0.9
@@ -153,7 +150,8 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
         assert study.meta["critical"] == METRICS.create("wttc").critical == 1.0
         expected = int((study.scores("wttc") <= 1.0).sum())
     shown = json.loads(cornercase("show", tmp_path / "own.db", "--json").stdout)
-    assert shown["critical"] == {"is": "wttc <= 1 s", "scenarios": expected}
+    assert shown["critical"]["is"] == "wttc <= 1 s"
+    assert shown["critical"]["scenarios"] == expected
     other = cornercase(*common, "--metric", "wttc", "--critical", "0.5", "--budget", "40", "-o", tmp_path / "own.db")
     assert other.returncode == 2
     assert "another threshold" in other.stderr

@@ -33,7 +33,8 @@ StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as w
 Ego = Annotated[str, typer.Option(help="Entity under test.")]
 Other = Annotated[str, typer.Option(help="Entity it is measured against.")]
 Metrics = Annotated[
-    list[str], typer.Option("--metric", metavar="NAME", help="Criticality metric; the first is searched.")
+    list[str],
+    typer.Option("--metric", metavar="NAME", help="Criticality metric, all are stored; the first is searched."),
 ]
 Seed = Annotated[int, typer.Option(help="Same seed, same result.", min=0)]
 TimeStep = Annotated[float, typer.Option(metavar="S", help="Time step in s.")]
@@ -81,11 +82,30 @@ def explore(
     continuous: Annotated[
         bool, typer.Option("--continuous", help="Search ranges that have steps as intervals.")
     ] = False,
-    optimizer: Annotated[str, typer.Option(metavar="NAME", help="bayes, level-set, sobol, grid or random.")] = "bayes",
+    optimizer: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="bayes, level-set, evolutionary, optuna, sobol, grid or random; options behind a colon, as in"
+            " bayes:filling=0.",
+        ),
+    ] = "bayes",
     critical: Annotated[
         float | None,
+        typer.Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own."),
+    ] = None,
+    weight: Annotated[
+        list[str] | None,
+        typer.Option("--weight", metavar="METRIC=W", help="Search the weighted sum of these metrics."),
+    ] = None,
+    pareto: Annotated[bool, typer.Option("--pareto", help="Search the Pareto front of all metrics.")] = False,
+    stop_when: Annotated[
+        list[str] | None,
         typer.Option(
-            metavar="X", help="Score from which a scenario is critical; default: the metric's own. For level-set."
+            "--stop-when",
+            metavar="WHAT<X",
+            help="Stop when so much is known of the critical set: missed<0.01, interval<0.05 or"
+            " overlooked(0.01)<0.05; of several all.",
         ),
     ] = None,
     budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=1)] = 200,
@@ -128,6 +148,9 @@ def explore(
             metrics=tuple(metric),
             optimizer=optimizer,
             critical=critical,
+            weights=_weights(weight or ()),
+            pareto=pareto,
+            stop_when=tuple(stop_when or ()),
             budget=budget,
             batch=batch,
             seed=seed,
@@ -500,6 +523,20 @@ def _pairs(texts: list[str] | tuple[str, ...], option: str) -> dict[str, str]:
             raise InputError(f"{option} {text}: write it as NAME=VALUE.")
         pairs[name] = value
     return pairs
+
+
+def _weights(texts: list[str] | tuple[str, ...]) -> dict[str, float]:
+    weights = {}
+    for text in texts:
+        # A metric may have options with an equals sign of their own.
+        name, _, value = text.rpartition("=")
+        try:
+            weights[name] = float(value)
+        except ValueError:
+            name = ""
+        if not name:
+            raise InputError(f"--weight {text}: write it as METRIC=NUMBER.")
+    return weights
 
 
 def _number_or_auto(text: str, option: str) -> float | Literal["auto"]:

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -14,13 +15,19 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from cornercase.critical_set import CriticalSet
 from cornercase.errors import InputError, SimulationError
 from cornercase.interrupts import noted_interrupts
 from cornercase.metrics.base import Metric
+from cornercase.objective import Best, Objective
 from cornercase.optimizers.base import Optimizer
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.simulators.base import Simulator
+from cornercase.stopping import Criterion
 from cornercase.study import Row, Study
+
+# With fewer scenarios nothing is said about a critical set.
+_LEAST = 40
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,7 @@ class ScenarioExplorer:
     optimizer : Optimizer
         A fresh one: it is told what the study holds.
     metrics : sequence of Metric
-        All are stored; the first is searched.
+        All are stored; the first is searched where there is no objective.
     ego, other : str
     study : Study
         Open for writing.
@@ -67,6 +74,14 @@ class ScenarioExplorer:
         before. A score at the metric's cap is not critical and never new after the first.
     max_seconds : float, optional
         Time after which no round is begun.
+    objective : Objective, optional
+        What of the metrics is searched.
+    stop_when : sequence of Criterion
+        Enough is known when all of them are fulfilled.
+    critical : float, optional
+        For them: score up to which, as a search is told of it, a scenario is critical.
+    seed : int, default 0
+        For them.
     """
 
     def __init__(
@@ -83,15 +98,22 @@ class ScenarioExplorer:
         batch: int = 10,
         patience: int | None = None,
         max_seconds: float | None = None,
+        objective: Objective | None = None,
+        stop_when: Sequence[Criterion] = (),
+        critical: float | None = None,
+        seed: int = 0,
     ) -> None:
-        if not metrics:
-            raise InputError("There is no metric to search; name one with --metric.")
+        self._objective = Objective(metrics) if objective is None else objective
+        if stop_when and critical is None:
+            raise InputError("A criterion about the critical set needs to know what is critical.")
         self._logical, self._simulator, self._optimizer = logical, simulator, optimizer
         self._metrics, self._ego, self._other, self._study = list(metrics), ego, other, study
         self._budget, self._batch = budget, batch
         self._patience, self._max_seconds = patience, max_seconds
         self._spent: dict[str, float] = {}
-        self._best, self._stale = np.inf, 0
+        self._best, self._stale = Best(self._objective), 0
+        self._stop_when, self._critical, self._seed = tuple(stop_when), critical, seed
+        self._points, self._told = np.zeros((0, logical.space.dimension)), np.zeros(0)
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion is fulfilled.
@@ -105,7 +127,7 @@ class ScenarioExplorer:
         -------
         ExplorationResult
         """
-        bar = _Bar(self._budget, self._metrics[0].unit) if progress else None
+        bar = _Bar(self._budget) if progress else None
         try:
             with noted_interrupts() as check:
                 reason = self._run(bar, check)
@@ -122,13 +144,16 @@ class ScenarioExplorer:
         done, number = self._go_on(bar)
         while True:
             check_interrupt()
-            self._show(bar, done, self._best)
+            if bar is not None:
+                bar.update(done, self._best.text)
             if done >= self._budget:
                 return f"the budget of {self._budget} scenarios is used up"
             if self._patience is not None and self._stale >= self._patience:
                 return f"{self._patience} rounds brought nothing new"
             if self._max_seconds is not None and time.monotonic() - begun >= self._max_seconds:
                 return f"{self._max_seconds:g} s have passed"
+            if (enough := self._enough()) is not None:
+                return enough
             with self._clock("optimize"):
                 points = self._optimizer.ask(min(self._batch, self._budget - done))
             if len(points) == 0:
@@ -143,17 +168,19 @@ class ScenarioExplorer:
     def _go_on(self, bar: _Bar | None) -> tuple[int, int]:
         """Finish what a killed explorer left pending, and tell the optimizer all; how many scenarios and rounds."""
         rows = self._study.rows()
-        found = self._study.scores(self._metrics[0].name).tolist()
-        scores = dict(zip((row.id for row in rows if row.state == "done"), map(self._flip, found), strict=True))
+        found = np.stack([self._study.scores(metric.name) for metric in self._metrics], axis=1)
+        told = self._objective.told(found)
+        scores = dict(zip((row.id for row in rows if row.state == "done"), told, strict=True))
         for _, members in groupby(rows, key=lambda row: row.round):
-            told = list(members)
-            scores |= self._simulate([row for row in told if row.state == "pending"], bar)
-            self._tell(told, scores)
+            again = list(members)
+            scores |= self._simulate([row for row in again if row.state == "pending"], bar)
+            self._tell(again, scores)
         return len(rows), rows[-1].round if rows else 0
 
-    def _simulate(self, rows: list[Row], bar: _Bar | None) -> dict[int, float]:
-        """Run scenarios, and store each when it has ended; scores by scenario, NaN for those that failed."""
-        scores, best = dict.fromkeys((row.id for row in rows), np.nan), self._best
+    def _simulate(self, rows: list[Row], bar: _Bar | None) -> dict[int, Any]:
+        """Run scenarios, and store each when it has ended; what is told of those that did not fail."""
+        scores: dict[int, Any] = {}
+        best = copy(self._best)
         results = self._simulator.run([self._logical.concrete(row.values) for row in rows]) if rows else iter(())
         for row in rows:
             with self._clock("simulate"):
@@ -167,26 +194,35 @@ class ScenarioExplorer:
                     course = metric.course(result, self._ego, self._other)
                     courses[metric.name] = (course, metric.score(course))
             self._study.finish(row.id, result, courses)
-            scores[row.id] = self._flip(courses[self._metrics[0].name][1])
-            best = min(best, scores[row.id])
-            self._show(bar, row.id, best)
+            scores[row.id] = self._objective.told(np.array([[score for _, score in courses.values()]]))[0]
+            best.add(scores[row.id][None])
+            if bar is not None:
+                bar.update(row.id, best.text)
         return scores
 
-    def _tell(self, rows: list[Row], by_scenario: Mapping[int, float]) -> None:
-        scores = np.array([by_scenario.get(row.id, np.nan) for row in rows])
-        self._optimizer.tell(np.array([row.point for row in rows]), scores)
-        best = np.nanmin(scores) if np.isfinite(scores).any() else np.inf
-        # Where many scenarios reach the lowest score there is, each of them is news; the cap is no news.
-        new = best < self._best or (best == self._best and best < self._flip(self._metrics[0].cap))
-        self._stale = 0 if new else self._stale + 1
-        self._best = min(self._best, float(best))
+    def _tell(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> None:
+        failed = np.full_like(self._objective.uncritical, np.nan)
+        missing = failed if self._objective.pareto else np.nan
+        told = np.array([by_scenario.get(row.id, missing) for row in rows])
+        points = np.array([row.point for row in rows])
+        self._optimizer.tell(points, told)
+        self._stale = 0 if self._best.add(told) else self._stale + 1
+        if self._stop_when:
+            self._points, self._told = np.concatenate([self._points, points]), np.concatenate([self._told, told])
 
-    def _show(self, bar: _Bar | None, done: int, best: float) -> None:
-        if bar is not None:
-            bar.update(done, self._flip(best))
-
-    def _flip(self, score: float) -> float:
-        return score if self._metrics[0].lower_is_critical else -score
+    def _enough(self) -> str | None:
+        """Why enough is known of the critical set; None while it is not."""
+        if not self._stop_when or self._critical is None or len(self._told) < _LEAST:
+            return None
+        with self._clock("judge"):
+            try:
+                known = CriticalSet(self._logical.space, self._points, self._told, self._critical, self._seed)
+            except ValueError:
+                return None
+            values = [criterion.value(known) for criterion in self._stop_when]
+        if any(value >= one.below for one, value in zip(self._stop_when, values, strict=True)):
+            return None
+        return " and ".join(one.words(value) for one, value in zip(self._stop_when, values, strict=True))
 
     @contextmanager
     def _clock(self, stage: str) -> Iterator[None]:
@@ -208,10 +244,9 @@ class ScenarioExplorer:
 class _Bar:
     """Progress with the best score, rate and time left: a bar on a terminal, now and then a line elsewhere."""
 
-    def __init__(self, total: int, unit: str) -> None:
-        self._total, self._unit = total, unit
+    def __init__(self, total: int) -> None:
+        self._total = total
         self._begun, self._first, self._said, self._done = time.monotonic(), -1, 0.0, -1
-        self._best = ""
         console = Console(stderr=True)
         self._progress: Progress | None = None
         self._task: Any = None
@@ -228,19 +263,17 @@ class _Bar:
             self._progress.start()
             self._task = self._progress.add_task("", total=total, rate="", best="")
 
-    def update(self, done: int, best: float) -> None:
-        if np.isfinite(best):
-            self._best = f"best {best:.3g} {self._unit}"
+    def update(self, done: int, best: str) -> None:
         if self._first < 0:
             self._first = done
         now = time.monotonic()
         rate = (done - self._first) / max(now - self._begun, 1e-9)
         if self._progress is not None:
-            self._progress.update(self._task, completed=done, rate=f"{rate:.1f}/s", best=self._best)
+            self._progress.update(self._task, completed=done, rate=f"{rate:.1f}/s", best=best)
         elif now - self._said > 5.0 or (done >= self._total and done != self._done):
             self._said, self._done = now, done
             left = f"{(self._total - done) / rate:.0f} s left" if rate > 0 else "starting"
-            said = [f"{done} of {self._total} scenarios", f"{rate:.1f}/s", left, self._best]
+            said = [f"{done} of {self._total} scenarios", f"{rate:.1f}/s", left, best]
             print(", ".join(filter(None, said)), file=sys.stderr, flush=True)
 
     def stop(self) -> None:

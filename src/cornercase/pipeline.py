@@ -11,13 +11,14 @@ from cornercase import __version__
 from cornercase.errors import InputError, suggestion
 from cornercase.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.metrics import METRICS
-from cornercase.metrics.base import threshold
+from cornercase.objective import Objective
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.scenario.openscenario import Scenario
 from cornercase.simulators import SIMULATORS
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.parallel import ParallelSimulator
+from cornercase.stopping import Criterion
 from cornercase.study import Study
 
 
@@ -33,7 +34,13 @@ class Exploration:
         The first is searched.
     optimizer : str
     critical : float or None
-        Score from which a scenario is critical, for searches of the critical set; None for the metric's own.
+        Score from which a scenario is critical; None for the metric's own.
+    weights : mapping of str to float
+        For a weighted sum of the metrics, instead of the first.
+    pareto : bool
+        Whether to search the Pareto front of all metrics.
+    stop_when : tuple of str
+        What has to be known to stop, as ``"missed<0.01"``.
     budget, batch, seed : int
     patience : int or None
     max_seconds : float or None
@@ -52,6 +59,9 @@ class Exploration:
     metrics: tuple[str, ...]
     optimizer: str = "bayes"
     critical: float | None = None
+    weights: Mapping[str, float] = field(default_factory=dict)
+    pareto: bool = False
+    stop_when: tuple[str, ...] = ()
     budget: int = 200
     batch: int = 10
     seed: int = 0
@@ -80,14 +90,18 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
     if one.ego == one.other:
         raise InputError(f"--other {one.other}: is the ego itself; name the entity that it meets.")
     metrics = [METRICS.create(name) for name in dict.fromkeys(one.metrics)]
+    objective = Objective(metrics, one.weights, one.pareto)
+    criteria = [Criterion.parse(text) for text in one.stop_when]
+    kind = one.optimizer.partition(":")[0]
+    limit = _limit(objective, one.critical, required=kind == "level-set" or bool(criteria))
     options: dict[str, Any] = {}
-    critical = one.critical
-    if one.optimizer == "grid":
+    if kind == "grid":
         options["budget"] = one.budget
-    elif one.optimizer == "level-set":
-        critical = threshold(metrics[0], one.critical)
-        options["threshold"] = critical if metrics[0].lower_is_critical else -critical
+    elif kind == "level-set":
+        options["threshold"] = limit
     optimizer = OPTIMIZERS.create(one.optimizer, space=one.logical.space, seed=one.seed, **options)
+    if one.pareto and not getattr(optimizer, "takes_several", False):
+        raise InputError(f"--pareto: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     simulator = _simulator(one)
     meta = {
         "scenario": str(one.logical.path.resolve()),
@@ -97,7 +111,9 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
         "other": one.other,
         "metrics": [metric.name for metric in metrics],
         "optimizer": one.optimizer,
-        "critical": critical,
+        "critical": None if limit is None else objective.flip(limit),
+        "weights": dict(one.weights) or None,
+        "pareto": one.pareto or None,
         "seed": one.seed,
         "budget": one.budget,
         "batch": one.batch,
@@ -114,8 +130,19 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
         explorer = ScenarioExplorer(
             one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
             budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,
+            objective=objective, stop_when=criteria, critical=limit, seed=one.seed,
         )  # fmt: skip
         return explorer.run(progress)
+
+
+def _limit(objective: Objective, given: float | None, required: bool) -> float | None:
+    """Score up to which, as a search is told of it, a scenario is critical; None where nothing says it."""
+    try:
+        return objective.limit(given)
+    except InputError:
+        if required or given is not None:
+            raise
+        return None
 
 
 def finish(path: Path, folder: Path) -> None:
@@ -211,7 +238,8 @@ def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
         ("other", "another other entity"),
         ("metrics", "other metrics"),
         ("optimizer", "another optimizer"),
-        ("critical", "another threshold of what is critical"),
+        ("weights", "other weights of the metrics"),
+        ("pareto", "another objective"),
         ("seed", "another seed"),
         ("batch", "another batch size"),
         ("simulator", "another simulator"),
@@ -220,7 +248,14 @@ def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
         if study.meta.get(key) != meta[key]:
             study.close()
             raise InputError(f"{study.path}: belongs to {words}; name another study with -o, or give the same options.")
-    if study.meta["optimizer"] == "grid" and study.meta["budget"] != meta["budget"]:
+    # Earlier studies know a threshold only where the search needed one.
+    if study.meta.get("critical") not in (None, meta["critical"]):
+        study.close()
+        raise InputError(
+            f"{study.path}: belongs to another threshold of what is critical ({study.meta['critical']:g}); name"
+            " another study with -o, or give the same --critical."
+        )
+    if study.meta["optimizer"].startswith("grid") and study.meta["budget"] != meta["budget"]:
         study.close()
         raise InputError(
             f"{study.path}: belongs to a grid of {study.meta['budget']} scenarios; give the same --budget."

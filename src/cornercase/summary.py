@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
+from cornercase.critical_set import CriticalSet
 from cornercase.metrics import METRICS
+from cornercase.objective import Objective, on_front
+from cornercase.sensitivity import sensitivity
 from cornercase.study import Study
 
 
@@ -52,14 +56,10 @@ def summarize(study: Study) -> dict[str, Any]:
             "median": float(np.median(scores)),
             "at": done[worst].values,
         }
-    if done and meta.get("critical") is not None:
-        first = METRICS.create(meta["metrics"][0])
-        scores, limit = study.scores(first.name), float(meta["critical"])
-        critical = scores <= limit if first.lower_is_critical else scores >= limit
-        summary["critical"] = {
-            "is": f"{first.name} {'<=' if first.lower_is_critical else '>='} {limit:g} {first.unit}",
-            "scenarios": int(critical.sum()),
-        }
+    objective = Objective.of_study(meta)
+    summary["searched"] = objective.text
+    if done:
+        summary |= _known(study, objective)
     for name in study.analyses():
         labels = study.analysis(name)[0]["labels"]
         summary["clusters"][name] = {
@@ -70,6 +70,33 @@ def summarize(study: Study) -> dict[str, Any]:
     if reduction is not None:
         summary["kept"] = len(reduction["kept"])
     return summary
+
+
+def _known(study: Study, objective: Objective) -> dict[str, Any]:
+    """What is known of the front, of the critical set, and of the influence of each parameter."""
+    known: dict[str, Any] = {}
+    rows, meta = study.done(), study.meta
+    points = np.array([row.point for row in rows])
+    told = objective.told(np.stack([study.scores(metric.name) for metric in objective.metrics], axis=1))
+    if objective.pareto:
+        front = np.flatnonzero(on_front(told))
+        known["front"] = {
+            f"scenario {rows[k].id}": {m.name: float(study.scores(m.name)[k]) for m in objective.metrics} for k in front
+        }
+        return known
+    if meta.get("critical") is not None:
+        limit = float(meta["critical"])
+        low = objective.weights or objective.metrics[0].lower_is_critical
+        known["critical"] = {
+            "is": f"{objective.text} {'<=' if low else '>='} {limit:g} {objective.unit}".rstrip(),
+            "scenarios": int((told <= objective.flip(limit)).sum()),
+        }
+        with suppress(ValueError):
+            critical_set = CriticalSet(study.space, points, told, objective.flip(limit), meta["seed"])
+            known["critical"] |= critical_set.to_json()
+    with suppress(ValueError):
+        known["sensitivity"] = sensitivity(study.space, points, told, meta["seed"]).to_json()
+    return known
 
 
 def collisions(study: Study) -> int:

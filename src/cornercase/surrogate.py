@@ -20,7 +20,7 @@ Floats = npt.NDArray[np.floating[Any]]
 
 _ROOT5 = float(np.sqrt(5.0))
 _CHUNK, _LEARNED = 1024, 160
-_NEAR, _NOISES = 0.5, (0.02, 0.3, 1.0)
+_MANY, _NOISES = 100, (0.02, 0.3, 1.0)
 _WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-6
 
 
@@ -49,7 +49,8 @@ def near_threshold(scores: FloatArray, threshold: float) -> FloatArray:
     """Scores with the threshold at 0, drawn together by a hyperbolic tangent where they are far from it.
 
     What lies far from the threshold says little about the boundary of the critical set, and a process that need not
-    follow it follows the boundary better. Half a standard deviation counts as near.
+    follow it follows the boundary better. But it leads to regions that were not met yet; so one standard deviation
+    counts as near with up to 100 scores, and less with more of them, down to the half.
 
     Parameters
     ----------
@@ -60,7 +61,8 @@ def near_threshold(scores: FloatArray, threshold: float) -> FloatArray:
     -------
     ndarray of float64, shape (n,)
     """
-    return np.tanh((scores - threshold) / (_NEAR * np.std(scores)))
+    near = np.clip(_MANY / len(scores), 0.5, 1.0)
+    return np.tanh((scores - threshold) / (near * np.std(scores)))
 
 
 def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:

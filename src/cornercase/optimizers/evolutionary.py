@@ -40,6 +40,7 @@ class EvolutionaryOptimizer:
     """
 
     name = "evolutionary"
+    takes_several = True
 
     def __init__(self, space: ParameterSpace, seed: int, population: int = 40) -> None:
         if population < 2:

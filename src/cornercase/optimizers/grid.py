@@ -22,6 +22,7 @@ class GridOptimizer:
     """
 
     name = "grid"
+    takes_several = True
 
     def __init__(self, space: ParameterSpace, seed: int, budget: int = 3375) -> None:
         self._told = 0

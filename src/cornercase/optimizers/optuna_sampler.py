@@ -41,6 +41,7 @@ class OptunaOptimizer:
     """
 
     name = "optuna"
+    takes_several = True
 
     def __init__(self, space: ParameterSpace, seed: int, sampler: str = "tpe") -> None:
         if sampler not in _SAMPLERS:

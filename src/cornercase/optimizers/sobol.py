@@ -28,6 +28,8 @@ class SequenceOptimizer:
         A scrambled Sobol' sequence (Owen 1998), or independent uniform points.
     """
 
+    takes_several = True
+
     def __init__(self, space: ParameterSpace, seed: int, kind: str) -> None:
         self.name = kind
         self._space, self._seed = space, seed

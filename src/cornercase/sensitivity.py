@@ -1,0 +1,103 @@
+"""Which parameters matter for a score, and which do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.stats import sobol_indices, uniform
+from threadpoolctl import threadpool_limits
+
+from cornercase.scenario.space import ParameterSpace
+from cornercase.surrogate import GaussianProcess, encoded
+from cornercase.typing import FloatArray
+
+_SAMPLES: Final = 4096
+_FEWEST: Final = 10
+LITTLE: Final = 0.05
+"""Total sensitivity below which a parameter counts as of little influence."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How much of a score's variance comes from each parameter.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the parameters.
+    first, total : tuple of float
+        Share of the variance that a parameter explains alone, and with all others together.
+    foretold : float
+        Share of the variance that the process behind it explains of scenarios that it was not told: how far the
+        figures can be relied on.
+    """
+
+    names: tuple[str, ...]
+    first: tuple[float, ...]
+    total: tuple[float, ...]
+    foretold: float
+
+    @property
+    def little(self) -> tuple[str, ...]:
+        """Parameters of little influence."""
+        return tuple(name for name, total in zip(self.names, self.total, strict=True) if total < LITTLE)
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as plain values."""
+        each = zip(self.names, self.first, self.total, strict=True)
+        return {
+            "parameters": {name: {"first order": first, "total": total} for name, first, total in each},
+            "foretold": self.foretold,
+            "of little influence": list(self.little),
+        }
+
+
+def sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, seed: int = 0) -> Sensitivity:
+    """Sobol' indices of the mean of a Gaussian process of the scores.
+
+    Parameters vary independently over their ranges; constraints are not looked at.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    points : ndarray of float64, shape (n, d)
+        In the unit cube.
+    scores : ndarray of float64, shape (n,)
+        NaN for a scenario that failed.
+    seed : int, default 0
+
+    Returns
+    -------
+    Sensitivity
+
+    Raises
+    ------
+    ValueError
+        There are fewer than 10 scores, or all are the same.
+
+    Notes
+    -----
+    Source: I. M. Sobol', "Global sensitivity indices for nonlinear mathematical models and their Monte Carlo
+    estimates", Mathematics and Computers in Simulation 55 (2001); A. Saltelli et al., "Variance based sensitivity
+    analysis of model output", Computer Physics Communications 181 (2010), with the estimators of scipy.
+    """
+    known = np.isfinite(scores)
+    points, scores = points[known], scores[known]
+    if len(scores) < _FEWEST or np.ptp(scores) == 0.0:
+        raise ValueError(f"At least {_FEWEST} different scores are needed.")
+    values = (scores - scores.mean()) / scores.std()
+    process = GaussianProcess(1.0).fit(encoded(space, points), values)
+    left = values - process.leave_one_out()[0]
+
+    def foretell(places: FloatArray) -> FloatArray:
+        mean, _, _ = process.predict(encoded(space, space.snap(places.T)))
+        return mean[None, :]
+
+    each: Any = [uniform()] * space.dimension
+    with threadpool_limits(limits=1):
+        found: Any = sobol_indices(func=foretell, n=_SAMPLES, dists=each, rng=np.random.default_rng(seed))
+    # Without variance they are not defined, and nothing matters.
+    first, total = (np.clip(np.nan_to_num(index.ravel()), 0.0, 1.0) for index in (found.first_order, found.total_order))
+    return Sensitivity(space.names, tuple(first.tolist()), tuple(total.tolist()), float(1.0 - np.mean(left**2)))
