@@ -62,7 +62,7 @@ def near_threshold(scores: FloatArray, threshold: float) -> FloatArray:
     ndarray of float64, shape (n,)
     """
     near = np.clip(_MANY / len(scores), 0.5, 1.0)
-    return np.tanh((scores - threshold) / (near * np.std(scores)))
+    return np.asarray(np.tanh((scores - threshold) / (near * np.std(scores))))
 
 
 def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:

@@ -31,7 +31,7 @@ class LevelSetOptimizer(CandidateOptimizer):
         Score up to which a scenario is critical.
     candidates : int, default 20000
         Points among which a round chooses; drawn anew for each.
-    filling : float, default 0.1
+    filling : float, default 0.2
         Share of the points that fills the space.
 
     Notes
@@ -43,7 +43,7 @@ class LevelSetOptimizer(CandidateOptimizer):
     name = "level-set"
 
     def __init__(
-        self, space: ParameterSpace, seed: int, threshold: float, candidates: int = 20_000, filling: float = 0.1
+        self, space: ParameterSpace, seed: int, threshold: float, candidates: int = 20_000, filling: float = 0.2
     ) -> None:
         super().__init__(space, seed, initial=_INITIAL, candidates=candidates, filling=filling)
         self.threshold = threshold
