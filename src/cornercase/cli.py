@@ -104,8 +104,8 @@ def explore(
         typer.Option(
             "--stop-when",
             metavar="WHAT<X",
-            help="Stop when so much is known of the critical set: missed<0.01, interval<0.05 or"
-            " overlooked(0.01)<0.05; of several all.",
+            help="Stop when so much is known of the critical set: missed<0.01, interval<0.05,"
+            " overlooked(0.01)<0.05, unvisited(0.01)<0.05; of several all.",
         ),
     ] = None,
     budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=1)] = 200,
@@ -512,6 +512,7 @@ def _show(key: str, value: Any, indent: str = "") -> None:
             _show(inner, one, indent + "  ")
     else:
         text = ", ".join(map(str, value)) if isinstance(value, list) else value
+        text = f"{text:.6g}" if isinstance(text, float) else text
         _out.print(f"{indent}{key}: {text}", markup=False)
 
 

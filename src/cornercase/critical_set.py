@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -48,7 +49,8 @@ class CriticalSet:
     to it as its weight. Critical sets are drawn with these probabilities, with the correlation of the process from
     place to place, and with a and b from their own posterior.
 
-    Found is what the process takes for critical: where its mean is beyond the threshold.
+    Found is what was run and is critical, and elsewhere what the process takes for critical: where its mean is
+    beyond the threshold.
 
     Parameters
     ----------
@@ -87,13 +89,17 @@ class CriticalSet:
         self._process = boundary_process(self._ran, scores, threshold)
         mean, deviation, _ = self._process.predict(self._at)
         self._t = mean / np.hypot(deviation, self._process.noise)
-        self._is_found = mean <= 0.0
         self._space = space
+        self._outcome = dict(
+            zip(map(bytes, space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True)
+        )
+        self._certain = self._seen(self._places)
+        self._is_found = np.where(self._certain == 0.0, mean <= 0.0, self._certain > 0.0)
         self._rng = np.random.default_rng(seed)
         # Sums in one order, whatever the number of threads.
         with threadpool_limits(limits=1):
             self._learn()
-            self._draw(space, points)
+            self._draw()
 
     def _learn(self) -> None:
         """Find how the probabilities are to be corrected."""
@@ -112,27 +118,25 @@ class CriticalSet:
         best = minimize(loss, np.zeros(2), method="BFGS")
         self._correction = self._rng.multivariate_normal(best.x, np.asarray(best.hess_inv), _DRAWS)
 
-    def _draw(self, space: ParameterSpace, points: FloatArray) -> None:
+    def _draw(self) -> None:
         """Draw critical sets on some of the places, and the critical share on all."""
-        part = min(_JOINT, len(self._at))
-        factor, deviation = self._process.joint(self._at[:part])
-        normal = factor @ self._rng.standard_normal((part, _DRAWS)) / deviation[:, None]
-        limit = self._limit(slice(None, part))
-        drawn = normal <= limit
-        ran = {point.tobytes(): critical for point, critical in zip(space.snap(points), self._critical, strict=True)}
-        for i, place in enumerate(self._places[:part]):
-            if (known := ran.get(place.tobytes())) is not None:
-                drawn[i] = known
-        self._drawn: BoolArray = drawn
+        part = slice(None, min(_JOINT, len(self._at)))
+        factor, deviation = self._process.joint(self._at[part])
+        normal = factor @ self._rng.standard_normal((len(factor), _DRAWS)) / deviation[:, None]
+        limit = self._limit(part)
+        self._drawn: BoolArray = normal <= limit
         # Few places give the spread, many the level.
         level = np.zeros(_DRAWS)
         for first in range(0, len(self._at), _JOINT):
             level += norm.cdf(self._limit(slice(first, first + _JOINT))).sum(axis=0)
-        self._shares = np.clip(drawn.mean(axis=0) + level / len(self._at) - norm.cdf(limit).mean(axis=0), 0.0, 1.0)
+        shares = self._drawn.mean(axis=0) + level / len(self._at) - norm.cdf(limit).mean(axis=0)
+        self._shares = np.clip(shares, 0.0, 1.0)
 
     def _limit(self, part: slice) -> FloatArray:
+        """Normal deviate up to which a place is critical in each draw; infinite where it was run."""
         a, log_b = self._correction.T
-        return np.asarray(-(a + np.exp(log_b) * self._t[part, None]))
+        limit = -(a + np.exp(log_b) * self._t[part, None])
+        return np.where(self._certain[part, None] == 0.0, limit, self._certain[part, None])
 
     def found(self, points: FloatArray) -> BoolArray:
         """Whether scenarios are taken for critical.
@@ -146,7 +150,12 @@ class CriticalSet:
         ndarray of bool, shape (n,)
         """
         mean, _, _ = self._process.predict(encoded(self._space, points))
-        return np.asarray(mean <= 0.0)
+        seen = self._seen(points)
+        return np.where(seen == 0.0, mean <= 0.0, seen > 0.0)
+
+    def _seen(self, points: FloatArray) -> FloatArray:
+        """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""
+        return np.array([self._outcome.get(bytes(point), 0.0) for point in self._space.snap(points)])
 
     @cached_property
     def share(self) -> Estimate:
@@ -160,7 +169,7 @@ class CriticalSet:
         return _estimate(unseen / np.maximum(self._drawn.sum(axis=0), 1))
 
     def overlooked(self, size: float = 0.01) -> float:
-        """Probability that no scenario was run in some critical region.
+        """Probability, by the process, that no scenario was run in some critical region.
 
         Parameters
         ----------
@@ -181,6 +190,24 @@ class CriticalSet:
             overlooked += bool(((sizes >= max(size * count, 1.0)) & ~hit).any())
         return overlooked / _DRAWS
 
+    def unvisited(self, size: float = 0.01) -> float:
+        """Share of the space around which a ball of a given size holds none of the scenarios that were run.
+
+        What the process says of a region rests on what was run around it. This rests on nothing but where that was:
+        a critical region of this size that lies anywhere is met with one minus this probability.
+
+        Parameters
+        ----------
+        size : float, default 0.01
+            Share of the space that the ball takes; it keeps to one choice of each parameter with names.
+        """
+        numbers = [one for one in self._space.parameters if not one.choices and one.size != 1]
+        dims, choices = len(numbers), math.prod(len(one.choices) or 1 for one in self._space.parameters)
+        ball = np.pi ** (dims / 2) / math.gamma(dims / 2 + 1)
+        radius = (size * choices / ball) ** (1 / dims) if dims else 0.0
+        # Choices are at a distance of 1 from each other.
+        return float(np.mean(cKDTree(self._ran).query(self._at)[0] > min(radius, 0.999)))
+
     @cached_property
     def _edges(self) -> IntArray:
         """Pairs of neighbours among the places and the scenarios that were run, shape (2, E)."""
@@ -195,6 +222,7 @@ class CriticalSet:
             "share": vars(self.share),
             "missed": vars(self.missed),
             "overlooked": {"value": self.overlooked(), "size": 0.01},
+            "unvisited": {"value": self.unvisited(), "size": 0.01},
         }
 
 

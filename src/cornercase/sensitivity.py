@@ -26,7 +26,7 @@ class Sensitivity:
     Attributes
     ----------
     names : tuple of str
-        Of the parameters.
+        Of the parameters that have more than one value.
     first, total : tuple of float
         Share of the variance that a parameter explains alone, and with all others together.
     foretold : float
@@ -99,5 +99,8 @@ def sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, s
     with threadpool_limits(limits=1):
         found: Any = sobol_indices(func=foretell, n=_SAMPLES, dists=each, rng=np.random.default_rng(seed))
     # Without variance they are not defined, and nothing matters.
-    first, total = (np.clip(np.nan_to_num(index.ravel()), 0.0, 1.0) for index in (found.first_order, found.total_order))
-    return Sensitivity(space.names, tuple(first.tolist()), tuple(total.tolist()), float(1.0 - np.mean(left**2)))
+    varied = [one.size != 1 for one in space.parameters]
+    names = tuple(name for name, varies in zip(space.names, varied, strict=True) if varies)
+    indices = (index.ravel()[varied] for index in (found.first_order, found.total_order))
+    first, total = (np.clip(np.nan_to_num(index), 0.0, 1.0).tolist() for index in indices)
+    return Sensitivity(names, tuple(first), tuple(total), float(1.0 - np.mean(left**2)))

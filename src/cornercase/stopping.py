@@ -10,6 +10,9 @@ from cornercase.errors import InputError
 
 _FORM = re.compile(r"(?P<what>[a-z]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
 
+_SIZED = ("overlooked", "unvisited")
+_KINDS = ("missed", "interval", *_SIZED)
+
 
 @dataclass(frozen=True)
 class Criterion:
@@ -17,9 +20,10 @@ class Criterion:
 
     Attributes
     ----------
-    what : {"missed", "interval", "overlooked"}
+    what : {"missed", "interval", "overlooked", "unvisited"}
         The upper end of the 90 % interval of the share of the critical set that is missed; the width of that of the
-        critical share of the space; the probability that a critical region was overlooked.
+        critical share of the space; the probability that a critical region was overlooked; the share of the space
+        around which nothing was run.
     below : float
     size : float
         Share of the space from which a region counts.
@@ -38,12 +42,13 @@ class Criterion:
         InputError
         """
         match = _FORM.fullmatch(text.replace(" ", ""))
-        if match is None or match["what"] not in ("missed", "interval", "overlooked"):
+        if match is None or match["what"] not in _KINDS:
             raise InputError(
-                f"--stop-when {text}: write it as missed<0.01, interval<0.05 or overlooked(0.01)<0.05, in quotes."
+                f"--stop-when {text}: write it as missed<0.01, interval<0.05, overlooked(0.01)<0.05 or"
+                " unvisited(0.01)<0.05, in quotes."
             )
-        if match["size"] is not None and match["what"] != "overlooked":
-            raise InputError(f"--stop-when {text}: only overlooked takes a size.")
+        if match["size"] is not None and match["what"] not in _SIZED:
+            raise InputError(f"--stop-when {text}: only overlooked and unvisited take a size.")
         return cls(match["what"], _share(match["below"], text), _share(match["size"] or "0.01", text))
 
     def value(self, known: CriticalSet) -> float:
@@ -52,7 +57,7 @@ class Criterion:
             return known.missed.high
         if self.what == "interval":
             return known.share.high - known.share.low
-        return known.overlooked(self.size)
+        return known.overlooked(self.size) if self.what == "overlooked" else known.unvisited(self.size)
 
     def words(self, value: float) -> str:
         """Say what was reached."""
@@ -60,6 +65,8 @@ class Criterion:
             return f"at most {value:.2%} of the critical set is missed"
         if self.what == "interval":
             return f"the critical share is known within {value:.2%}"
+        if self.what == "unvisited":
+            return f"a region of {self.size:.2%} in {value:.2%} of the space would hold nothing that was run"
         return f"with a probability of {value:.2%} a critical region of {self.size:.2%} or more was overlooked"
 
 

@@ -59,7 +59,7 @@ def summarize(study: Study) -> dict[str, Any]:
     objective = Objective.of_study(meta)
     summary["searched"] = objective.text
     if done:
-        summary |= _known(study, objective)
+        summary |= knowledge(study, objective)
     for name in study.analyses():
         labels = study.analysis(name)[0]["labels"]
         summary["clusters"][name] = {
@@ -72,8 +72,21 @@ def summarize(study: Study) -> dict[str, Any]:
     return summary
 
 
-def _known(study: Study, objective: Objective) -> dict[str, Any]:
-    """What is known of the front, of the critical set, and of the influence of each parameter."""
+def knowledge(study: Study, objective: Objective) -> dict[str, Any]:
+    """What is known of the front, of the critical set, and of the influence of each parameter.
+
+    Parameters
+    ----------
+    study : Study
+        In which some scenario ended.
+    objective : Objective
+        The study's own.
+
+    Returns
+    -------
+    dict
+        ``front``, or ``critical`` and ``sensitivity`` as far as there is enough to say something.
+    """
     known: dict[str, Any] = {}
     rows, meta = study.done(), study.meta
     points = np.array([row.point for row in rows])

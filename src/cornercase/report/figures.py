@@ -211,5 +211,49 @@ def hulls(
     return figure
 
 
+def sensitivities(names: Sequence[str], first: Sequence[float], total: Sequence[float]) -> Figure:
+    """Share of the score's variance that each parameter explains, alone and with the others.
+
+    Parameters
+    ----------
+    names : sequence of str, length d
+    first, total : sequence of float, length d
+    """
+    figure = Figure(figsize=(8.0, 1.2 + 0.5 * len(names)), layout="constrained")
+    axis = figure.add_subplot()
+    place = np.arange(len(names))
+    axis.barh(place - 0.2, total, 0.38, color=_COLOURS[0], label="with all others (total)")
+    axis.barh(place + 0.2, first, 0.38, color=_COLOURS[4], hatch="//", edgecolor="white", label="alone (first order)")
+    axis.set_yticks(place, [_shortened(name) for name in names])
+    axis.invert_yaxis()
+    axis.set_xlim(0.0, 1.0)
+    axis.set_xlabel("share of the variance of the score [1]")
+    axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
+def front(scores: Sequence[FloatArray], metrics: Sequence[Metric], chosen: Sequence[int]) -> Figure:
+    """Scores of each pair of metrics, with the Pareto front.
+
+    Parameters
+    ----------
+    scores : sequence of ndarray of float64, each (n,)
+    metrics : sequence of Metric, length k
+    chosen : sequence of int
+        Scenarios on the front, by their row.
+    """
+    pairs = list(combinations(range(len(metrics)), 2))[:6]
+    figure = Figure(figsize=(5.0 * min(3, len(pairs)) + 1.6, 4.2 * -(-len(pairs) // 3)), layout="constrained")
+    for axis, (i, j) in zip(figure.subplots(-(-len(pairs) // 3), min(3, len(pairs)), squeeze=False).ravel(), pairs,
+                            strict=False):  # fmt: skip
+        axis.scatter(scores[i], scores[j], c=_NOISE, s=16, linewidths=0, label="run")
+        rows = list(chosen)
+        axis.scatter(scores[i][rows], scores[j][rows], c=_COLOURS[1], marker="D", s=30, label="Pareto front")
+        axis.set_xlabel(_score_name(metrics[i]))
+        axis.set_ylabel(_score_name(metrics[j]))
+    axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
 def _score_name(metric: Metric) -> str:
     return f"{metric.name} score [{metric.unit}], {'low' if metric.lower_is_critical else 'high'} is critical"

@@ -15,8 +15,10 @@ from cornercase.errors import InputError
 from cornercase.files import written_whole
 from cornercase.metrics import METRICS
 from cornercase.metrics.base import Metric, capped
+from cornercase.objective import Objective
 from cornercase.report import figures
 from cornercase.study import Row, Study
+from cornercase.summary import knowledge
 from cornercase.typing import FloatArray
 
 _STYLE: Final = """
@@ -65,6 +67,7 @@ class _Page:
         self._study, self._path = study, path
         self._rows = study.done()
         self._metrics: list[Metric] = [METRICS.create(name) for name in study.meta["metrics"]]
+        self._objective = Objective.of_study(study.meta)
         self._scores = {metric.name: study.scores(metric.name) for metric in self._metrics}
         self._recordings = {row.id: study.recording(row.id) for row in self._rows}
         # Choices are drawn by their number.
@@ -83,6 +86,7 @@ class _Page:
     def parts(self) -> Iterable[str]:
         yield from self._head()
         yield from self._criticality()
+        yield from self._knowledge()
         for name in self._study.analyses():
             yield from self._clustering(name)
         yield from self._reduction()
@@ -109,7 +113,7 @@ class _Page:
         yield f"<h1>{escape(Path(meta['scenario']).stem)}</h1>"
         yield (
             f"<p>{escape(meta['ego'])} is the ego, {escape(meta['other'])} the other. Searched by"
-            f" {escape(meta['optimizer'])} for the most critical {escape(meta['metrics'][0])}.</p>"
+            f" {escape(meta['optimizer'])} for {escape(self._objective.text)}.</p>"
         )
         numbers = {
             "scenarios run": len(self._rows),
@@ -133,6 +137,35 @@ class _Page:
                 f"criticality-{metric.name}",
                 f"Each scenario that was run, by its {metric.name} score. The most critical one is scenario"
                 f" {self._rows[worst].id} with {scores[worst]:.3g}{_unit(metric)} ({at}).",
+            )
+
+    def _knowledge(self) -> Iterable[str]:
+        known = knowledge(self._study, self._objective)
+        if "front" in known:
+            yield "<h2>The Pareto front</h2>"
+            rows = [k for k, row in enumerate(self._rows) if f"scenario {row.id}" in known["front"]]
+            scores = [self._scores[metric.name] for metric in self._metrics]
+            yield self._figure(
+                figures.front(scores, self._metrics, rows),
+                "front",
+                f"Each scenario that was run, by its scores. Of {len(rows)} no other is as critical in every metric and"
+                " more critical in one.",
+            )
+        if "share" in known.get("critical", {}):
+            yield "<h2>What is known of the critical set</h2>"
+            yield _critical_set(known["critical"], len(self._rows))
+        if "sensitivity" in known:
+            yield "<h2>What matters</h2>"
+            found = known["sensitivity"]
+            each, little = found["parameters"], found["of little influence"]
+            yield self._figure(
+                figures.sensitivities(
+                    list(each), [one["first order"] for one in each.values()], [one["total"] for one in each.values()]
+                ),
+                "sensitivity",
+                f"How much of the variance of {self._objective.text} comes from each parameter, by a Gaussian process"
+                f" that foretells {max(found['foretold'], 0.0):.0%} of the variance of scenarios that it was not told."
+                + (f" Of little influence: {', '.join(little)}." if little else ""),
             )
 
     def _clustering(self, name: str) -> Iterable[str]:
@@ -278,6 +311,34 @@ class _Page:
         return (
             f"<figure><img alt='{text}' src='data:image/png;base64,{source}'><figcaption>{text}</figcaption></figure>"
         )
+
+
+def _critical_set(known: dict[str, Any], run: int) -> str:
+    def share(estimate: dict[str, float]) -> list[str]:
+        return [f"{estimate['value']:.2%}", f"{estimate['low']:.2%} to {estimate['high']:.2%}"]
+
+    table = _table(
+        ["what", "estimate", "90 % interval"],
+        [
+            ["critical share of the space", *share(known["share"])],
+            ["share of the critical set that is missed", *share(known["missed"])],
+            [
+                f"probability that a region of {known['overlooked']['size']:.0%} of the space was overlooked",
+                f"{known['overlooked']['value']:.2%}",
+                "",
+            ],
+            [
+                f"share of the space where a region of {known['unvisited']['size']:.0%} would hold nothing run",
+                f"{known['unvisited']['value']:.2%}",
+                "",
+            ],
+        ],
+    )
+    return (
+        f"<p>A scenario is critical where {escape(known['is'])}: {known['scenarios']} of the {run} that were run.</p>"
+        f"{table}<p>All but the last figure come from a Gaussian process of the scores, corrected by how well it"
+        " foretells each scenario that was run from all others.</p>"
+    )
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = (0,)) -> str:
