@@ -197,7 +197,7 @@ def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...]) -> dict[s
             optimizer.tell(new, judge.scores[judge.places(new)])
             spent, proposals = spent + time.perf_counter() - begin, proposals + len(new)
             points = np.concatenate([points, new])
-            if kind == "level-set" and stop is None and len(points) % 20 == 0:
+            if kind == "level-set" and stop is None and len(points) >= 40 and len(points) % 20 == 0:
                 row = judge.row(points, seed)
                 if row.get("most missed", 1.0) < STOP:
                     stop = {"scenarios": len(points), "missed": 1.0 - row["recall"]}

@@ -581,7 +581,7 @@ def test_options_stand_behind_a_colon():
     assert METRICS.create("traffic-quality-macro").name == "traffic-quality-macro"
     for name, sentence in (
         ("ttc:fast=true", "does not take the options 'fast=true'"),
-        ("ttc:accelerating", "as in 'ttc:accelerating=true'"),
+        ("ttc:accelerating", "as in 'ttc:name=value'"),
         ("wtc:accelerating=true", "did you mean 'wttc'"),
         ("drac:x=1", "drac"),
         ("delta-v:masses=5", "delta-v"),

@@ -96,6 +96,8 @@ def sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, s
         return mean[None, :]
 
     each: Any = [uniform()] * space.dimension
+    if space.dimension == 1:
+        return Sensitivity(space.names, (1.0,), (1.0,), float(1.0 - np.mean(left**2)))
     with threadpool_limits(limits=1):
         found: Any = sobol_indices(func=foretell, n=_SAMPLES, dists=each, rng=np.random.default_rng(seed))
     # Without variance they are not defined, and nothing matters.

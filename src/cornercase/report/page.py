@@ -113,7 +113,7 @@ class _Page:
         yield f"<h1>{escape(Path(meta['scenario']).stem)}</h1>"
         yield (
             f"<p>{escape(meta['ego'])} is the ego, {escape(meta['other'])} the other. Searched by"
-            f" {escape(meta['optimizer'])} for {escape(self._objective.text)}.</p>"
+            f" {escape(meta['optimizer'])} for {'the ' if self._objective.pareto else ''}{escape(self._objective.text)}.</p>"
         )
         numbers = {
             "scenarios run": len(self._rows),
