@@ -304,8 +304,10 @@ def metrics(
 
     known = [METRICS.create(name) for name in METRICS.names()]
     if as_json:
+        keys = ("name", "unit", "lower_is_critical", "cap", "source")
         rows = [
-            {key: getattr(one, key) for key in ("name", "unit", "lower_is_critical", "cap", "source")} for one in known
+            {key: getattr(one, key) for key in keys} | {"definition": (inspect.getdoc(one) or "").partition("\n")[0]}
+            for one in known
         ]
         sys.stdout.write(json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
         return

@@ -111,9 +111,10 @@ class _Page:
         reduction = study.reduction()
         seconds = sum(study.elapsed().values())
         yield f"<h1>{escape(Path(meta['scenario']).stem)}</h1>"
+        searched = escape(self._objective.text)
         yield (
             f"<p>{escape(meta['ego'])} is the ego, {escape(meta['other'])} the other. Searched by"
-            f" {escape(meta['optimizer'])} for {'the ' if self._objective.pareto else ''}{escape(self._objective.text)}.</p>"
+            f" {escape(meta['optimizer'])} for {'the ' if self._objective.pareto else ''}{searched}.</p>"
         )
         numbers = {
             "scenarios run": len(self._rows),
