@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from cornercase.optimizers import BayesOptimizer, GridOptimizer, SequenceOptimizer
+from cornercase.optimizers import OPTIMIZERS, BayesOptimizer, GridOptimizer, SequenceOptimizer
 from cornercase.scenario.distributions import Distribution
 from cornercase.scenario.space import Parameter, ParameterSpace
 
@@ -135,3 +135,33 @@ def test_bayes_leaves_the_global_generator_and_the_terminal_alone(capfd):
     np.random.seed(6)  # noqa: NPY002
     np.testing.assert_array_equal(optimizer.ask(10), first)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", [name for name in OPTIMIZERS.names() if name not in ("grid", "random", "sobol")])
+def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_twice(name):
+    parameters = [
+        Parameter("a", 0, 1),
+        Parameter("kind", 0, 2, choices=("car", "truck", "bicycle")),
+        Parameter("b", 0, 9, 1.0),
+    ]
+    space = ParameterSpace(parameters).limited(lambda points: points[:, 0] + points[:, 2] < 1.2)
+
+    def scores(points):
+        kind = parameters[1].numbers(points[:, 1])
+        return np.where(points[:, 0] > 0.95, np.nan, np.abs(points[:, 0] - points[:, 2]) + 0.2 * kind)
+
+    options = {"threshold": 0.3} if name == "level-set" else {}
+    first = OPTIMIZERS.create(name, space=space, seed=3, **options)
+    again = OPTIMIZERS.create(name, space=space, seed=3, **options)
+    everything = []
+    for size in (10, 10, 10, 10, 10, 13, 1, 10):
+        points = first.ask(size)
+        assert points.shape == (size, 3)
+        first.tell(points, scores(points))
+        again.tell(points, scores(points))
+        everything.append(points)
+    met = np.concatenate(everything)
+    assert space.admits(met).all()
+    np.testing.assert_array_equal(space.snap(met), met)
+    assert len(np.unique(met, axis=0)) == len(met)
+    np.testing.assert_array_equal(first.ask(5), again.ask(5))
