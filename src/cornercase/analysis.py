@@ -14,6 +14,7 @@ from cornercase.dtw import distance_matrix
 from cornercase.errors import InputError, suggestion
 from cornercase.metrics import METRICS
 from cornercase.metrics.base import capped
+from cornercase.profiles import Profile, outcome, profiles
 from cornercase.study import Study
 from cornercase.typing import FloatArray, IntArray
 
@@ -33,12 +34,15 @@ class Analysis:
     distances : ndarray of float64, shape (n, n)
         Dynamic Time Warping.
     clustering : Clustering
+    profiles : tuple of Profile
+        What is alike within each cluster.
     """
 
     by: str
     ids: IntArray
     distances: FloatArray
     clustering: Clustering
+    profiles: tuple[Profile, ...]
 
     @property
     def sizes(self) -> list[int]:
@@ -107,17 +111,19 @@ def analyze_study(
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
     if len(ids) < 2:
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
+    outcomes = [outcome(study.recording(i), study.meta["ego"], study.meta["other"]) for i in ids.tolist()]
     results = {}
     for name in by or (EGO_TRAJECTORY, *study.meta["metrics"]):
         begun = time.monotonic()
         distances = distance_matrix(series_of(study, name), progress=progress)
         measured = time.monotonic()
         found = cluster(distances, gamma=gamma, eps=eps, min_samples=min_samples)
-        results[name] = Analysis(name, ids, distances, found)
+        described = profiles(study, found.labels, outcomes)
+        results[name] = Analysis(name, ids, distances, found, described)
         study.save_analysis(
             name,
             {"ids": ids, "distances": distances, "labels": found.labels, "embedding": found.embedding},
-            _info(found),
+            _info(found) | {"profiles": [asdict(one) for one in described]},
         )
         study.add_elapsed("compare", measured - begun)
         study.add_elapsed("cluster", time.monotonic() - measured)

@@ -10,6 +10,7 @@ import numpy as np
 from cornercase.critical_set import CriticalSet
 from cornercase.metrics import METRICS
 from cornercase.objective import Objective, on_front
+from cornercase.profiles import agreements
 from cornercase.sensitivity import sensitivity
 from cornercase.study import Study
 
@@ -61,11 +62,30 @@ def summarize(study: Study) -> dict[str, Any]:
     if done:
         summary |= knowledge(study, objective)
     for name in study.analyses():
-        labels = study.analysis(name)[0]["labels"]
+        arrays, info = study.analysis(name)
+        labels = arrays["labels"]
         summary["clusters"][name] = {
             "sizes": np.bincount(labels[labels >= 0]).tolist(),
             "noise": int((labels < 0).sum()),
+        } | {
+            f"cluster {one['cluster']}": {
+                "scenarios": one["size"],
+                "outcomes": one["outcomes"],
+                "median": {metric: quartiles[1] for metric, quartiles in one["scores"].items()},
+                "where": [f"{r['text']} ({r['covers']:.0%} of it, {r['purity']:.0%} pure)" for r in one["rules"]],
+            }
+            # Studies that were analysed by earlier versions have none.
+            for one in info.get("profiles", ())
+            if one["cluster"] >= 0
         }
+    summary["agreement"] = {
+        f"{a} and {b}": {
+            "adjusted rand": one.rand,
+            "adjusted mutual information": one.mutual,
+            "scenarios that differ": len(one.differ),
+        }
+        for (a, b), one in agreements(study).items()
+    }
     reduction = study.reduction()
     if reduction is not None:
         summary["kept"] = len(reduction["kept"])

@@ -16,11 +16,13 @@ from cornercase.files import written_whole
 from cornercase.metrics import METRICS
 from cornercase.metrics.base import Metric, capped
 from cornercase.objective import Objective
+from cornercase.profiles import agreements
 from cornercase.report import figures
 from cornercase.study import Row, Study
 from cornercase.summary import knowledge
 from cornercase.typing import FloatArray
 
+_MOST_NAMED: Final = 12
 _STYLE: Final = """
 body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a}
 h1{margin-bottom:.2rem}h2{margin-top:2.4rem;border-bottom:1px solid #ccc}figure{margin:1rem 0}img{max-width:100%}
@@ -89,6 +91,7 @@ class _Page:
         yield from self._knowledge()
         for name in self._study.analyses():
             yield from self._clustering(name)
+        yield from self._agreement()
         yield from self._reduction()
         yield from self._failures()
         yield from self._provenance()
@@ -199,6 +202,26 @@ class _Page:
                 for label in np.unique(labels).tolist()
             ],
         )
+        described = info.get("profiles", ())
+        yield (
+            _table(
+                ["cluster", "how it ends", "where", "of the cluster", "purity"],
+                [
+                    [
+                        figures.look(one["cluster"])[2] if k == 0 else "",
+                        ", ".join(f"{end} ({count})" for end, count in one["outcomes"].items()) if k == 0 else "",
+                        rule["text"],
+                        f"{rule['covers']:.0%}",
+                        f"{rule['purity']:.0%}",
+                    ]
+                    for one in described
+                    for k, rule in enumerate(one["rules"])
+                ],
+                text=(0, 1, 2),
+            )
+            if described
+            else ""
+        )
         metric = self._metrics[0] if name == EGO_TRAJECTORY else METRICS.create(name)
         ids = [self._rows[k].id for k in rows]
         yield self._figure(
@@ -210,6 +233,27 @@ class _Page:
             ),
             f"courses-{name}",
             f"Course of {metric.name} in each cluster: median, and the band that holds 80 % of its scenarios.",
+        )
+
+    def _agreement(self) -> Iterable[str]:
+        found = agreements(self._study)
+        if not found:
+            return
+        yield "<h2>Do the clusterings agree?</h2>"
+        yield _table(
+            ["by", "and by", "adjusted Rand", "adjusted mutual information", "differ", "scenarios"],
+            [
+                [
+                    a, b, f"{one.rand:.2f}", f"{one.mutual:.2f}", str(len(one.differ)),
+                    ", ".join(map(str, one.differ[:_MOST_NAMED])) + (" …" if len(one.differ) > _MOST_NAMED else ""),
+                ]
+                for (a, b), one in found.items()
+            ],
+            text=(0, 1, -1),
+        )  # fmt: skip
+        yield (
+            "<p>1 where two clusterings are the same, about 0 where one says nothing of the other. Scenarios differ"
+            " where their clusters are not matched with each other.</p>"
         )
 
     def _profile(self, label: int, members: Sequence[int]) -> list[str]:
