@@ -52,14 +52,14 @@ class Kept:
     index : int
         Which scenario.
     cluster : int
-        Which cluster it stands for.
-    role : {"archetype", "prototype"}
-        Why it is kept.
+        Which cluster it stands for; -1 for noise.
+    role : {"archetype", "prototype", "gap"}
+        Why it is kept; a gap is a scenario that was unlike all that were kept before it.
     """
 
     index: int
     cluster: int
-    role: Literal["archetype", "prototype"]
+    role: Literal["archetype", "prototype", "gap"]
 
 
 def convex_hull(points: npt.ArrayLike) -> Hull:

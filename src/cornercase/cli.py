@@ -372,18 +372,32 @@ def reduce(
         typer.Option("--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."),
     ] = None,
     archetypes: Annotated[str, typer.Option(metavar="N|auto", help="Archetypes a cluster.")] = "auto",
+    size: Annotated[int | None, typer.Option(metavar="N", help="Keep so many in all.", min=1)] = None,
+    share: Annotated[float | None, typer.Option(metavar="X", help="Keep such a share of all, 0 to 1.")] = None,
+    cover: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X", help="Keep as few as leave nothing more unlike than this share of the largest distance."
+        ),
+    ] = None,
 ) -> None:
     """Keep the few concrete scenarios that matter, as files that run by themselves.
 
     \b
     Example:
-      cornercase reduce study.db -o reduced
+      cornercase reduce study.db --size 32 -o reduced
     """
     from cornercase.reduction import reduce_study
     from cornercase.study import Study
 
+    if sum(one is not None for one in (size, share, cover)) + (archetypes != "auto") > 1:
+        raise InputError("--size, --share, --cover, --archetypes: give one of them.")
     with Study.open(study) as opened:
-        manifest = reduce_study(opened, output, by=by, archetypes=_count_or_auto(archetypes, "--archetypes"))
+        if share is not None:
+            size = _of_all(share, len(opened.done()))
+        manifest = reduce_study(
+            opened, output, by=by, archetypes=_count_or_auto(archetypes, "--archetypes"), size=size, cover=cover
+        )
     _out.print(f"{manifest['kept']} of {manifest['run']} scenarios kept, in {output}")
 
 
@@ -540,6 +554,12 @@ def _weights(texts: list[str] | tuple[str, ...]) -> dict[str, float]:
         if not name:
             raise InputError(f"--weight {text}: write it as METRIC=NUMBER.")
     return weights
+
+
+def _of_all(share: float, count: int) -> int:
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"--share {share:g}: give a number above 0 and up to 1.")
+    return max(1, round(share * count))
 
 
 def _number_or_auto(text: str, option: str) -> float | Literal["auto"]:

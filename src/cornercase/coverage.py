@@ -28,6 +28,10 @@ class Coverage:
     random_largest, random_mean : float
         Medians of the same figures over random subsets of the same size: what a choice without thought would
         reach.
+    better_largest, better_mean : float
+        Shares of the random subsets that leave a larger gap, and a larger mean, than the kept ones.
+    medoids_largest, medoids_mean : float
+        The same figures of k-medoids of the same size: the subset that leaves the smallest mean.
     """
 
     kept: int
@@ -38,6 +42,10 @@ class Coverage:
     mean_relative: float
     random_largest: float
     random_mean: float
+    better_largest: float
+    better_mean: float
+    medoids_largest: float
+    medoids_mean: float
 
 
 def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100, seed: int = 0) -> Coverage:
@@ -78,6 +86,7 @@ def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100,
     extent = float(matrix.max())
     rng = np.random.default_rng(seed)
     random = [_gaps(matrix, rng.choice(n, size=len(chosen), replace=False).astype(np.int64)) for _ in range(draws)]
+    middle = _gaps(matrix, medoids(matrix, len(chosen)))
     return Coverage(
         kept=len(chosen),
         largest=float(gaps.max()),
@@ -87,7 +96,49 @@ def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100,
         mean_relative=float(gaps.mean()) / extent if extent else 0.0,
         random_largest=float(np.median([one.max() for one in random])),
         random_mean=float(np.median([one.mean() for one in random])),
+        better_largest=float(np.mean([one.max() > gaps.max() for one in random])),
+        better_mean=float(np.mean([one.mean() > gaps.mean() for one in random])),
+        medoids_largest=float(middle.max()),
+        medoids_mean=float(middle.mean()),
     )
+
+
+def medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
+    """Choose k scenarios with a small mean distance from all to the nearest one.
+
+    Begins with those that lower it most, one after the other (L. Kaufman, P. J. Rousseeuw, "Finding Groups in Data",
+    1990, BUILD); then each takes the middle of those that are nearest to it, until nothing changes (H.-S. Park, C.-H.
+    Jun, Expert Systems with Applications 36, 2009).
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n)
+    k : int
+        1 to n.
+    rounds : int, default 50
+
+    Returns
+    -------
+    ndarray of int64, shape (k,)
+        Rising.
+    """
+    chosen = [int(distances.sum(axis=1).argmin())]
+    gap = distances[chosen[0]].copy()
+    while len(chosen) < k:
+        gain = np.maximum(gap[:, None] - distances, 0.0).sum(axis=0)
+        gain[chosen] = -1.0
+        chosen.append(int(gain.argmax()))
+        gap = np.minimum(gap, distances[chosen[-1]])
+    found = np.array(chosen, dtype=np.int64)
+    for _ in range(rounds):
+        nearest = distances[:, found].argmin(axis=1)
+        nearest[found] = np.arange(k)
+        groups = [np.flatnonzero(nearest == j) for j in range(k)]
+        middles = [group[distances[np.ix_(group, group)].sum(axis=1).argmin()] for group in groups]
+        if np.array_equal(middles, found):
+            break
+        found = np.array(middles, dtype=np.int64)
+    return np.sort(found)
 
 
 def _gaps(matrix: FloatArray, chosen: IntArray) -> FloatArray:

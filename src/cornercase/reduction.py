@@ -13,13 +13,17 @@ import numpy as np
 from cornercase.archetypes import Kept, convex_hull, reduce_clusters
 from cornercase.coverage import coverage
 from cornercase.files import written_whole
+from cornercase.objective import Objective
+from cornercase.reduced_set import choose
 from cornercase.scenario.openscenario import Scenario, write_concrete
 from cornercase.scenario.space import Value
 from cornercase.study import Study
+from cornercase.typing import FloatArray
 
 _WHY = {
     "archetype": "on the hull of cluster {cluster} in the parameter space",
     "prototype": "the scenario most like all others of cluster {cluster}",
+    "gap": "the scenario that was least like all that are kept before it",
 }
 
 
@@ -29,6 +33,8 @@ def reduce_study(
     *,
     by: str | None = None,
     archetypes: int | Literal["auto"] = "auto",
+    size: int | None = None,
+    cover: float | None = None,
 ) -> dict[str, Any]:
     """Write archetypes and a prototype of each cluster as OpenSCENARIO files, and ``manifest.json``.
 
@@ -42,6 +48,10 @@ def reduce_study(
         Clustering whose clusters count; by default that of the searched metric.
     archetypes : int or "auto"
         Largest number for each cluster, as of `cornercase.archetypes.reduce_clusters`.
+    size : int, optional
+        How many to keep in all, as of `cornercase.reduced_set.choose`, instead.
+    cover : float, optional
+        Instead: keep as few as leave nothing more unlike than this share of the largest distance.
 
     Returns
     -------
@@ -58,7 +68,12 @@ def reduce_study(
     rows = {row.id: row for row in study.done()}
     chosen = [rows[i] for i in arrays["ids"].tolist()]
     points = np.array([row.point for row in chosen])
-    kept = reduce_clusters(points, arrays["distances"], arrays["labels"], archetypes=archetypes)
+    if size is None and cover is None:
+        kept = reduce_clusters(points, arrays["distances"], arrays["labels"], archetypes=archetypes)
+    else:
+        kept = choose(
+            points, _distances(study, by), arrays["labels"], _critical(study, by, arrays), size=size, cover=cover
+        )
     scores = {name: study.scores(name) for name in study.meta["metrics"]}
     ids = [row.id for row in study.done()]
 
@@ -112,6 +127,30 @@ def reduce_study(
         },
     )
     return manifest
+
+
+def _distances(study: Study, by: str) -> list[FloatArray]:
+    """Distances of the clustering that counts, then of the others of the same scenarios."""
+    found = {name: study.analysis(name)[0] for name in study.analyses()}
+    others = [
+        one["distances"] for name, one in found.items() if name != by and len(one["ids"]) == len(found[by]["ids"])
+    ]
+    return [found[by]["distances"], *others]
+
+
+def _critical(study: Study, by: str, arrays: Mapping[str, Any]) -> list[int]:
+    """Clusters in which most scenarios are critical; without a threshold the one with the most critical median."""
+    objective = Objective.of_study(study.meta)
+    metric, labels = objective.metrics[0], arrays["labels"]
+    ids = [row.id for row in study.done()]
+    scores = study.scores(metric.name)[[ids.index(i) for i in arrays["ids"].tolist()]]
+    told = scores if metric.lower_is_critical else -scores
+    clusters = [label for label in np.unique(labels).tolist() if label >= 0]
+    medians = {label: float(np.median(told[labels == label])) for label in clusters}
+    limit = study.meta.get("critical")
+    if limit is None or objective.weights or objective.pareto:
+        return [min(clusters, key=medians.__getitem__)] if clusters else []
+    return [label for label in clusters if medians[label] <= objective.flip(limit)]
 
 
 def _item(

@@ -198,7 +198,7 @@ def hulls(
             axis.plot(*place([row[a], row[b]]).T, color=colour, linewidth=0.7, alpha=0.55)
     for label in sorted({item["cluster"] for item in reduction["kept"]}):
         colour, _, name = look(label)
-        for role, marker, size in (("archetype", "o", 42), ("prototype", "*", 190)):
+        for role, marker, size in (("archetype", "o", 42), ("prototype", "*", 190), ("gap", "^", 52)):
             members = [row[i["id"]] for i in reduction["kept"] if i["cluster"] == label and i["role"] == role]
             if members:
                 axis.scatter(

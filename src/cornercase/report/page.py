@@ -302,11 +302,15 @@ class _Page:
         )
         yield "<h3>What the kept ones leave out</h3>"
         yield _table(
-            ["compared by", "largest distance", "of all", "mean distance", "of all", "random: largest", "random: mean"],
+            [
+                "compared by", "largest distance", "of all", "mean distance", "of all",
+                "random: largest", "random: mean", "k-medoids: largest", "k-medoids: mean",
+            ],
             [
                 [
                     name, f"{c['largest']:.4g}", f"{100 * c['largest_relative']:.1f} %", f"{c['mean']:.4g}",
                     f"{100 * c['mean_relative']:.1f} %", f"{c['random_largest']:.4g}", f"{c['random_mean']:.4g}",
+                    *(f"{c[key]:.4g}" if key in c else "" for key in ("medoids_largest", "medoids_mean")),
                 ]
                 for name, c in reduction["coverage"].items()
                 if c
@@ -314,7 +318,8 @@ class _Page:
         )  # fmt: skip
         yield (
             "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"
-            " distance between any two; beside it the median over random subsets of the same size.</p>"
+            " distance between any two; beside it the median over random subsets of the same size, and k-medoids of the"
+            " same size, which leave a small mean.</p>"
         )
 
     def _failures(self) -> Iterable[str]:
