@@ -9,8 +9,10 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from cornercase.analysis import analyze_study
+    from cornercase.critical_set import CriticalSet
     from cornercase.drivers import DRIVERS
     from cornercase.errors import InputError, SimulationError
+    from cornercase.estimator import ScenarioClustering
     from cornercase.explorer import ScenarioExplorer
     from cornercase.metrics import METRICS
     from cornercase.optimizers import OPTIMIZERS
@@ -31,10 +33,12 @@ _HOMES = {
     "SIMULATORS": "simulators",
     "BuiltinSimulator": "simulators.builtin",
     "ConcreteScenario": "scenario.logical",
+    "CriticalSet": "critical_set",
     "InputError": "errors",
     "LogicalScenario": "scenario.logical",
     "ParameterSpace": "scenario.space",
     "Recording": "recording",
+    "ScenarioClustering": "estimator",
     "ScenarioExplorer": "explorer",
     "SimulationError": "errors",
     "Study": "study",
@@ -51,10 +55,12 @@ __all__ = [
     "SIMULATORS",
     "BuiltinSimulator",
     "ConcreteScenario",
+    "CriticalSet",
     "InputError",
     "LogicalScenario",
     "ParameterSpace",
     "Recording",
+    "ScenarioClustering",
     "ScenarioExplorer",
     "SimulationError",
     "Study",
