@@ -269,6 +269,9 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     cases = list(dict.fromkeys(row["case"] for row in rows))
     figure, axes = plt.subplots(2, len(cases), figsize=(3.4 * len(cases), 6.2), squeeze=False, sharex=True)
     markers = dict(zip(SEARCHES, "sxd^vPo", strict=True))
+    # Okabe and Ito's colours, which the colour-blind tell apart.
+    tones = ("#666666", "#0072B2", "#000000", "#E69F00", "#009E73", "#CC79A7", "#D55E00")
+    colours = dict(zip(SEARCHES, tones, strict=True))
     for j, case in enumerate(cases):
         for i, quantity in enumerate(("recall", "precision")):
             for kind in SEARCHES:
@@ -276,11 +279,11 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
                 sizes = [row["size"][0] for row in mine]
                 low, middle, high = np.array([np.percentile(row[quantity], (25, 50, 75)) for row in mine]).T
                 reference = kind in REFERENCES
-                (line,) = axes[i, j].plot(
+                axes[i, j].plot(
                     sizes, middle, marker=markers[kind], label=kind, linewidth=2.2 if kind == "level-set" else 1.2,
-                    linestyle="--" if reference else "-", color={"grid": "0.4", "bayes, filling 0": "k"}.get(kind),
+                    linestyle="--" if reference else "-", color=colours[kind],
                 )  # fmt: skip
-                axes[i, j].fill_between(sizes, low, high, color=line.get_color(), alpha=0.12)
+                axes[i, j].fill_between(sizes, low, high, color=colours[kind], alpha=0.12)
             axes[i, j].axhline((0.95, 0.9)[i], color="0.7", linewidth=0.8)
             axes[i, j].set_ylim(0, 1.02)
             axes[i, j].set_ylabel(f"{quantity} (1)" if j == 0 else "")

@@ -90,7 +90,7 @@ class CriticalSet:
         self._at = encoded(space, self._places)
         self._ran = encoded(space, points)
         self._process = boundary_process(self._ran, scores, threshold)
-        mean, deviation, _ = self._process.predict(self._at)
+        mean, deviation = self._process.predict(self._at)
         self._t = mean / np.hypot(deviation, self._process.noise)
         self._space = space
         self._outcome = dict(
@@ -152,7 +152,7 @@ class CriticalSet:
         -------
         ndarray of bool, shape (n,)
         """
-        mean, _, _ = self._process.predict(encoded(self._space, points))
+        mean, _ = self._process.predict(encoded(self._space, points))
         seen = self._seen(points)
         return np.where(seen == 0.0, mean <= 0.0, seen > 0.0)
 

@@ -92,7 +92,7 @@ def sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, s
     left = values - process.leave_one_out()[0]
 
     def foretell(places: FloatArray) -> FloatArray:
-        mean, _, _ = process.predict(encoded(space, space.snap(places.T)))
+        mean, _ = process.predict(encoded(space, space.snap(places.T)))
         return mean[None, :]
 
     each: Any = [uniform()] * space.dimension

@@ -11,7 +11,8 @@ from cornercase.scenario.space import ParameterSpace
 from cornercase.surrogate import GaussianProcess, boundary_process, encoded
 from cornercase.typing import FloatArray, IntArray
 
-_INITIAL = 24
+# Points before anything is learned; and candidates of greatest gain that are looked at more closely at first.
+_INITIAL, _LOOKED_AT = 24, 4096
 
 
 class LevelSetOptimizer(CandidateOptimizer):
@@ -54,29 +55,50 @@ class LevelSetOptimizer(CandidateOptimizer):
 
     def _choose(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
         process = self._process()
-        places = encoded(self._space, np.concatenate([candidates, filling]))
-        mean, deviation, rows = process.predict(places)
-        variance = deviation**2
-        # Below what single precision tells from zero there is nothing to learn.
-        least, noise = 1e-5 * process.signal**2, process.noise**2
-        learned: list[FloatArray] = []
-        chosen: list[int] = []
+        places = encoded(self._space, candidates)
+        mean, deviation = process.predict(places)
+        best = np.argsort(-_gain(mean, deviation), kind="stable")
+        most = _LOOKED_AT
+        while True:
+            some = best[:most]
+            chosen, least = _straddle(process, places[some], encoded(self._space, filling), n)
+            # Gains only fall; what was not looked at could not have been chosen if its first gain is lower.
+            if most >= len(best) or least >= _gain(mean, deviation)[best[most]]:
+                return some[chosen]
+            most *= 4
 
-        def learn(i: int) -> None:
-            shared = process.covariance(places, rows, i)
-            for earlier in learned:
-                shared = shared - earlier * earlier[i]
-            step = shared / math.sqrt(max(variance[i], least) + noise)
-            # Nothing can be learned beyond what is not known; rounding must not say otherwise.
-            most = np.sqrt(variance)
-            learned.append(np.clip(step, -most, most))
-            np.maximum(variance - learned[-1] ** 2, 0.0, out=variance)
 
-        for i in range(len(candidates), len(places)):
-            learn(i)
-        for _ in range(n):
-            gain = 1.96 * np.sqrt(variance[: len(candidates)]) - np.abs(mean[: len(candidates)])
-            gain[chosen] = -np.inf
-            chosen.append(int(np.argmax(gain)))
-            learn(chosen[-1])
-        return np.array(chosen, dtype=np.int64)
+def _gain(mean: FloatArray, deviation: FloatArray) -> FloatArray:
+    return np.asarray(1.96 * deviation - np.abs(mean))
+
+
+def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArray, n: int) -> tuple[IntArray, float]:
+    """Choose `n` candidates, each with those before it known; and the least gain of them."""
+    places = np.concatenate([candidates, known])
+    mean, deviation = process.predict(places)
+    rows, variance = process.projections(places), deviation**2
+    # Below what single precision tells from zero there is nothing to learn.
+    lowest, noise = 1e-5 * process.signal**2, process.noise**2
+    learned: list[FloatArray] = []
+    chosen: list[int] = []
+    least = math.inf
+
+    def learn(i: int) -> None:
+        shared = process.covariance(places, rows, i)
+        for earlier in learned:
+            shared = shared - earlier * earlier[i]
+        step = shared / math.sqrt(max(variance[i], lowest) + noise)
+        # Nothing can be learned beyond what is not known; rounding must not say otherwise.
+        most = np.sqrt(variance)
+        learned.append(np.clip(step, -most, most))
+        np.maximum(variance - learned[-1] ** 2, 0.0, out=variance)
+
+    for i in range(len(candidates), len(places)):
+        learn(i)
+    for _ in range(n):
+        gain = _gain(mean, np.sqrt(variance))[: len(candidates)]
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        least = min(least, float(gain[chosen[-1]]))
+        learn(chosen[-1])
+    return np.array(chosen, dtype=np.int64), least
