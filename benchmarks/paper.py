@@ -1,0 +1,210 @@
+"""The paper's two experiments at its sizes, and its discussion statement by statement beside what was measured.
+
+python benchmarks/paper.py [--quick] [--seed N] [--keep FOLDER] [--json FILE]
+
+Schütt, Otten and Sax (2023), section "Discussion": scenario 1 is the X-intersection with 400 concrete scenarios,
+scenario 2 the T-intersection with 300, each with a cautious, a normal and an aggressive ego. Searched by Thompson
+sampling without filling, as in the paper. A statement is confirmed by a limit that stands beside the figure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import Delaunay
+from scipy.stats import spearmanr
+from sklearn.metrics import silhouette_score
+
+from cornercase.analysis import analyze_study
+from cornercase.objective import Objective
+from cornercase.pipeline import demonstration, explore_scenario
+from cornercase.profiles import outcome
+from cornercase.reduction import reduce_study
+from cornercase.sensitivity import sensitivity
+from cornercase.study import Study
+
+Floats = npt.NDArray[np.float64]
+DRIVERS = ("cautious", "normal", "aggressive")
+
+
+class Experiment:
+    """One explored, clustered and reduced study, and what is asked of it."""
+
+    def __init__(self, name: str, driver: str | None, budget: int | None, seed: int, folder: Path) -> None:
+        path = folder / f"{name}-{driver or 'file'}.db"
+        asked = demonstration(name, budget=budget, seed=seed, driver=driver)
+        explore_scenario(replace(asked, optimizer="bayes:filling=0"), path, progress=True)
+        with Study.open(path) as study:
+            self.found = analyze_study(study)
+            self.kept = reduce_study(study, folder / f"{path.stem}-reduced", archetypes=15)["kept"]
+            rows, meta = study.done(), study.meta
+            self.points = np.array([row.point for row in rows])
+            self.names = study.space.names
+            self.values = {n: np.array([float(row.values[n]) for row in rows]) for n in self.names}
+            self.scores = {m: study.scores(m) for m in meta["metrics"]}
+            told = Objective.of_study(meta).told(np.stack(list(self.scores.values()), axis=1))
+            self.influence = sensitivity(study.space, self.points, told, seed)
+            self.ends = [outcome(study.recording(row.id), meta["ego"], meta["other"]) for row in rows]
+            self.seconds = study.elapsed()["compare"] / len(self.found)
+        self.crash = np.array(["collide" in end for end in self.ends])
+
+    def ended(self, text: str) -> npt.NDArray[np.bool_]:
+        """Scenarios that ended so."""
+        return np.array([end == text for end in self.ends])
+
+    def labels(self, by: str) -> npt.NDArray[np.int64]:
+        """Cluster of each scenario."""
+        return self.found[by].clustering.labels
+
+    def explained(self, by: str, metric: str) -> float:
+        """Share of the variance of a score that the clusters explain."""
+        labels, scores = self.labels(by), self.scores[metric]
+        between = sum((labels == c).sum() * (scores[labels == c].mean() - scores.mean()) ** 2 for c in set(labels))
+        return float(between / max(((scores - scores.mean()) ** 2).sum(), 1e-12))
+
+    def accidents(self, by: str) -> float:
+        """How far the cluster that fits best is all accidents and nothing else (Jaccard index)."""
+        labels = self.labels(by)
+        if not self.crash.any():
+            return 0.0
+        return max(
+            float(((labels == c) & self.crash).sum() / ((labels == c) | self.crash).sum()) for c in set(labels) - {-1}
+        )
+
+
+def diagonal(x: Experiment) -> tuple[float, npt.NDArray[np.bool_]]:
+    """Correlation of both parameters among the most critical fifth, and who lies below the line through them."""
+    start, wait = x.values["ego_start"], x.values["pedestrian_wait"]
+    worst = np.argsort(x.scores["trajectory-distance"], kind="stable")[: len(start) // 5]
+    slope, offset = np.polyfit(start[worst], wait[worst], 1)
+    return float(np.corrcoef(start[worst], wait[worst])[0, 1]), wait < slope * start + offset
+
+
+def border(x: Experiment) -> float:
+    """Median WTTC of scenarios whose nearest neighbour is of another cluster, over that of all others."""
+    used = x.points[:, [x.names.index(n) for n in ("ego_start", "pedestrian_wait")]]
+    labels = x.labels("ego-trajectory")
+    apart = np.linalg.norm(used[:, None] - used, axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    near = np.argsort(apart, axis=1)[:, :3]
+    edge = (labels[near] != labels[:, None]).any(axis=1)
+    scores = x.scores["trajectory-distance"]
+    return float(np.median(scores[edge]) / np.median(scores[~edge])) if edge.any() else np.inf
+
+
+def steepness(t: Experiment) -> dict[str, float]:
+    """How far accidents and the rest are apart in each kernel space (silhouette)."""
+    if not 1 < t.crash.sum() < len(t.crash) - 1:
+        return {}
+    return {by: float(silhouette_score(one.clustering.embedding, t.crash)) for by, one in t.found.items()}
+
+
+def outside(t: Experiment) -> float:
+    """Share of what lies in the convex hull of all accidents in the parameter space and is none."""
+    if t.crash.sum() < 5:
+        return 0.0
+    inside = Delaunay(t.points[t.crash]).find_simplex(t.points) >= 0
+    return float((inside & ~t.crash).sum() / inside.sum())
+
+
+def scenario_1(x: Experiment) -> list[tuple[str, str, bool]]:
+    total = dict(zip(x.influence.names, x.influence.total, strict=True))
+    correlation, below = diagonal(x)
+    same = float(spearmanr(x.scores["wttc"], x.scores["trajectory-distance"]).statistic)
+    after, before = x.ended("Pedestrian first"), x.ended("Ego first")
+    sides = [float((side & kind).sum() / max((side & (after | before)).sum(), 1)) for side, kind in
+             ((below, after), (~below, before))]  # fmt: skip
+    numbers = {by: x.found[by].clustering.n_clusters for by in ("ego-trajectory", "trajectory-distance", "wttc")}
+    explained = {by: x.explained(by, "wttc") for by in ("trajectory-distance", "wttc")}
+    return [
+        ("p1_speed has negligible influence", f"total sensitivity {total['p1_speed']:.4f} (limit 0.05), others"
+         f" {total['ego_start']:.2f} and {total['pedestrian_wait']:.2f}", total["p1_speed"] < 0.05),
+        ("all metrics show the same pattern", f"rank correlation of WTTC and trajectory distance {same:.2f} (0.7)",
+         same >= 0.7),
+        ("the critical scenarios lie on a diagonal", f"correlation of ego_start and pedestrian_wait {correlation:.2f}"
+         " (-0.7)", correlation <= -0.7),
+        ("below it the ego passes after the pedestrian", f"{sides[0]:.0%} of those without collision (90 %)",
+         sides[0] >= 0.9),
+        ("above it the pedestrian crosses after the ego", f"{sides[1]:.0%} of those without collision (90 %)",
+         sides[1] >= 0.9),
+        ("borders of clusters by trajectory lie where criticality is highest",
+         f"median trajectory distance at the border {border(x):.2f} of that elsewhere (0.5)", border(x) <= 0.5),
+        ("2 clusters by trajectory", f"{numbers['ego-trajectory']}", numbers["ego-trajectory"] in (2, 3)),
+        ("2 clusters by trajectory distance, high and low criticality", f"{numbers['trajectory-distance']}, explaining"
+         f" {explained['trajectory-distance']:.0%} of the variance of WTTC (50 %)",
+         numbers["trajectory-distance"] == 2 and explained["trajectory-distance"] >= 0.5),
+        ("3 clusters by WTTC: high, medium, low, along the gradient", f"{numbers['wttc']}, explaining"
+         f" {explained['wttc']:.0%} of the variance of WTTC (50 %)", numbers["wttc"] == 3 and explained["wttc"] >= 0.5),
+        ("15 archetypes a cluster and 2 prototypes: 32 of 400", f"{x.kept} of {len(x.points)}", 28 <= x.kept <= 36),
+    ]  # fmt: skip
+
+
+def scenario_2(t: Experiment) -> list[tuple[str, str, bool]]:
+    total = dict(zip(t.influence.names, t.influence.total, strict=True))
+    first = {end: t.ended(end) for end in ("C first", "Ego first")}
+    counts = [int(rows.sum()) for rows in (first["C first"], t.crash, first["Ego first"])]
+    medians = [
+        float(np.median(t.values[name][rows])) if rows.any() else np.nan
+        for name in ("c_start_time", "c_routing_distance")
+        for rows in first.values()
+    ]
+    fits = {by: t.accidents(by) for by in ("ego-trajectory", "distance", "traffic-quality")}
+    steep = steepness(t)
+    three = {
+        by: round(value, 2) for by, value in steep.items() if by in ("ego-trajectory", "distance", "traffic-quality")
+    }
+    return [
+        ("all three parameters have an influence", ", ".join(f"{n} {v:.2f}" for n, v in total.items()) + " (0.05)",
+         min(total.values()) >= 0.05),
+        ("three outcomes: C first, collision, ego first", ", ".join(map(str, counts)), min(counts) > 0),
+        ("C first at low time and distance, the ego at high ones", f"medians {medians[0]:.1f} and {medians[1]:.1f} s,"
+         f" {medians[2]:.0f} and {medians[3]:.0f} m", medians[0] < medians[1] and medians[2] < medians[3]),
+        *(
+            (f"accidents are a cluster of their own by {by}", f"Jaccard index {fit:.2f} (0.8)", fit >= 0.8)
+            for by, fit in fits.items()
+        ),
+        ("the border is most distinct in the kernel space of traffic quality", f"silhouettes {three}",
+         bool(three) and max(three, key=three.__getitem__) == "traffic-quality"),
+        ("the critical cluster is not convex", f"{outside(t):.0%} of what lies in its hull is no accident (10 %)",
+         outside(t) >= 0.1),
+        ("the distance matrix of about 300 takes 3 hours", f"{t.seconds:.2f} s", t.seconds > 3600),
+    ]  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="60 scenarios, and the normal ego alone")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the studies; go on with those that are there")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    budget = 60 if options.quick else None
+    runs: list[tuple[str, str | None, Callable[[Any], list[tuple[str, str, bool]]]]] = [
+        ("x-intersection", None, scenario_1),
+        *(("t-intersection", one, scenario_2) for one in (("normal",) if options.quick else DRIVERS)),
+    ]
+    table = []
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.keep or Path(temporary)
+        for name, driver, ask in runs:
+            experiment = Experiment(name, driver, budget, options.seed, folder)
+            print(f"\n{name}, ego {driver or 'as in the file'}, {len(experiment.points)} scenarios")
+            for statement, measured, confirmed in ask(experiment):
+                table.append({"case": name, "ego": driver, "statement": statement, "measured": measured,
+                              "confirmed": bool(confirmed)})  # fmt: skip
+                print(f"  {'confirmed' if confirmed else 'NOT'.ljust(9)}  {statement}: {measured}", flush=True)
+    print(f"\n{sum(row['confirmed'] for row in table)} of {len(table)} statements confirmed")
+    if options.json:
+        options.json.write_text(json.dumps(table, indent=1))
+
+
+if __name__ == "__main__":
+    main()
