@@ -16,13 +16,12 @@ from scipy.stats import norm, qmc
 from threadpoolctl import threadpool_limits
 
 from cornercase.scenario.space import ParameterSpace
-from cornercase.surrogate import boundary_process, encoded
+from cornercase.surrogate import boundary_process, encoded, enough
 from cornercase.typing import BoolArray, FloatArray, IntArray
 
 # Points that stand for the space, those of them for which critical sets are drawn, and the number of draws.
 _PLACES, _JOINT, _DRAWS = 2**14, 1500, 400
 _INTERVAL: Final = (0.05, 0.95)
-_FEWEST: Final = 10
 # What one scenario tells of how well the process foretells, in independent ones. They are not independent; with this
 # figure the intervals hold the truth as often as they say in benchmarks/exploration.py.
 _TOLD: Final = 0.8
@@ -81,10 +80,7 @@ class CriticalSet:
     def __init__(
         self, space: ParameterSpace, points: FloatArray, scores: FloatArray, threshold: float, seed: int = 0
     ) -> None:
-        known = np.isfinite(scores)
-        points, scores = points[known], scores[known]
-        if len(scores) < _FEWEST or np.ptp(scores) == 0.0:
-            raise ValueError(f"At least {_FEWEST} different scores are needed.")
+        points, scores = enough(points, scores)
         self._critical = scores <= threshold
         self._places = _places(space, seed)
         self._at = encoded(space, self._places)

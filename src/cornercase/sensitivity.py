@@ -10,11 +10,10 @@ from scipy.stats import sobol_indices, uniform
 from threadpoolctl import threadpool_limits
 
 from cornercase.scenario.space import ParameterSpace
-from cornercase.surrogate import GaussianProcess, encoded
+from cornercase.surrogate import GaussianProcess, encoded, enough
 from cornercase.typing import FloatArray
 
 _SAMPLES: Final = 4096
-_FEWEST: Final = 10
 LITTLE: Final = 0.05
 """Total sensitivity below which a parameter counts as of little influence."""
 
@@ -83,10 +82,7 @@ def sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, s
     estimates", Mathematics and Computers in Simulation 55 (2001); A. Saltelli et al., "Variance based sensitivity
     analysis of model output", Computer Physics Communications 181 (2010), with the estimators of scipy.
     """
-    known = np.isfinite(scores)
-    points, scores = points[known], scores[known]
-    if len(scores) < _FEWEST or np.ptp(scores) == 0.0:
-        raise ValueError(f"At least {_FEWEST} different scores are needed.")
+    points, scores = enough(points, scores)
     values = (scores - scores.mean()) / scores.std()
     process = GaussianProcess(1.0).fit(encoded(space, points), values)
     left = values - process.leave_one_out()[0]

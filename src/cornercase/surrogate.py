@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.floating[Any]]
 Singles = npt.NDArray[np.floating[Any]]
 
 _ROOT5 = float(np.sqrt(5.0))
-_CHUNK, _LEARNED = 1024, 160
+_CHUNK, _LEARNED, _FEWEST = 1024, 160, 10
 _MANY, _NOISES = 100, (0.02, 0.3, 1.0)
 _WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-6
 
@@ -45,6 +45,26 @@ def encoded(space: ParameterSpace, points: FloatArray) -> FloatArray:
         else:
             columns.append(points[:, j : j + 1])
     return np.concatenate(columns, axis=1)
+
+
+def enough(points: FloatArray, scores: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return points, shape (m, d), and scores, shape (m,), without those of scenarios that failed.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (n, d)
+    scores : ndarray of float64, shape (n,)
+        NaN for a scenario that failed.
+
+    Raises
+    ------
+    ValueError
+        There are fewer than 10 scores, or all are the same.
+    """
+    known = np.isfinite(scores)
+    if known.sum() < _FEWEST or np.ptp(scores[known]) == 0.0:
+        raise ValueError(f"At least {_FEWEST} different scores are needed.")
+    return points[known], scores[known]
 
 
 def near_threshold(scores: FloatArray, threshold: float) -> FloatArray:

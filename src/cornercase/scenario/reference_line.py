@@ -79,7 +79,7 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
     InputError
         It is malformed, or of length zero or less.
     """
-    s, x, y, heading, length = (_number(element, name, where) for name in ("s", "x", "y", "hdg", "length"))
+    s, x, y, heading, length = (read_number(element, name, where) for name in ("s", "x", "y", "hdg", "length"))
     if length <= 0:
         raise InputError(f"{where}: a <geometry> has the length {length:g} m; it must be above 0.")
     shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
@@ -93,9 +93,9 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
         "poly3": ("a", "b", "c", "d"),
     }
     if kind != "paramPoly3":
-        return Geometry(s, x, y, heading, length, kind, tuple(_number(shape, name, where) for name in names[kind]))
+        return Geometry(s, x, y, heading, length, kind, tuple(read_number(shape, name, where) for name in names[kind]))
     top = length if shape.get("pRange", "normalized") == "arcLength" else 1.0
-    coefficients = [_number(shape, f"{c}{axis}", where) for axis in "UV" for c in "abcd"]
+    coefficients = [read_number(shape, f"{c}{axis}", where) for axis in "UV" for c in "abcd"]
     return Geometry(s, x, y, heading, length, kind, (top, *coefficients))
 
 
@@ -124,7 +124,8 @@ def _derivative(coefficients: tuple[float, ...] | list[float]) -> list[float]:
     return [i * c for i, c in enumerate(coefficients)][:0:-1]
 
 
-def _number(element: etree._Element, name: str, where: str) -> float:
+def read_number(element: etree._Element, name: str, where: str) -> float:
+    """Read a finite number, or say which attribute is none."""
     try:
         number = float(element.get(name, ""))
     except ValueError:

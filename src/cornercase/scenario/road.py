@@ -10,7 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase.errors import InputError
-from cornercase.scenario.reference_line import Geometry, read_geometry
+from cornercase.scenario.reference_line import Geometry, read_geometry, read_number
 from cornercase.typing import FloatArray, IntArray
 
 _LONGEST_ROAD: Final = 1e5
@@ -133,7 +133,7 @@ def read_road(element: etree._Element, where: str) -> Road:
     InputError
         The road cannot be used.
     """
-    length = _float(element, "length", where)
+    length = read_number(element, "length", where)
     if length <= 0:
         raise InputError(f"{where}: has the length {length:g} m; it must be above 0.")
     if length > _LONGEST_ROAD:
@@ -144,7 +144,8 @@ def read_road(element: etree._Element, where: str) -> Road:
     if not geometries:
         raise InputError(f"{where}: has no <geometry> in its <planView>.")
     sections = tuple(
-        (_float(section, "s", where), dict(_lanes(section, where))) for section in element.iterfind("lanes/laneSection")
+        (read_number(section, "s", where), dict(_lanes(section, where)))
+        for section in element.iterfind("lanes/laneSection")
     )
     if not sections:
         raise InputError(f"{where}: has no <laneSection>.")
@@ -165,7 +166,7 @@ def _lanes(section: etree._Element, where: str) -> list[tuple[int, Lane]]:
     lanes = []
     for element in (*section.iterfind("left/lane"), *section.iterfind("right/lane")):
         links = [element.find(f"link/{end}") for end in ("predecessor", "successor")]
-        numbers = [None if link is None else int(_float(link, "id", where)) for link in links]
+        numbers = [None if link is None else int(read_number(link, "id", where)) for link in links]
         lane = Lane(
             element.get("type", "none"),
             _read_polynomials(element.iterfind("width"), "sOffset", where),
@@ -173,7 +174,7 @@ def _lanes(section: etree._Element, where: str) -> list[tuple[int, Lane]]:
             numbers[0],
             numbers[1],
         )
-        lanes.append((int(_float(element, "id", where)), lane))
+        lanes.append((int(read_number(element, "id", where)), lane))
     return lanes
 
 
@@ -186,7 +187,7 @@ def _link(element: etree._Element | None) -> Link | None:
 def _read_polynomials(elements: Iterable[etree._Element], name: str, where: str) -> tuple[Polynomial, ...]:
     found: list[Polynomial] = []
     for e in elements:
-        start, a, b, c, d = (_float(e, key, where) for key in (name, "a", "b", "c", "d"))
+        start, a, b, c, d = (read_number(e, key, where) for key in (name, "a", "b", "c", "d"))
         found.append((start, a, b, c, d))
     return tuple(sorted(found))
 
@@ -202,13 +203,3 @@ def _polynomials(polynomials: tuple[Polynomial, ...], s: FloatArray) -> FloatArr
     k = np.clip(np.searchsorted(table[:, 0], s, "right") - 1, 0, len(table) - 1)
     d = s - table[k, 0]
     return np.asarray(table[k, 1] + d * (table[k, 2] + d * (table[k, 3] + d * table[k, 4])))
-
-
-def _float(element: etree._Element, name: str, where: str) -> float:
-    try:
-        number = float(element.get(name, ""))
-    except ValueError:
-        number = float("nan")
-    if not np.isfinite(number):
-        raise InputError(f"{where}: {name} of <{element.tag}> is '{element.get(name)}', not a finite number.")
-    return number
