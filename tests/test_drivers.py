@@ -1,10 +1,8 @@
-"""The driver model in a closed loop, and drivers by name."""
+"""The driver model in a closed loop."""
 
 from __future__ import annotations
 
 import math
-import sys
-import textwrap
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from closed_loop import BOXES, DT, EGO, FRONT, PRESETS, Other, Run, line_is_free, looking, right_turn, straight
 from cornercase.drivers import (
     AGGRESSIVE,
     CAUTIOUS,
@@ -19,122 +18,10 @@ from cornercase.drivers import (
     NORMAL,
     BehaviourDriver,
     Path,
-    Situation,
-    load_driver,
-    named_driver,
 )
 from cornercase.drivers.route import plan_route
-from cornercase.drivers.visibility import in_sight
 from cornercase.drivers.yielding import meeting
-from cornercase.errors import InputError
 from cornercase.geometry import box_corners, boxes_overlap
-
-DT = 0.05
-PRESETS = {"cautious": CAUTIOUS, "normal": NORMAL, "aggressive": AGGRESSIVE}
-EGO = {"length": 4.6, "width": 1.8, "center_x": 1.4}
-FRONT = EGO["center_x"] + EGO["length"] / 2
-
-BOXES = {
-    "car": (4.5, 1.8, 1.4),
-    "truck": (9.0, 2.5, 3.5),
-    "pedestrian": (0.5, 0.5, 0.0),
-    "misc": (1.0, 1.0, 0.0),
-}
-
-
-def straight(length=200.0, step=0.25) -> Path:
-    s = np.arange(0.0, length + step / 2, step)
-    return Path(s, s.copy(), np.zeros_like(s), np.zeros_like(s), np.zeros_like(s))
-
-
-def right_turn(before=60.0, radius=7.5, after=60.0, step=0.1) -> Path:
-    """North along x = 0, then right, ending eastwards along y = before + radius."""
-    arc = radius * math.pi / 2
-    s = np.linspace(0.0, before + arc + after, int((before + arc + after) / step) + 1)
-    turned = np.clip((s - before) / radius, 0.0, math.pi / 2)
-    beyond = np.maximum(s - before - arc, 0.0)
-    x = radius * (1 - np.cos(turned)) + beyond
-    y = np.minimum(s, before) + radius * np.sin(turned)
-    curvature = np.where((s >= before) & (s <= before + arc), -1.0 / radius, 0.0)
-    return Path(s, x, y, math.pi / 2 - turned, curvature)
-
-
-@dataclass
-class Other:
-    """Goes straight at constant speed from `start` on; everything is a number or an array over scenarios."""
-
-    kind: str
-    x: object
-    y: object
-    heading: float = 0.0
-    speed: object = 0.0
-    start: object = 0.0
-    until: object = np.inf
-
-    def at(self, time):
-        moving = (time >= np.asarray(self.start)) & (time < np.asarray(self.until))
-        way = np.asarray(self.speed) * np.clip(np.minimum(time, self.until) - np.asarray(self.start), 0.0, None)
-        speed = np.where(moving, self.speed, 0.0)
-        return (
-            self.x + way * math.cos(self.heading),
-            self.y + way * math.sin(self.heading),
-            self.heading,
-            speed,
-        )
-
-
-class Run:
-    """N scenarios of one driven car among others."""
-
-    def __init__(
-        self, driver, path, others=(), *, scenarios=1, speed=0.0, start=0.0, target=13.9, duration=30.0
-    ) -> None:
-        driver.start(scenarios, len(others))
-        full = np.ones(scenarios)
-        v, s = speed * full, start * full
-        sizes = np.array([BOXES[o.kind] for o in others]).reshape(-1, 3)
-        a = 0.0 * full
-        rows, self.known, self.yielding, self.touched = [], [], [], np.zeros((scenarios, len(others)), bool)
-        self.time = np.arange(round(duration / DT)) * DT
-        for time in self.time:
-            x, y, heading = (np.interp(s, path.distance, c) for c in (path.x, path.y, path.heading))
-            state = np.zeros((4, scenarios, len(others)))
-            for k, other in enumerate(others):
-                for row, value in zip(state, other.at(time), strict=True):
-                    row[:, k] = value
-            situation = Situation(
-                float(time), DT, path, s, x, y, heading, v, a, **EGO, target_speed=target * full,
-                others_x=state[0], others_y=state[1], others_heading=state[2], others_speed=state[3],
-                others_length=sizes[:, 0], others_width=sizes[:, 1], others_center_x=sizes[:, 2],
-                others_kind=tuple(o.kind for o in others), active=np.ones(scenarios, bool),
-            )  # fmt: skip
-            ego, boxes = corners(situation)
-            self.touched |= boxes_overlap(ego[:, None], boxes)
-            a = driver.acceleration(situation)
-            rows.append((s, v, a))
-            self.known.append(getattr(driver, "known", np.zeros((scenarios, len(others)), bool)).copy())
-            self.yielding.append(getattr(driver, "yielding", self.known[-1]).copy())
-            v = v + a * DT
-            s = s + v * DT
-        # Each (instants, scenarios).
-        self.distance, self.speed, self.acceleration = (np.array(column) for column in zip(*rows, strict=True))
-        self.known, self.yielding = np.array(self.known), np.array(self.yielding)
-
-
-def corners(s: Situation):
-    ego = box_corners(
-        s.x + s.center_x * np.cos(s.heading),
-        s.y + s.center_x * np.sin(s.heading),
-        s.heading,
-        s.length,
-        s.width,
-    )
-    boxes = box_corners(
-        s.others_x + s.others_center_x * np.cos(s.others_heading),
-        s.others_y + s.others_center_x * np.sin(s.others_heading),
-        s.others_heading, s.others_length, s.others_width,
-    )  # fmt: skip
-    return ego, boxes
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -416,107 +303,6 @@ def test_expects_who_turns_to_go_on_turning():
         assert (run.speed.min() < 8.5) == brakes
 
 
-def line_is_free(eye, others, k, time):
-    """The same by brute force: points along the lines of sight against the boxes."""
-    boxes = []
-    for other in others:
-        x, y, heading, _ = other.at(time)
-        length, width, center_x = BOXES[other.kind]
-        boxes.append(
-            box_corners(x + center_x * np.cos(heading), y + center_x * np.sin(heading), heading, length, width)
-        )
-    targets = np.vstack([boxes[k], boxes[k].mean(0)])
-    blockers = [box for b, box in enumerate(boxes) if b != k]
-    along = np.linspace(0.0, 1.0, 4001)[:, None]
-    return any(not any(inside(eye + along * (t - eye), box).any() for box in blockers) for t in targets)
-
-
-def inside(points, box):
-    """Whether points are within a box given by its corners, counter-clockwise."""
-    sides = np.roll(box, -1, axis=0) - box
-    to = points[:, None, :] - box
-    return (sides[:, 0] * to[..., 1] - sides[:, 1] * to[..., 0] > 0.0).all(-1)
-
-
-def looking(others_x, others_y, others_heading, kinds) -> Situation:
-    sizes = np.array([BOXES[kind] for kind in kinds])
-    zero = np.zeros(1)
-    return Situation(
-        0.0, DT, straight(), zero, zero, zero, zero, zero, zero, **EGO, target_speed=zero,
-        others_x=np.atleast_2d(others_x), others_y=np.atleast_2d(others_y),
-        others_heading=np.atleast_2d(others_heading), others_speed=np.zeros((1, len(kinds))),
-        others_length=sizes[:, 0], others_width=sizes[:, 1], others_center_x=sizes[:, 2],
-        others_kind=tuple(kinds), active=np.ones(1, bool),
-    )  # fmt: skip
-
-
-@given(
-    places=st.lists(
-        st.tuples(st.floats(4.0, 40.0), st.floats(-20.0, 20.0), st.floats(-3.1, 3.1)), min_size=3, max_size=3
-    ),
-    kinds=st.lists(st.sampled_from(sorted(BOXES)), min_size=3, max_size=3),
-)
-@settings(max_examples=80, deadline=None)
-def test_sight_agrees_with_points_along_the_lines(places, kinds):
-    x, y, heading = np.array(places).T
-    eye = np.array([1.4 + 0.25 * EGO["length"], 0.0])
-    others = [Other(kind, *place) for kind, place in zip(kinds, places, strict=True)]
-    boxes = corners(looking(x, y, heading, kinds))[1][0]
-    if any(inside(eye[None], box).any() for box in boxes):
-        return
-    seen = in_sight(looking(x, y, heading, kinds), field_of_view=2 * math.pi, sight_range=100.0)[0]
-    for k in range(3):
-        # Lines that graze a box may fall on either side: grow and shrink all boxes by a hair.
-        if seen[k] != line_is_free(eye, others, k, 0.0):
-            assert grazes(eye, boxes, k)
-
-
-def grazes(eye, boxes, k):
-    targets = np.vstack([boxes[k], boxes[k].mean(0)])
-    along = np.linspace(0.0, 1.0, 4001)[:, None]
-    for factor in (0.98, 1.02):
-        grown = [b.mean(0) + factor * (b - b.mean(0)) for i, b in enumerate(boxes) if i != k]
-        free = any(not any(inside(eye + along * (t - eye), b).any() for b in grown) for t in targets)
-        if factor == 0.98:
-            with_less = free
-    return with_less != free
-
-
-def test_field_of_view_and_range():
-    kinds = ["misc", "misc", "misc", "misc"]
-    situation = looking([30.0, -10.0, 3.0, 120.0], [0.0, 0.0, 20.0, 30.0], [0.0] * 4, kinds)
-    wide = in_sight(situation, field_of_view=math.pi, sight_range=100.0)[0]
-    assert wide.tolist() == [True, False, True, False]
-    narrow = in_sight(situation, field_of_view=math.radians(60), sight_range=200.0)[0]
-    assert narrow.tolist() == [True, False, False, True]
-
-
-def test_absent_entities_neither_hide_nor_matter():
-    hidden = looking([20.0, 10.0], [0.0, 0.0], [0.0, 0.0], ["pedestrian", "truck"])
-    free = looking([20.0, np.nan], [0.0, np.nan], [0.0, np.nan], ["pedestrian", "truck"])
-    options = {"field_of_view": math.pi, "sight_range": 100.0}
-    assert in_sight(hidden, **options)[0].tolist() == [False, True]
-    assert in_sight(free, **options)[0].tolist() == [True, False]
-    driver = BehaviourDriver(NORMAL._replace(reaction_time=0.0))
-    driver.start(1, 2)
-    empty = replace(free, others_x=np.full((1, 2), np.nan), speed=np.array([5.0]), target_speed=np.array([5.0]))
-    assert driver.acceleration(empty).tolist() == [0.0]
-
-
-def test_remembers_for_a_while_who_got_out_of_sight():
-    driver = BehaviourDriver(NORMAL)
-    driver.start(1, 2)
-    known = []
-    for step in range(80):
-        # The truck comes between at 1 s.
-        blocked = 10.0 if step >= 20 else 200.0
-        situation = looking([20.0, blocked], [0.0, 0.0], [0.0, 0.0], ["misc", "truck"])
-        driver.acceleration(replace(situation, time=step * DT))
-        known.append(bool(driver.known[0, 0]))
-    assert known.index(True) * DT == pytest.approx(NORMAL.reaction_time)
-    assert (len(known) - known[::-1].index(True)) * DT == pytest.approx(1.0 + NORMAL.memory, abs=DT + 1e-9)
-
-
 def test_bolder_presets_arrive_earlier_and_keep_smaller_gaps():
     others = [crossing(6.0), Other("car", 130.0, 0.0, speed=5.0)]
     runs = {
@@ -603,92 +389,3 @@ def test_mirrored_scenes_give_mirrored_decisions():
         left = Other("pedestrian", 60.0, 1.4 * time, heading=-math.pi / 2, speed=1.4)
         runs = [Run(BehaviourDriver(NORMAL), straight(300.0), [o], speed=10.0, duration=15.0) for o in (right, left)]
         assert runs[0].distance == pytest.approx(runs[1].distance, abs=1e-6)
-
-
-def test_presets_by_name_state_all_their_parameters():
-    assert {"cautious", "normal", "aggressive"} <= set(DRIVERS.names())
-    assert named_driver("aggressive").settings == {"driver": "behaviour", **AGGRESSIVE._asdict()}
-    with pytest.raises(InputError, match="did you mean 'cautious'"):
-        named_driver("cautous")
-
-
-def test_unusable_parameters_are_named():
-    with pytest.raises(InputError, match="horizon is -1"):
-        BehaviourDriver(NORMAL._replace(horizon=-1))
-
-
-@pytest.fixture
-def own_module(tmp_path, monkeypatch):
-    (tmp_path / "own_drivers.py").write_text(
-        textwrap.dedent(
-            """
-            import numpy as np
-
-            class Steady:
-                settings = {"driver": "steady"}
-
-                def start(self, scenarios, others):
-                    pass
-
-                def acceleration(self, situation):
-                    return np.clip(situation.target_speed - situation.speed, -1.0, 1.0)
-
-            class Picky(Steady):
-                def __init__(self, level):
-                    self.level = level
-
-            class Engine:
-                pass
-
-            constant = 3
-            """
-        )
-    )
-    (tmp_path / "broken_drivers.py").write_text("raise RuntimeError('no licence')\n")
-    monkeypatch.chdir(tmp_path)
-    yield
-    for name in ("own_drivers", "broken_drivers"):
-        sys.modules.pop(name, None)
-
-
-@pytest.mark.usefixtures("own_module")
-def test_a_users_own_driver_is_found_in_the_current_folder_and_drives():
-    before = list(sys.path)
-    driver = named_driver("own_drivers:Steady")
-    assert sys.path == before
-    assert driver.settings == {"driver": "steady"}
-    run = Run(driver, straight(), [Other("car", 150.0, 3.0)], speed=4.0, target=8.0, duration=20.0)
-    assert run.speed[-1, 0] == pytest.approx(8.0, abs=0.01)
-
-
-@pytest.mark.usefixtures("own_module")
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("own_drivers", "not of the form package.module:Class"),
-        ("own_drivers:", "not of the form package.module:Class"),
-        ("../own:Steady", "not of the form package.module:Class"),
-        ("no_such_module_here:Steady", "no module 'no_such_module_here'"),
-        ("broken_drivers:Steady", "its module fails: RuntimeError: no licence"),
-        ("own_drivers:Absent", "has no class 'Absent'"),
-        ("own_drivers:constant", "has no class 'constant'"),
-        ("own_drivers:Picky", "cannot be made without arguments"),
-        ("own_drivers:Engine", "is no driver"),
-    ],
-)
-def test_what_is_no_driver_is_refused_in_one_sentence(name, says):
-    with pytest.raises(InputError) as caught:
-        load_driver(name)
-    message = str(caught.value)
-    assert says in message
-    assert "\n" not in message
-    assert message.endswith(".")
-
-
-@pytest.mark.parametrize(
-    "distance",
-    [np.array([0.0]), np.array([0.0, 1.0, 1.0]), np.array([1.0, 2.0, 3.0])],
-)
-def test_paths_that_are_none_are_refused(distance):
-    with pytest.raises(ValueError, match="path"):
-        Path(distance, *(np.zeros_like(distance) for _ in range(4)))
