@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ from scipy.spatial.distance import pdist, squareform
 from sklearn.cluster import DBSCAN
 from sklearn.decomposition import KernelPCA
 from sklearn.metrics import silhouette_samples
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped,unused-ignore]
+from threadpoolctl import threadpool_limits
 
 from cornercase.errors import InputError
 from cornercase.typing import FloatArray, IntArray
@@ -191,7 +191,7 @@ def cluster(
     with threadpool_limits(limits=1):
         validity = _Validity(scaled)
         for width in gammas:
-            embedding, explained = _embed(np.exp(-width * scaled**2), n_components)
+            embedding, explained = _embed(gaussian_kernel(scaled, width), n_components)
             for reach in _radii(embedding, needed) if radius is None else (radius,):
                 labels = _dbscan(embedding, reach, needed)
                 candidate = _judge(width, reach, labels, validity, searching and n >= _FEWEST)
@@ -260,12 +260,20 @@ def _radii(embedding: FloatArray, min_samples: int) -> Iterable[float]:
 
 
 def _dbscan(embedding: FloatArray, eps: float, min_samples: int) -> IntArray:
-    """Labels by falling size of the cluster, at a tie by its first scenario."""
-    found = DBSCAN(eps=eps, min_samples=min_samples).fit_predict(embedding).astype(np.int64)
+    return by_size(DBSCAN(eps=eps, min_samples=min_samples).fit_predict(embedding))
+
+
+def gaussian_kernel(scaled: FloatArray, gamma: float) -> FloatArray:
+    """Kernel of distances that were divided by their scale, of the same shape."""
+    return np.asarray(np.exp(-gamma * scaled**2))
+
+
+def by_size(found: npt.NDArray[np.integer[Any]]) -> IntArray:
+    """Labels, shape (n,), by falling size of the cluster, at a tie by the label before; -1 stays noise."""
     sizes = np.bincount(found[found >= 0], minlength=1)
     rank = np.empty(len(sizes), dtype=np.int64)
     rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
-    return np.where(found >= 0, rank[found], NOISE)
+    return np.where(found >= 0, rank[found], NOISE).astype(np.int64)
 
 
 def _judge(gamma: float, eps: float, labels: IntArray, validity: _Validity, wanted: bool) -> Candidate:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import fcntl
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from numba import njit
 from numba.core.caching import FunctionCache
@@ -50,19 +50,19 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
         # Where there is no folder to write to, it is compiled anew each time.
         with suppress(RuntimeError):
             compiled._cache = _SharedCache(function)
-        return compiled  # type: ignore[no-any-return]
+        return cast(Callable[..., Any], compiled)
 
     return decorate
 
 
 @contextmanager
 def _locked(folder: str, how: int) -> Iterator[None]:
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        lock = open(Path(folder) / "cornercase.lock", "ab")  # noqa: SIM115 - closed below, where it was opened
-    except OSError:
-        yield  # Nothing can be written there, so nothing is.
-        return
-    with lock:
-        fcntl.flock(lock, how)
+    with ExitStack() as opened:
+        lock = None
+        # Where nothing can be written, nothing is.
+        with suppress(OSError):
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            lock = opened.enter_context((Path(folder) / "cornercase.lock").open("ab"))
+        if lock is not None:
+            fcntl.flock(lock, how)
         yield

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from cornercase.archetypes import prototype
 from cornercase.errors import InputError
 from cornercase.typing import FloatArray, IntArray
 
@@ -133,8 +134,7 @@ def medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
     for _ in range(rounds):
         nearest = distances[:, found].argmin(axis=1)
         nearest[found] = np.arange(k)
-        groups = [np.flatnonzero(nearest == j) for j in range(k)]
-        middles = [group[distances[np.ix_(group, group)].sum(axis=1).argmin()] for group in groups]
+        middles = [prototype(distances, np.flatnonzero(nearest == j)) for j in range(k)]
         if np.array_equal(middles, found):
             break
         found = np.array(middles, dtype=np.int64)

@@ -26,6 +26,9 @@ _INTERVAL: Final = (0.05, 0.95)
 # figure the intervals hold the truth as often as they say in benchmarks/exploration.py.
 _TOLD: Final = 0.8
 
+REGION: Final = 0.01
+"""Share of the space from which a region counts, unless somebody says otherwise."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -93,7 +96,7 @@ class CriticalSet:
             zip(map(bytes, space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True)
         )
         self._certain = self._seen(self._places)
-        self._is_found = np.where(self._certain == 0.0, mean <= 0.0, self._certain > 0.0)
+        self._is_found = _found(mean, self._certain)
         self._rng = np.random.default_rng(seed)
         # Sums in one order, whatever the number of threads.
         with threadpool_limits(limits=1):
@@ -149,8 +152,7 @@ class CriticalSet:
         ndarray of bool, shape (n,)
         """
         mean, _ = self._process.predict(encoded(self._space, points))
-        seen = self._seen(points)
-        return np.where(seen == 0.0, mean <= 0.0, seen > 0.0)
+        return _found(mean, self._seen(points))
 
     def _seen(self, points: FloatArray) -> FloatArray:
         """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""
@@ -169,7 +171,7 @@ class CriticalSet:
         unseen = (self._drawn & ~self._is_found[: len(self._drawn), None]).sum(axis=0)
         return _estimate(unseen / np.maximum(self._drawn.sum(axis=0), 1))
 
-    def overlooked(self, size: float = 0.01) -> float:
+    def overlooked(self, size: float = REGION) -> float:
         """Probability, by the process, that no scenario was run in some critical region.
 
         Parameters
@@ -191,7 +193,7 @@ class CriticalSet:
             overlooked += bool(((sizes >= max(size * count, 1.0)) & ~hit).any())
         return overlooked / _DRAWS
 
-    def unvisited(self, size: float = 0.01) -> float:
+    def unvisited(self, size: float = REGION) -> float:
         """Share of the space around which a ball of a given size holds none of the scenarios that were run.
 
         What the process says of a region rests on what was run around it. This rests on nothing but where that was:
@@ -222,8 +224,8 @@ class CriticalSet:
         return {
             "share": vars(self.share),
             "missed": vars(self.missed),
-            "overlooked": {"value": self.overlooked(), "size": 0.01},
-            "unvisited": {"value": self.unvisited(), "size": 0.01},
+            "overlooked": {"value": self.overlooked(), "size": REGION},
+            "unvisited": {"value": self.unvisited(), "size": REGION},
         }
 
 
@@ -231,6 +233,10 @@ def _places(space: ParameterSpace, seed: int) -> FloatArray:
     """Concrete scenarios that stand for the space, each as often as it is likely."""
     with_all = space.snap(qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])).random(_PLACES))
     return with_all[space.admits(with_all)]
+
+
+def _found(mean: FloatArray, seen: FloatArray) -> BoolArray:
+    return np.where(seen == 0.0, mean <= 0.0, seen > 0.0)
 
 
 def _estimate(draws: FloatArray) -> Estimate:

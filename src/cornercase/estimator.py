@@ -6,12 +6,13 @@ from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.distance import cdist
 from sklearn.base import BaseEstimator, ClusterMixin
 from sklearn.cluster import HDBSCAN
 from sklearn.decomposition import KernelPCA
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped,unused-ignore]
+from threadpoolctl import threadpool_limits
 
-from cornercase.clustering import NOISE, Clustering, cluster
+from cornercase.clustering import NOISE, Clustering, by_size, cluster, gaussian_kernel
 from cornercase.errors import InputError, suggestion
 from cornercase.typing import BoolArray, FloatArray, IntArray
 
@@ -146,7 +147,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         ndarray of int64, shape (m,)
         """
         placed = self.transform(distances)
-        apart = np.linalg.norm(placed[:, None] - self.embedding_, axis=-1)
+        apart = cdist(placed, self.embedding_)
         apart[:, ~self._dense()] = np.inf
         nearest = apart.argmin(axis=1)
         near = apart[np.arange(len(placed)), nearest] <= self._reach()
@@ -154,13 +155,13 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
 
     def _kernel(self, distances: FloatArray) -> FloatArray:
         scaled = distances / self.result_.scale if self.result_.scale else distances
-        return np.asarray(np.exp(-self.result_.gamma * scaled**2))
+        return gaussian_kernel(scaled, self.result_.gamma)
 
     def _dense(self) -> BoolArray:
         """Scenarios with enough neighbours; with HDBSCAN all that are in a cluster."""
         if self.method == "hdbscan":
             return np.asarray(self.labels_ >= 0)
-        between = np.linalg.norm(self.embedding_[:, None] - self.embedding_, axis=-1)
+        between = cdist(self.embedding_, self.embedding_)
         return np.asarray((between <= self.result_.eps).sum(axis=1) >= self.result_.min_samples)
 
     def _reach(self) -> float:
@@ -169,20 +170,17 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             return self.result_.eps
         # As far as the members of the clusters are from their own min_samples-th neighbour at most.
         members = self.embedding_[self.labels_ >= 0]
-        between = np.sort(np.linalg.norm(members[:, None] - members, axis=-1), axis=1)
+        between = np.sort(cdist(members, members), axis=1)
         return float(between[:, min(self.result_.min_samples, len(members)) - 1].max(initial=0.0))
 
     def _hdbscan(self) -> IntArray:
         least = max(2, self.result_.min_samples)
         if len(self.embedding_) <= least:
             return np.full(len(self.embedding_), NOISE, dtype=np.int64)
-        found = HDBSCAN(
+        clusters = HDBSCAN(
             min_cluster_size=least,
             min_samples=least,
             cluster_selection_epsilon=0.0 if self.eps == "auto" else float(self.eps),
             copy=True,
-        ).fit_predict(self.embedding_)
-        sizes = np.bincount(found[found >= 0], minlength=1)
-        rank = np.empty(len(sizes), dtype=np.int64)
-        rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
-        return np.where(found >= 0, rank[found], NOISE).astype(np.int64)
+        )
+        return by_size(clusters.fit_predict(self.embedding_))

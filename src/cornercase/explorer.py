@@ -168,8 +168,7 @@ class ScenarioExplorer:
     def _go_on(self, bar: _Bar | None) -> tuple[int, int]:
         """Finish what a killed explorer left pending, and tell the optimizer all; how many scenarios and rounds."""
         rows = self._study.rows()
-        found = np.stack([self._study.scores(metric.name) for metric in self._metrics], axis=1)
-        told = self._objective.told(found)
+        told = self._objective.told_of(self._study)
         scores = dict(zip((row.id for row in rows if row.state == "done"), told, strict=True))
         for _, members in groupby(rows, key=lambda row: row.round):
             again = list(members)

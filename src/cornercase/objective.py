@@ -10,6 +10,7 @@ import numpy as np
 from cornercase.errors import InputError, suggestion
 from cornercase.metrics import METRICS
 from cornercase.metrics.base import Metric, threshold
+from cornercase.study import Study
 from cornercase.typing import BoolArray, FloatArray
 
 
@@ -69,6 +70,10 @@ class Objective:
         used = self._factors.any(axis=1)
         values = scores[:, used] @ self._factors[used]
         return np.asarray(values if self.pareto else values[:, 0])
+
+    def told_of(self, study: Study) -> FloatArray:
+        """What the search is told of all scenarios of a study that ended, as of `told`."""
+        return self.told(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
 
     @property
     def text(self) -> str:

@@ -255,7 +255,7 @@ def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
             f"{study.path}: belongs to another threshold of what is critical ({study.meta['critical']:g}); name"
             " another study with -o, or give the same --critical."
         )
-    if study.meta["optimizer"].startswith("grid") and study.meta["budget"] != meta["budget"]:
+    if meta["optimizer"].partition(":")[0] == "grid" and study.meta["budget"] != meta["budget"]:
         study.close()
         raise InputError(
             f"{study.path}: belongs to a grid of {study.meta['budget']} scenarios; give the same --budget."

@@ -9,8 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from sklearn.metrics import adjusted_mutual_info_score, adjusted_rand_score
-from sklearn.tree import DecisionTreeClassifier
 
 from cornercase.metrics.conflict_area import visits
 from cornercase.recording import Recording
@@ -157,6 +155,9 @@ def rules(space: ParameterSpace, rows: Sequence[Row], members: BoolArray) -> tup
     tuple of Rule
         One ``"everywhere"`` where the scenarios are all, or nothing sets them apart.
     """
+    # Loaded here, so that who only looks at a study does not wait for it.
+    from sklearn.tree import DecisionTreeClassifier
+
     columns, names = _columns(space, [row.values for row in rows])
     everywhere = Rule("everywhere", 1.0, float(members.mean()))
     if members.all() or not columns.shape[1]:
@@ -184,6 +185,8 @@ def agreement(ids: IntArray, one: IntArray, two: IntArray) -> Agreement:
     one, two : ndarray of int64, shape (n,)
         Labels; noise counts as a cluster.
     """
+    from sklearn.metrics import adjusted_mutual_info_score, adjusted_rand_score
+
     first, a = np.unique(one, return_inverse=True)
     second, b = np.unique(two, return_inverse=True)
     table = np.zeros((len(first), len(second)), dtype=np.int64)
@@ -195,7 +198,7 @@ def agreement(ids: IntArray, one: IntArray, two: IntArray) -> Agreement:
 
 def agreements(study: Study) -> dict[tuple[str, str], Agreement]:
     """Compare all pairs of a study's clusterings that hold the same scenarios."""
-    found = {name: study.analysis(name)[0] for name in study.analyses()}
+    found = {name: study.analysis(name, "ids", "labels")[0] for name in study.analyses()}
     return {
         (a, b): agreement(found[a]["ids"], found[a]["labels"], found[b]["labels"])
         for a, b in combinations(found, 2)

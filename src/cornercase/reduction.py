@@ -65,6 +65,7 @@ def reduce_study(
     """
     folder, by = Path(folder), by or study.meta["metrics"][0]
     arrays, _ = study.analysis(by)
+    analyses = {name: arrays if name == by else study.analysis(name)[0] for name in study.analyses()}
     rows = {row.id: row for row in study.done()}
     chosen = [rows[i] for i in arrays["ids"].tolist()]
     points = np.array([row.point for row in chosen])
@@ -72,7 +73,7 @@ def reduce_study(
         kept = reduce_clusters(points, arrays["distances"], arrays["labels"], archetypes=archetypes)
     else:
         kept = choose(
-            points, _distances(study, by), arrays["labels"], _critical(study, by, arrays), size=size, cover=cover
+            points, _distances(analyses, by), arrays["labels"], _critical(study, arrays), size=size, cover=cover
         )
     scores = {name: study.scores(name) for name in study.meta["metrics"]}
     ids = [row.id for row in study.done()]
@@ -112,7 +113,7 @@ def reduce_study(
         "run": len(ids),
         "kept": len(items),
         "scenarios": items,
-        "coverage": {name: _coverage(study, name, [item["id"] for item in items]) for name in study.analyses()},
+        "coverage": {name: _coverage(one, [item["id"] for item in items]) for name, one in analyses.items()},
     }
     with written_whole(folder / "manifest.json") as temporary:
         temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
@@ -129,16 +130,14 @@ def reduce_study(
     return manifest
 
 
-def _distances(study: Study, by: str) -> list[FloatArray]:
+def _distances(analyses: Mapping[str, Any], by: str) -> list[FloatArray]:
     """Distances of the clustering that counts, then of the others of the same scenarios."""
-    found = {name: study.analysis(name)[0] for name in study.analyses()}
-    others = [
-        one["distances"] for name, one in found.items() if name != by and len(one["ids"]) == len(found[by]["ids"])
-    ]
-    return [found[by]["distances"], *others]
+    first = analyses[by]
+    others = [one["distances"] for name, one in analyses.items() if name != by and len(one["ids"]) == len(first["ids"])]
+    return [first["distances"], *others]
 
 
-def _critical(study: Study, by: str, arrays: Mapping[str, Any]) -> list[int]:
+def _critical(study: Study, arrays: Mapping[str, Any]) -> list[int]:
     """Clusters in which most scenarios are critical; without a threshold the one with the most critical median."""
     objective = Objective.of_study(study.meta)
     metric, labels = objective.metrics[0], arrays["labels"]
@@ -167,8 +166,7 @@ def _item(
     }
 
 
-def _coverage(study: Study, name: str, kept: list[int]) -> dict[str, Any]:
-    arrays, _ = study.analysis(name)
+def _coverage(arrays: Mapping[str, Any], kept: list[int]) -> dict[str, Any]:
     ids = arrays["ids"].tolist()
     index = [ids.index(i) for i in kept if i in ids]
     if not index:

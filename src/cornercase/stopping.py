@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from cornercase.critical_set import CriticalSet
+from cornercase.critical_set import REGION, CriticalSet
 from cornercase.errors import InputError
 
 _FORM = re.compile(r"(?P<what>[a-z]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
@@ -31,7 +31,7 @@ class Criterion:
 
     what: str
     below: float
-    size: float = 0.01
+    size: float = REGION
 
     @classmethod
     def parse(cls, text: str) -> Criterion:
@@ -49,7 +49,8 @@ class Criterion:
             )
         if match["size"] is not None and match["what"] not in _SIZED:
             raise InputError(f"--stop-when {text}: only overlooked and unvisited take a size.")
-        return cls(match["what"], _share(match["below"], text), _share(match["size"] or "0.01", text))
+        size = _share(match["size"], text) if match["size"] else REGION
+        return cls(match["what"], _share(match["below"], text), size)
 
     def value(self, known: CriticalSet) -> float:
         """What the quantity is."""

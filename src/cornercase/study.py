@@ -266,13 +266,13 @@ class Study:
         order = ["ego-trajectory", *self.meta["metrics"]]
         return [name for name in order if name in names]
 
-    def analysis(self, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Arrays and further facts of a stored result."""
+    def analysis(self, name: str, *arrays: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Arrays and further facts of a stored result; with `arrays` only these are unpacked."""
         found = self._found("SELECT arrays, info FROM analyses WHERE name = ?", name)
         if not found:
             raise InputError(f"{self.path}: holds no analysis by {name}; run 'cornercase analyze {self.path}'.")
-        arrays, info = found[0]
-        return _unpacked(arrays), json.loads(info)
+        packed, info = found[0]
+        return _unpacked(packed, arrays), json.loads(info)
 
     def reduction(self) -> dict[str, Any] | None:
         """Return what is known of the reduced set, as in its manifest; None before the reduction."""
@@ -395,9 +395,9 @@ def _packed(arrays: Mapping[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def _unpacked(data: bytes) -> dict[str, Any]:
+def _unpacked(data: bytes, names: Sequence[str] = ()) -> dict[str, Any]:
     with np.load(io.BytesIO(data), allow_pickle=False) as loaded:
-        return {name: loaded[name] for name in loaded.files}
+        return {name: loaded[name] for name in names or loaded.files}
 
 
 _ARRAYS: Final = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")

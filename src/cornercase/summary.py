@@ -62,7 +62,7 @@ def summarize(study: Study) -> dict[str, Any]:
     if done:
         summary |= knowledge(study, objective)
     for name in study.analyses():
-        arrays, info = study.analysis(name)
+        arrays, info = study.analysis(name, "labels")
         labels = arrays["labels"]
         summary["clusters"][name] = {
             "sizes": np.bincount(labels[labels >= 0]).tolist(),
@@ -110,7 +110,7 @@ def knowledge(study: Study, objective: Objective) -> dict[str, Any]:
     known: dict[str, Any] = {}
     rows, meta = study.done(), study.meta
     points = np.array([row.point for row in rows])
-    told = objective.told(np.stack([study.scores(metric.name) for metric in objective.metrics], axis=1))
+    told = objective.told_of(study)
     if objective.pareto:
         front = np.flatnonzero(on_front(told))
         known["front"] = {

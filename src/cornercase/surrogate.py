@@ -18,7 +18,6 @@ from cornercase.scenario.space import ParameterSpace
 from cornercase.typing import FloatArray
 
 Floats = npt.NDArray[np.floating[Any]]
-Singles = npt.NDArray[np.floating[Any]]
 
 _ROOT5 = float(np.sqrt(5.0))
 _CHUNK, _LEARNED, _FEWEST = 1024, 160, 10
@@ -184,21 +183,21 @@ class GaussianProcess:
             list(pool.map(part, range(0, len(points), _CHUNK)))
         return mean + self._mean, np.sqrt(np.maximum(self.signal**2 - deviation, 1e-8 * self.signal**2))
 
-    def projections(self, points: FloatArray) -> Singles:
+    def projections(self, points: FloatArray) -> Floats:
         """What `covariance` needs of points, shape (n, values)."""
         with threadpool_limits(limits=1):
             return self._project(self._cross(points))
 
-    def _cross(self, points: FloatArray) -> Singles:
+    def _cross(self, points: FloatArray) -> Floats:
         """Covariance of points with those that were learned."""
         known = self._points.astype(np.float32)
         cross = _correlation(_distances((points / self.widths).astype(np.float32), known))
         cross *= np.float32(self.signal**2)
         return cross
 
-    def _project(self, cross: Singles) -> Singles:
+    def _project(self, cross: Floats) -> Floats:
         """Product with the inverse factor, in place: half the work of that with a full matrix."""
-        found: Singles = strmm(1.0, self._single_inverse, cross.T, side=0, lower=1, overwrite_b=1).T
+        found: Floats = strmm(1.0, self._single_inverse, cross.T, side=0, lower=1, overwrite_b=1).T
         return found
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
@@ -217,7 +216,7 @@ class GaussianProcess:
         covariance[np.diag_indices(len(points))] += self.noise**2 + 1e-6 * self.signal**2
         return cholesky(covariance, lower=True), np.sqrt(np.diag(covariance))
 
-    def covariance(self, points: FloatArray, rows: Singles, i: int) -> FloatArray:
+    def covariance(self, points: FloatArray, rows: Floats, i: int) -> FloatArray:
         """Covariance of the process at all points with that at one of them, shape (n,); `rows` as of `projections`."""
         prior = self.signal**2 * _correlation(_distances(points / self.widths, points[i : i + 1] / self.widths))[:, 0]
         return np.asarray(prior - rows @ rows[i], dtype=np.float64)

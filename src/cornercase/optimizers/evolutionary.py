@@ -56,9 +56,7 @@ class EvolutionaryOptimizer:
         if self._scores is None or np.isfinite(self._scores).all(axis=1).sum() < self._population:
             return self._sequence.ask(n)
         children = self._children(n)
-        rest = SequenceOptimizer(self._space, self._seed, "sobol")
-        rest.tell(np.concatenate([self._points, children]), np.zeros(len(self._points) + len(children)))
-        return np.concatenate([children, rest.ask(n - len(children))])
+        return np.concatenate([children, self._sequence.ask(n - len(children), besides=children)])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take scores, shape (m,) or (m, k), lower being more critical; NaN for a scenario that failed."""

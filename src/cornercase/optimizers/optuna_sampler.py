@@ -63,10 +63,8 @@ class OptunaOptimizer:
         for _ in range(n):
             point = self._new()
             if point is None:
-                rest = SequenceOptimizer(self._space, self._seed, "sobol")
-                told = np.array([np.frombuffer(key) for key in (*self._told, *self._asked)])
-                rest.tell(told.reshape(-1, self._space.dimension), np.zeros(len(told)))
-                found = rest.ask(1)
+                asked = np.array([np.frombuffer(key) for key in self._asked])
+                found = self._sequence.ask(1, besides=asked.reshape(-1, self._space.dimension))
                 if not len(found):
                     break
                 point = found[0]

@@ -40,22 +40,29 @@ class SequenceOptimizer:
         self._random = np.random.default_rng(seed)
         self._sobol = qmc.Sobol(space.dimension, scramble=True, seed=np.random.default_rng(seed))
 
-    def ask(self, n: int) -> FloatArray:
-        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
+    def ask(self, n: int, besides: FloatArray | None = None) -> FloatArray:
+        """Return at most `n` points, shape (m, d), none of which was told or is in `besides`, shape (k, d).
+
+        m < n only when the space has no more.
+        """
+        left_out = self._told if besides is None else self._told | self._as_keys(besides)
         while self._first < len(self._keys) and self._keys[self._first] in self._told:
             self._first += 1
         found: dict[bytes, int] = {}
         place = self._first
         while len(found) < n and (place < len(self._keys) or self._lengthen()):
             key = self._keys[place]
-            if key not in self._told:
+            if key not in left_out:
                 found.setdefault(key, place)
             place += 1
         return self._sequence[list(found.values())].reshape(-1, self._space.dimension)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Remember what was run."""
-        self._told.update(point.tobytes() for point in self._space.snap(points))
+        self._told |= self._as_keys(points)
+
+    def _as_keys(self, points: FloatArray) -> set[bytes]:
+        return {point.tobytes() for point in self._space.snap(points)}
 
     def _lengthen(self) -> bool:
         """Draw as many points again; False when there are no more."""

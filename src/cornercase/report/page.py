@@ -173,7 +173,7 @@ class _Page:
             )
 
     def _clustering(self, name: str) -> Iterable[str]:
-        arrays, info = self._study.analysis(name)
+        arrays, info = self._study.analysis(name, "ids", "labels", "embedding")
         index = {row.id: k for k, row in enumerate(self._rows)}
         rows = [index[i] for i in arrays["ids"].tolist()]
         labels = arrays["labels"]
@@ -202,26 +202,9 @@ class _Page:
                 for label in np.unique(labels).tolist()
             ],
         )
-        described = info.get("profiles", ())
-        yield (
-            _table(
-                ["cluster", "how it ends", "where", "of the cluster", "purity"],
-                [
-                    [
-                        figures.look(one["cluster"])[2] if k == 0 else "",
-                        ", ".join(f"{end} ({count})" for end, count in one["outcomes"].items()) if k == 0 else "",
-                        rule["text"],
-                        f"{rule['covers']:.0%}",
-                        f"{rule['purity']:.0%}",
-                    ]
-                    for one in described
-                    for k, rule in enumerate(one["rules"])
-                ],
-                text=(0, 1, 2),
-            )
-            if described
-            else ""
-        )
+        # Studies that were analysed by earlier versions have none.
+        if described := info.get("profiles"):
+            yield _in_words(described)
         metric = self._metrics[0] if name == EGO_TRAJECTORY else METRICS.create(name)
         ids = [self._rows[k].id for k in rows]
         yield self._figure(
@@ -361,6 +344,24 @@ class _Page:
         return (
             f"<figure><img alt='{text}' src='data:image/png;base64,{source}'><figcaption>{text}</figcaption></figure>"
         )
+
+
+def _in_words(described: Sequence[dict[str, Any]]) -> str:
+    return _table(
+        ["cluster", "how it ends", "where", "of the cluster", "purity"],
+        [
+            [
+                figures.look(one["cluster"])[2] if k == 0 else "",
+                ", ".join(f"{end} ({count})" for end, count in one["outcomes"].items()) if k == 0 else "",
+                rule["text"],
+                f"{rule['covers']:.0%}",
+                f"{rule['purity']:.0%}",
+            ]
+            for one in described
+            for k, rule in enumerate(one["rules"])
+        ],
+        text=(0, 1, 2),
+    )
 
 
 def _critical_set(known: dict[str, Any], run: int) -> str:
