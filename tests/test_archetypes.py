@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.spatial.distance import pdist, squareform
 
-from cornercase.archetypes import Kept, convex_hull, hull_archetypes, prototype, reduce_clusters
+from cornercase.archetypes import convex_hull, hull_archetypes, prototype
 from cornercase.coverage import coverage
 from cornercase.errors import InputError
+from cornercase.reduced_set import Kept, reduce_clusters
 
 
 def is_mixture(point, others):

@@ -4,9 +4,10 @@ from scipy.spatial.distance import pdist, squareform
 from sklearn.datasets import make_blobs, make_circles, make_moons
 from sklearn.metrics import adjusted_rand_score
 
-from cornercase.clustering import cluster, density_validity
+from cornercase.clustering import cluster
 from cornercase.dtw import distance_matrix
 from cornercase.errors import InputError
+from cornercase.validity import density_validity
 
 
 def between(points):

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 
-from cornercase.clustering import Clustering, cluster
+from cornercase.clustering import Candidate, Clustering, Method, cluster
 from cornercase.dtw import distance_matrix
 from cornercase.errors import InputError, suggestion
+from cornercase.estimator import ScenarioClustering
 from cornercase.metrics import METRICS
 from cornercase.metrics.base import capped
 from cornercase.profiles import Profile, outcome, profiles
 from cornercase.study import Study
-from cornercase.typing import FloatArray, IntArray
+from cornercase.typing import BoolArray, FloatArray, IntArray
 
 EGO_TRAJECTORY: Final = "ego-trajectory"
 
@@ -82,6 +84,8 @@ def analyze_study(
     gamma: float | Literal["auto"] = "auto",
     eps: float | Literal["auto"] = "auto",
     min_samples: int | Literal["auto"] = "auto",
+    method: Method = "dbscan",
+    keep: bool = False,
     progress: bool = False,
 ) -> dict[str, Analysis]:
     """Cluster the scenarios of a study, and store the result in it.
@@ -96,7 +100,11 @@ def analyze_study(
         ``"ego-trajectory"`` and metrics; all by default.
     gamma, eps : float or "auto"
     min_samples : int or "auto"
+    method : {"dbscan", "hdbscan"}
         As of `cornercase.clustering.cluster`.
+    keep : bool, default False
+        Keep the clusters that the study has, and let only scenarios that were run since join them, as of
+        `cornercase.estimator.ScenarioClustering.predict`.
     progress : bool, default False
 
     Returns
@@ -117,17 +125,37 @@ def analyze_study(
         begun = time.monotonic()
         distances = distance_matrix(series_of(study, name), progress=progress)
         measured = time.monotonic()
-        found = cluster(distances, gamma=gamma, eps=eps, min_samples=min_samples)
+        fitted = np.ones(len(ids), dtype=np.bool_)
+        if keep and name in study.analyses():
+            found, fitted = _joined(study, name, ids, distances)
+        else:
+            found = cluster(distances, gamma=gamma, eps=eps, min_samples=min_samples, method=method)
         described = profiles(study, found.labels, outcomes)
         results[name] = Analysis(name, ids, distances, found, described)
         study.save_analysis(
             name,
             {"ids": ids, "distances": distances, "labels": found.labels, "embedding": found.embedding},
-            _info(found) | {"profiles": [asdict(one) for one in described]},
+            _info(found) | {"fitted": ids[fitted].tolist(), "profiles": [asdict(one) for one in described]},
         )
         study.add_elapsed("compare", measured - begun)
         study.add_elapsed("cluster", time.monotonic() - measured)
     return results
+
+
+def _joined(study: Study, name: str, ids: IntArray, distances: FloatArray) -> tuple[Clustering, BoolArray]:
+    """Clusters that a study has, joined by the scenarios that were run since, and of which they were found."""
+    arrays, info = study.analysis(name, "ids")
+    # Scenarios that failed before have run since at times; so the earlier ones need not be the first.
+    earlier = np.isin(ids, info.get("fitted", arrays["ids"].tolist()))
+    model = ScenarioClustering(
+        info["gamma"], info["eps"], info["min_samples"], method=info.get("method", "dbscan")
+    ).fit(distances[np.ix_(earlier, earlier)])
+    labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), model.n_components))
+    labels[earlier], embedding[earlier] = model.labels_, model.embedding_
+    to_earlier = distances[np.ix_(~earlier, earlier)]
+    labels[~earlier], embedding[~earlier] = model.predict(to_earlier), model.transform(to_earlier)
+    candidates = tuple(Candidate(**({"stability": math.nan} | one)) for one in info["candidates"])
+    return replace(model.result_, labels=labels, embedding=embedding, candidates=candidates), earlier
 
 
 def _info(found: Clustering) -> dict[str, Any]:
@@ -137,5 +165,9 @@ def _info(found: Clustering) -> dict[str, Any]:
         "min_samples": found.min_samples,
         "scale": found.scale,
         "explained": found.explained,
+        "method": found.method,
+        "stability": found.stability,
+        "landmarks": len(found.landmarks),
+        "error": found.error,
         "candidates": [asdict(candidate) for candidate in found.candidates],
     }

@@ -8,7 +8,6 @@ are to be found there. The prototype is the scenario that is most like all other
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +16,6 @@ from scipy.spatial import ConvexHull, QhullError
 from cornercase.errors import InputError
 from cornercase.typing import FloatArray, IntArray
 
-# As many as the paper keeps on each hull; of all scenarios about a tenth is kept.
-MOST_ARCHETYPES = 15
-KEPT_SHARE = 10
 # The number of facets grows so fast with the dimensions that hulls beyond these are of no use.
 MOST_HULL_DIMENSIONS = 6
 _FLAT = 1e-9
@@ -41,25 +37,6 @@ class Hull:
 
     vertices: IntArray
     simplices: IntArray
-
-
-@dataclass(frozen=True)
-class Kept:
-    """A scenario of the reduced set.
-
-    Attributes
-    ----------
-    index : int
-        Which scenario.
-    cluster : int
-        Which cluster it stands for; -1 for noise.
-    role : {"archetype", "prototype", "gap"}
-        Why it is kept; a gap is a scenario that was unlike all that were kept before it.
-    """
-
-    index: int
-    cluster: int
-    role: Literal["archetype", "prototype", "gap"]
 
 
 def convex_hull(points: npt.ArrayLike) -> Hull:
@@ -167,68 +144,3 @@ def prototype(distances: FloatArray, members: npt.ArrayLike) -> int:
         raise InputError("A cluster without scenarios has no prototype; leave it out.")
     indices = np.sort(indices)
     return int(indices[distances[np.ix_(indices, indices)].sum(axis=1).argmin()])
-
-
-def reduce_clusters(
-    points: npt.ArrayLike,
-    distances: npt.ArrayLike,
-    labels: npt.ArrayLike,
-    *,
-    archetypes: int | Literal["auto"] = "auto",
-) -> tuple[Kept, ...]:
-    """Choose the scenarios that stand for the clusters.
-
-    Parameters
-    ----------
-    points : array_like, shape (n, d)
-        Parameters of the scenarios in the unit cube.
-    distances : array_like, shape (n, n)
-        Distances by which the scenarios were clustered.
-    labels : array_like of int, shape (n,)
-        Cluster of each scenario; -1 is noise, of which none is kept.
-    archetypes : int or "auto"
-        How many for each cluster at most. ``"auto"`` keeps about a tenth of all scenarios, prototypes
-        included, so ``n // (10 * clusters) - 1``, but at least d + 1, without which a hull is flat, and at
-        most 15, as the paper.
-
-    Returns
-    -------
-    tuple of Kept
-        By cluster, the prototype first, then the archetypes by index. No scenario is there twice: a prototype
-        that is also a corner of the hull stands as the prototype, and the hull of the others gives the
-        archetypes.
-
-    Raises
-    ------
-    InputError
-        The numbers of scenarios differ, or `archetypes` is not positive.
-    """
-    points = np.asarray(points, dtype=np.float64)
-    distances = np.asarray(distances, dtype=np.float64)
-    names = np.asarray(labels, dtype=np.int64)
-    n = len(names)
-    if points.ndim != 2 or len(points) != n or distances.shape != (n, n):
-        raise InputError(
-            f"There are {n} labels, points of shape {points.shape} and distances of shape {distances.shape}; "
-            "give all for the same scenarios."
-        )
-    found = [int(name) for name in np.unique(names) if name >= 0]
-    if archetypes == "auto":
-        lowest = min(points.shape[1] + 1, MOST_ARCHETYPES)
-        most = int(np.clip(n // (KEPT_SHARE * max(1, len(found))) - 1, lowest, MOST_ARCHETYPES))
-    elif isinstance(archetypes, (int, np.integer)) and archetypes >= 1:
-        most = int(archetypes)
-    else:
-        raise InputError(f"archetypes is {archetypes!r}; give a whole number of at least 1, or 'auto'.")
-
-    kept: list[Kept] = []
-    for name in found:
-        members = np.flatnonzero(names == name)
-        middle = prototype(distances, members)
-        kept.append(Kept(middle, name, "prototype"))
-        # A scenario with the same parameters as the prototype would add nothing to it.
-        others = members[(points[members] != points[middle]).any(axis=1)]
-        if len(others):
-            corners = others[hull_archetypes(points[others], most)]
-            kept.extend(Kept(int(index), name, "archetype") for index in corners)
-    return tuple(kept)

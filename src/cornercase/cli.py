@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cornercase import __version__
-from cornercase.errors import InputError
+from cornercase.errors import InputError, suggestion
 
 app = typer.Typer(
     name="cornercase",
@@ -326,6 +326,10 @@ def analyze(
     gamma: Gamma = "auto",
     eps: Eps = "auto",
     min_samples: MinSamples = "auto",
+    method: Annotated[str, typer.Option(metavar="dbscan|hdbscan", help="What finds the clusters.")] = "dbscan",
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep the clusters that are there; new scenarios join them.")
+    ] = False,
 ) -> None:
     """Cluster what was run, by behaviour and by criticality.
 
@@ -343,9 +347,11 @@ def analyze(
             gamma=_number_or_auto(gamma, "--gamma"),
             eps=_number_or_auto(eps, "--eps"),
             min_samples=_count_or_auto(min_samples, "--min-samples"),
+            method=_one_of(method, ("dbscan", "hdbscan"), "--method"),
+            keep=keep,
             progress=True,
         )
-    table = Table("by", "clusters", "sizes", "noise", "gamma", "eps", "min samples", box=None)
+    table = Table("by", "clusters", "sizes", "noise", "stability", "gamma", "eps", "min samples", box=None)
     for name, one in results.items():
         found = one.clustering
         sizes = " ".join(map(str, one.sizes))
@@ -355,6 +361,7 @@ def analyze(
             str(len(one.sizes)),
             sizes,
             noise,
+            "-" if found.stability is None else f"{found.stability:.2f}",
             f"{found.gamma:.4g}",
             f"{found.eps:.4g}",
             str(found.min_samples),
@@ -371,15 +378,31 @@ def reduce(
         str | None,
         typer.Option("--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."),
     ] = None,
-    archetypes: Annotated[str, typer.Option(metavar="N|auto", help="Archetypes a cluster.")] = "auto",
+    archetypes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|auto", help="Keep nothing but prototypes and so many archetypes a cluster, as the paper."
+        ),
+    ] = None,
+    archetypes_by: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|hull|pcha|parts|kernel",
+            help="How archetypes are found; auto goes by each cluster's convexity.",
+        ),
+    ] = "auto",
     size: Annotated[int | None, typer.Option(metavar="N", help="Keep so many in all.", min=1)] = None,
-    share: Annotated[float | None, typer.Option(metavar="X", help="Keep such a share of all, 0 to 1.")] = None,
+    share: Annotated[float | None, typer.Option(metavar="X", help="Keep such a share of all; default 0.1.")] = None,
     cover: Annotated[
         float | None,
         typer.Option(
             metavar="X", help="Keep as few as leave nothing more unlike than this share of the largest distance."
         ),
     ] = None,
+    within: Annotated[
+        float,
+        typer.Option(metavar="X", help="Scenarios are alike up to this share of the median distance within clusters."),
+    ] = 0.5,
 ) -> None:
     """Keep the few concrete scenarios that matter, as files that run by themselves.
 
@@ -390,13 +413,20 @@ def reduce(
     from cornercase.reduction import reduce_study
     from cornercase.study import Study
 
-    if sum(one is not None for one in (size, share, cover)) + (archetypes != "auto") > 1:
+    if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
         raise InputError("--size, --share, --cover, --archetypes: give one of them.")
     with Study.open(study) as opened:
         if share is not None:
             size = _of_all(share, len(opened.done()))
         manifest = reduce_study(
-            opened, output, by=by, archetypes=_count_or_auto(archetypes, "--archetypes"), size=size, cover=cover
+            opened,
+            output,
+            by=by,
+            archetypes=None if archetypes is None else _count_or_auto(archetypes, "--archetypes"),
+            size=size,
+            cover=cover,
+            method=_one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
+            within=within,
         )
     _out.print(f"{manifest['kept']} of {manifest['run']} scenarios kept, in {output}")
 
@@ -572,6 +602,12 @@ def _number_or_auto(text: str, option: str) -> float | Literal["auto"]:
     if not 0 < number < float("inf"):
         raise InputError(f"{option} {text}: give a positive number or auto.")
     return number
+
+
+def _one_of(text: str, known: tuple[str, ...], option: str) -> Any:
+    if text not in known:
+        raise InputError(f"{option} {text}: {suggestion(text, known)}")
+    return text
 
 
 def _count_or_auto(text: str, option: str) -> int | Literal["auto"]:

@@ -14,41 +14,48 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import pdist, squareform
-from sklearn.cluster import DBSCAN
-from sklearn.decomposition import KernelPCA
-from sklearn.metrics import silhouette_samples
+from sklearn.cluster import DBSCAN, HDBSCAN
+from sklearn.metrics import adjusted_rand_score
 from threadpoolctl import threadpool_limits
 
-from cornercase.errors import InputError
+from cornercase.errors import InputError, suggestion
+from cornercase.kernel_space import KernelSpace, assigned
 from cornercase.typing import FloatArray, IntArray
+from cornercase.validity import Validity
 
-NOISE = -1
+NOISE: Final = -1
+
+Method = Literal["dbscan", "hdbscan"]
 
 # What `auto` tries. Quantiles are of the distance to the min_samples-th neighbour, the usual reading of the
 # "elbow" that Ester et al. look for; the factors reach on from the largest of these distances. The shares are
 # of the extent of the embedding and matter where scenarios are alike to the last digit.
-GAMMAS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-EPS_QUANTILES = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98, 1.0)
-EPS_FACTORS = (1.25, 1.6, 2.0)
-EPS_SHARES = (0.05, 0.1, 0.2)
-MOST_CLUSTERS = 8
-MOST_NOISE = 0.3
-LEAST_SCORE = 0.05
-NOISE_COST = 1.0
-CLUSTER_COST = 0.02
-SMALL_SHARE = 0.05
-SMALL_COST = 0.2
-# Validity is computed on so many scenarios at most, evenly spread over the order of the matrix.
-MOST_SCORED = 1000
-_FEWEST = 5
-_CLOSEST = 1e-5
+GAMMAS: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+EPS_QUANTILES: Final = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98, 1.0)
+EPS_FACTORS: Final = (1.25, 1.6, 2.0)
+EPS_SHARES: Final = (0.05, 0.1, 0.2)
+MOST_CLUSTERS: Final = 8
+MOST_NOISE: Final = 0.3
+LEAST_SCORE: Final = 0.05
+NOISE_COST: Final = 1.0
+CLUSTER_COST: Final = 0.02
+SMALL_SHARE: Final = 0.05
+SMALL_COST: Final = 0.2
+UNSTABLE_COST: Final = 0.1
+RESAMPLES: Final = 10
+RESAMPLED: Final = 0.8
+# Validity, and what is left out, is computed on so many scenarios at most.
+MOST_SCORED: Final = 1000
+# Beyond so many scenarios the kernel space is that of so many landmarks.
+MOST_EXACT: Final = 5000
+LANDMARKS: Final = 2000
+_FEWEST: Final = 5
 
 
 @dataclass(frozen=True)
@@ -65,8 +72,11 @@ class Candidate:
         Share of the scenarios in none.
     dbcv, silhouette : float
         Validity on the given distances, -1 to 1; NaN where it was not computed.
+    stability : float
+        Mean adjusted Rand index of these clusters with those found in ten random parts of 80 %; NaN where it was not
+        computed, as it could not have made the candidate the best.
     score : float
-        What `auto` maximises; -inf where the candidate is not eligible.
+        What `auto` maximises; -inf where the candidate is not eligible. Without stability, what it is at most.
     """
 
     gamma: float
@@ -75,6 +85,7 @@ class Candidate:
     noise: float
     dbcv: float
     silhouette: float
+    stability: float
     score: float
 
 
@@ -99,6 +110,12 @@ class Clustering:
         Share of the variance in kernel space that the embedding keeps, 0 to 1.
     candidates : tuple of Candidate
         All that was tried, in the order of gamma and eps.
+    method : {"dbscan", "hdbscan"}
+    landmarks : ndarray of int64, shape (m,)
+        Scenarios whose kernel space it is; none where it is that of all.
+    error : float
+        Of the approximation by landmarks: the root of the mean squared difference of kernel and approximated kernel
+        over that of the kernel, between scenarios that are no landmarks; 0 without landmarks.
     """
 
     labels: IntArray
@@ -109,6 +126,17 @@ class Clustering:
     scale: float
     explained: float
     candidates: tuple[Candidate, ...]
+    method: str
+    landmarks: IntArray
+    error: float
+
+    @property
+    def stability(self) -> float | None:
+        """Mean adjusted Rand index with the clusters of random parts; None where the search did not ask for it."""
+        for one in self.candidates:
+            if (one.gamma, one.eps) == (self.gamma, self.eps) and not math.isnan(one.stability):
+                return one.stability
+        return None
 
     @property
     def n_clusters(self) -> int:
@@ -128,6 +156,8 @@ def cluster(
     eps: float | Literal["auto"] = "auto",
     min_samples: int | Literal["auto"] = "auto",
     n_components: int = 3,
+    method: Method = "dbscan",
+    landmarks: int | Literal["auto"] | None = "auto",
 ) -> Clustering:
     """Cluster scenarios by their distances.
 
@@ -138,12 +168,20 @@ def cluster(
     gamma : float or "auto"
         Kernel width; without unit, see the module.
     eps : float or "auto"
-        Radius of DBSCAN's neighbourhood in the embedding, without unit.
+        Radius of DBSCAN's neighbourhood in the embedding, without unit; of HDBSCAN the distance below which clusters
+        are not divided.
     min_samples : int or "auto"
         Scenarios in a neighbourhood, itself included, that make it dense. ``"auto"`` is ``ln(n)`` (Birant and
         Kut, ST-DBSCAN, 2007), rounded up and at least 3.
     n_components : int
         Dimensions of the embedding.
+    method : {"dbscan", "hdbscan"}
+        What finds the clusters in the embedding. HDBSCAN (Campello, Moulavi and Sander 2013) takes regions of different
+        density.
+    landmarks : int, "auto" or None
+        How many scenarios span the kernel space; the others are projected on it (C. Williams, M. Seeger, "Using the
+        Nyström method to speed up kernel machines", 2001) and join the cluster of the nearest dense landmark. None for
+        all; ``"auto"`` is 2,000 where there are more than 5,000 scenarios.
 
     Returns
     -------
@@ -152,7 +190,7 @@ def cluster(
     Raises
     ------
     InputError
-        Not a distance matrix, or an option that is not positive.
+        Not a distance matrix, or an option that cannot be.
 
     Notes
     -----
@@ -162,55 +200,112 @@ def cluster(
     there: by the mean of the density-based validity index, which accepts any shape, and of the silhouette
     (Rousseeuw, Silhouettes, 1987), which asks how far apart clusters are; scenarios in noise count as 0 in
     both. From this goes the share of noise, as both indices gain when the edge of a cluster is declared
-    noise; 0.02 for each cluster beyond the second, so that the coarser of two equal answers wins; and up to
+    noise; 0.02 for each cluster beyond the second, so that the coarser of two equal answers wins; up to
     0.2 where the second cluster has less than 5 % of the scenarios, so that a handful of odd ones does not
-    pass as the structure of all. The best score wins, at a tie the smaller gamma and eps. With a best score
-    under 0.05, as sets without structure mostly have, or with fewer than 5 scenarios, all are one
-    cluster. With some ten scenarios, chance alone can look like structure.
+    pass as the structure of all; and up to 0.1 where other clusters are found in random parts of 80 % of the
+    scenarios, with the same settings (stability under resampling: U. von Luxburg, "Clustering stability: an overview",
+    2010). The best score wins, at a tie the smaller gamma and eps. With a best score under 0.05, as sets
+    without structure mostly have, or with fewer than 5 scenarios, all are one cluster. With some ten scenarios, chance
+    alone can look like structure.
+
+    Stability is computed for all that could win, and for the best candidate of each number of clusters.
     """
+    if method not in get_args(Method):
+        raise InputError(f"There is no method '{method}'; {suggestion(method, get_args(Method))}")
+    if n_components < 1:
+        raise InputError(f"n_components is {n_components}; give at least 1.")
     matrix = _checked(distances)
     n = len(matrix)
     gammas = GAMMAS if gamma == "auto" else (_positive("gamma", gamma),)
-    radius = None if eps == "auto" else _positive("eps", eps)
-    if n_components < 1:
-        raise InputError(f"n_components is {n_components}; give at least 1.")
+    # HDBSCAN takes a radius of 0: it merges nothing then.
+    radius = None if eps == "auto" else 0.0 if method == "hdbscan" and eps == 0.0 else _positive("eps", eps)
+    if landmarks == "auto":
+        landmarks = LANDMARKS if n > MOST_EXACT else None
+    elif landmarks is not None and not (isinstance(landmarks, (int, np.integer)) and landmarks >= 2):
+        raise InputError(f"landmarks is {landmarks!r}; give a whole number of at least 2, None or 'auto'.")
+    chosen = _canonical(matrix)
+    if landmarks is not None and landmarks < n:
+        chosen = np.sort(np.random.default_rng(0).choice(chosen, int(landmarks), replace=False))
+        found = _of_all(matrix[np.ix_(chosen, chosen)], gammas, radius, min_samples, n_components, method)
+        return _extended(found, matrix, chosen, n_components)
+    return _of_all(matrix, gammas, radius, min_samples, n_components, method)
+
+
+def _of_all(
+    matrix: FloatArray,
+    gammas: tuple[float, ...],
+    radius: float | None,
+    min_samples: int | Literal["auto"],
+    n_components: int,
+    method: Method,
+) -> Clustering:
+    """Cluster without landmarks."""
+    n = len(matrix)
     if min_samples == "auto":
         needed = max(3, math.ceil(math.log(n))) if n >= _FEWEST else 1
     elif isinstance(min_samples, (int, np.integer)) and min_samples >= 1:
         needed = int(min_samples)
     else:
         raise InputError(f"min_samples is {min_samples!r}; give a whole number of at least 1, or 'auto'.")
-
     positive = matrix[np.triu_indices(n, 1)]
     positive = positive[positive > 0]
     scale = float(np.median(positive)) if len(positive) else 0.0
     scaled = matrix / scale if scale else matrix
-    searching = gamma == "auto" or eps == "auto"
-    tried: list[tuple[Candidate, IntArray, FloatArray, float]] = []
+    searching = len(gammas) > 1 or radius is None
+    order = _canonical(matrix)
+    candidates: list[Candidate] = []
+    labelled: list[IntArray] = []
+    spaces: list[tuple[FloatArray, float]] = []
     # Threads of the linear algebra would change the last digits with their number.
     with threadpool_limits(limits=1):
-        validity = _Validity(scaled)
+        validity = Validity(scaled, np.sort(order[:: math.ceil(n / MOST_SCORED)]))
         for width in gammas:
-            embedding, explained = _embed(gaussian_kernel(scaled, width), n_components)
-            for reach in _radii(embedding, needed) if radius is None else (radius,):
-                labels = _dbscan(embedding, reach, needed)
-                candidate = _judge(width, reach, labels, validity, searching and n >= _FEWEST)
-                tried.append((candidate, labels, embedding, explained))
+            space = KernelSpace(width, n_components).fit(scaled)
+            for reach in _radii(space.embedding, needed, method) if radius is None else (radius,):
+                labels = _clusters(space.embedding, reach, needed, method)
+                candidates.append(_judge(width, reach, labels, validity, searching and n >= _FEWEST))
+                labelled.append(labels)
+                spaces.append((space.embedding, space.explained))
+        if searching and n >= _FEWEST:
+            _add_stability(candidates, labelled, _Resampling(scaled, order, needed, n_components, method))
 
-    best, labels, embedding, explained = max(tried, key=lambda one: one[0].score)
-    if searching and best.score < LEAST_SCORE:
-        whole = [one for one in tried if one[0].clusters == 1] or tried
-        best, labels, embedding, explained = min(whole, key=lambda one: one[0].noise)
+    best = max(range(len(candidates)), key=lambda k: candidates[k].score)
+    if searching and candidates[best].score < LEAST_SCORE:
+        whole = [k for k, one in enumerate(candidates) if one.clusters == 1] or list(range(len(candidates)))
+        best = min(whole, key=lambda k: candidates[k].noise)
     return Clustering(
-        labels=labels,
-        embedding=embedding,
-        gamma=best.gamma,
-        eps=best.eps,
+        labels=labelled[best],
+        embedding=spaces[best][0],
+        gamma=candidates[best].gamma,
+        eps=candidates[best].eps,
         min_samples=needed,
         scale=scale,
-        explained=explained,
-        candidates=tuple(one[0] for one in tried),
+        explained=spaces[best][1],
+        candidates=tuple(candidates),
+        method=method,
+        landmarks=np.zeros(0, dtype=np.int64),
+        error=0.0,
     )
+
+
+def _extended(found: Clustering, matrix: FloatArray, landmarks: IntArray, n_components: int) -> Clustering:
+    """Clusters of the landmarks, joined by all others."""
+    scale = found.scale or 1.0
+    with threadpool_limits(limits=1):
+        space = KernelSpace(found.gamma, n_components).fit(matrix[np.ix_(landmarks, landmarks)] / scale)
+        embedding = space.transform(matrix[:, landmarks] / scale)
+        embedding[landmarks] = found.embedding
+        labels = assigned(embedding, found)
+        labels[landmarks] = found.labels
+        others = np.setdiff1d(np.arange(len(matrix)), landmarks)
+        some = others[:: math.ceil(len(others) / MOST_SCORED)]
+        error = space.error(matrix[np.ix_(some, landmarks)] / scale, matrix[np.ix_(some, some)] / scale)
+    return replace(found, labels=by_size(labels), embedding=embedding, landmarks=landmarks, error=error)
+
+
+def _canonical(matrix: FloatArray) -> IntArray:
+    """Scenarios in an order that does not depend on that in which they are given."""
+    return np.argsort(matrix.sum(axis=1), kind="stable").astype(np.int64)
 
 
 def _checked(distances: npt.ArrayLike) -> FloatArray:
@@ -233,21 +328,7 @@ def _positive(name: str, value: object) -> float:
     return float(value)
 
 
-def _embed(kernel: FloatArray, n_components: int) -> tuple[FloatArray, float]:
-    """Project on the leading components; axes beyond the rank of the kernel are 0."""
-    n = len(kernel)
-    embedding = np.zeros((n, n_components))
-    centred = kernel - kernel.mean(axis=0)
-    variance = float(np.trace(centred - centred.mean(axis=1)[:, None]))
-    if n < 2 or variance <= 1e-12 * n:
-        return embedding, 1.0
-    pca = KernelPCA(min(n_components, n), kernel="precomputed", random_state=0)
-    found = pca.fit_transform(kernel)
-    embedding[:, : found.shape[1]] = found
-    return embedding, float(min(1.0, pca.eigenvalues_.sum() / variance))
-
-
-def _radii(embedding: FloatArray, min_samples: int) -> Iterable[float]:
+def _radii(embedding: FloatArray, min_samples: int, method: Method) -> Iterable[float]:
     """Neighbourhoods to try; the last holds everything."""
     between = squareform(pdist(embedding))
     reach = np.sort(between, axis=1)[:, min(min_samples, len(between)) - 1]
@@ -256,19 +337,24 @@ def _radii(embedding: FloatArray, min_samples: int) -> Iterable[float]:
     tried = {float(np.quantile(reach, q)) for q in EPS_QUANTILES}
     tried |= {float(reach.max()) * factor for factor in EPS_FACTORS}
     tried |= {largest * share for share in EPS_SHARES}
-    return [*sorted(eps for eps in tried if tiny < eps < largest), largest + tiny]
+    return [
+        *((0.0,) if method == "hdbscan" else ()),
+        *sorted(eps for eps in tried if tiny < eps < largest),
+        largest + tiny,
+    ]
 
 
-def _dbscan(embedding: FloatArray, eps: float, min_samples: int) -> IntArray:
-    return by_size(DBSCAN(eps=eps, min_samples=min_samples).fit_predict(embedding))
+def _clusters(embedding: FloatArray, eps: float, min_samples: int, method: Method) -> IntArray:
+    if method == "dbscan":
+        return by_size(DBSCAN(eps=eps, min_samples=min_samples).fit_predict(embedding))
+    least = max(2, min_samples)
+    if np.ptp(embedding, axis=0).max() <= eps or len(embedding) <= least:
+        return np.zeros(len(embedding), dtype=np.int64)
+    model = HDBSCAN(min_cluster_size=least, min_samples=least, cluster_selection_epsilon=eps, copy=True)
+    return by_size(model.fit_predict(embedding))
 
 
-def gaussian_kernel(scaled: FloatArray, gamma: float) -> FloatArray:
-    """Kernel of distances that were divided by their scale, of the same shape."""
-    return np.asarray(np.exp(-gamma * scaled**2))
-
-
-def by_size(found: npt.NDArray[np.integer[Any]]) -> IntArray:
+def by_size(found: npt.NDArray[np.int_]) -> IntArray:
     """Labels, shape (n,), by falling size of the cluster, at a tie by the label before; -1 stays noise."""
     sizes = np.bincount(found[found >= 0], minlength=1)
     rank = np.empty(len(sizes), dtype=np.int64)
@@ -276,7 +362,7 @@ def by_size(found: npt.NDArray[np.integer[Any]]) -> IntArray:
     return np.where(found >= 0, rank[found], NOISE).astype(np.int64)
 
 
-def _judge(gamma: float, eps: float, labels: IntArray, validity: _Validity, wanted: bool) -> Candidate:
+def _judge(gamma: float, eps: float, labels: IntArray, validity: Validity, wanted: bool) -> Candidate:
     clusters = int(labels.max()) + 1
     noise = float(np.mean(labels == NOISE))
     dbcv = silhouette = math.nan
@@ -287,82 +373,41 @@ def _judge(gamma: float, eps: float, labels: IntArray, validity: _Validity, want
         small = max(0.0, 1.0 - second / SMALL_SHARE)
         score = (dbcv + silhouette) / 2 - NOISE_COST * noise
         score -= CLUSTER_COST * (clusters - 2) + SMALL_COST * float(small)
-    return Candidate(gamma, eps, clusters, noise, dbcv, silhouette, score)
+    return Candidate(gamma, eps, clusters, noise, dbcv, silhouette, math.nan, score)
 
 
-class _Validity:
-    """Density-based validity and silhouette of labels on one distance matrix, each labelling once."""
-
-    def __init__(self, distances: FloatArray) -> None:
-        stride = math.ceil(len(distances) / MOST_SCORED)
-        self._stride = stride
-        self._distances = np.ascontiguousarray(distances[::stride, ::stride])
-        self._known: dict[bytes, tuple[float, float]] = {}
-
-    def of(self, labels: IntArray) -> tuple[float, float]:
-        labels = labels[:: self._stride]
-        key = labels.tobytes()
-        if key not in self._known:
-            self._known[key] = self._compute(labels)
-        return self._known[key]
-
-    def _compute(self, labels: IntArray) -> tuple[float, float]:
-        names, sizes = np.unique(labels[labels >= 0], return_counts=True)
-        if len(names) < 2 or sizes.min() < 3:
-            return -1.0, -1.0
-        kept = labels >= 0
-        inner = self._distances[np.ix_(kept, kept)]
-        silhouettes = silhouette_samples(inner, labels[kept], metric="precomputed")
-        return density_validity(self._distances, labels), float(silhouettes.sum() / len(labels))
+def _add_stability(candidates: list[Candidate], labelled: list[IntArray], resampling: _Resampling) -> None:
+    """Put the stability into all candidates that it could make the best, and into the best of each number."""
+    best, numbers = -math.inf, set()
+    for k in sorted(range(len(candidates)), key=lambda k: -candidates[k].score):
+        one = candidates[k]
+        if one.score == -math.inf or (one.score < best and one.clusters in numbers):
+            continue
+        numbers.add(one.clusters)
+        stability = resampling.stability(one.gamma, one.eps, labelled[k])
+        candidates[k] = replace(one, stability=stability, score=one.score - UNSTABLE_COST * (1.0 - stability))
+        best = max(best, candidates[k].score)
 
 
-def density_validity(distances: FloatArray, labels: IntArray, *, dimensions: float = 3.0) -> float:
-    """Density-based clustering validity index, DBCV.
+class _Resampling:
+    """Random parts of the scenarios, each in the kernel space of its own."""
 
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n)
-    labels : ndarray of int64, shape (n,)
-        Two clusters or more, each of three or more; -1 is noise.
-    dimensions : float
-        Exponent of the all-points core distance, the dimension that the data are taken to have.
+    def __init__(self, scaled: FloatArray, order: IntArray, needed: int, n_components: int, method: Method) -> None:
+        count = min(max(2, round(RESAMPLED * len(order))), MOST_SCORED)
+        rng = np.random.default_rng(0)
+        self._parts = [np.sort(rng.choice(order, count, replace=False)) for _ in range(RESAMPLES)]
+        # A part that is thinner by far than the whole is dense with fewer.
+        self._needed = needed if count == round(RESAMPLED * len(order)) else max(3, round(needed * count / len(order)))
+        self._scaled, self._n_components, self._method = scaled, n_components, method
+        self._spaces: dict[tuple[float, int], FloatArray] = {}
 
-    Returns
-    -------
-    float
-        -1 to 1, higher is better; noise counts as 0. Definitions 1 to 8 of Moulavi et al., Density-based
-        clustering validation, SIAM International Conference on Data Mining, 2014.
-    """
-    positive = distances[distances > 0]
-    distances = distances / np.median(positive) if len(positive) else distances
-    core = np.zeros(len(labels))
-    inner, sparseness = [], []
-    groups = [np.flatnonzero(labels == name) for name in range(int(labels.max()) + 1)]
-    for members in groups:
-        # Scenarios that are the same would be infinitely dense, and no edge to the tree.
-        between = np.maximum(distances[np.ix_(members, members)], _CLOSEST)
-        np.fill_diagonal(between, np.inf)
-        mean = (between**-dimensions).sum(axis=1) / (len(members) - 1)
-        core[members] = mean ** (-1.0 / dimensions)
-        reach = np.maximum(between, np.maximum(core[members][:, None], core[members]))
-        # Many reaches are equal, as one core distance holds for many neighbours. The tree, and with it the
-        # index, would depend on the order of the scenarios; so the nearer neighbour comes first.
-        reach += 1e-6 * between
-        np.fill_diagonal(reach, 0.0)
-        tree = minimum_spanning_tree(reach).tocoo()
-        degree = np.bincount(np.concatenate((tree.row, tree.col)), minlength=len(members))
-        internal = degree > 1
-        edges = internal[tree.row] & internal[tree.col]
-        sparseness.append(tree.data[edges].max() if edges.any() else tree.data.max())
-        inner.append(members[internal])
-    separation = np.full((len(groups), len(groups)), np.inf)
-    for a in range(len(groups)):
-        for b in range(a):
-            reach = np.maximum(
-                distances[np.ix_(inner[a], inner[b])], np.maximum(core[inner[a]][:, None], core[inner[b]])
-            )
-            separation[a, b] = separation[b, a] = reach.min()
-    validity = 0.0
-    for members, apart, sparse in zip(groups, separation.min(axis=1), sparseness, strict=True):
-        validity += len(members) / len(labels) * float((apart - sparse) / max(apart, sparse))
-    return validity
+    def stability(self, gamma: float, eps: float, labels: IntArray) -> float:
+        """Mean adjusted Rand index of some clusters with those of the parts."""
+        found = []
+        for k, part in enumerate(self._parts):
+            if (gamma, k) not in self._spaces:
+                space = KernelSpace(gamma, self._n_components).fit(self._scaled[np.ix_(part, part)])
+                self._spaces[gamma, k] = space.embedding
+            again = _clusters(self._spaces[gamma, k], eps, self._needed, self._method)
+            found.append(adjusted_rand_score(labels[part], again))
+        return float(np.mean(found))

@@ -171,6 +171,24 @@ class CriticalSet:
         unseen = (self._drawn & ~self._is_found[: len(self._drawn), None]).sum(axis=0)
         return _estimate(unseen / np.maximum(self._drawn.sum(axis=0), 1))
 
+    def share_in(self, other: CriticalSet) -> Estimate:
+        """Share of the critical set that lies in another set of the same space.
+
+        Parameters
+        ----------
+        other : CriticalSet
+            From another score of scenarios of the same space, with the same seed; taken for independent.
+        """
+        count = len(self._drawn)
+        both = (self._drawn & other._drawn).mean(axis=0)
+        # As for the share of the space: few places give the spread, many the level.
+        for first in range(0, len(self._at), count):
+            part = slice(first, first + count)
+            likely = norm.cdf(self._limit(part)) * norm.cdf(other._limit(part))
+            both += likely.sum(axis=0) / len(self._at) - (likely.mean(axis=0) if first == 0 else 0.0)
+        shares = np.clip(both / np.maximum(self._shares, 1e-12), 0.0, 1.0)
+        return _estimate(shares)
+
     def overlooked(self, size: float = REGION) -> float:
         """Probability, by the process, that no scenario was run in some critical region.
 

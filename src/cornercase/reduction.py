@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from cornercase.archetypes import Kept, convex_hull, reduce_clusters
+from cornercase.archetypes import convex_hull
 from cornercase.coverage import coverage
+from cornercase.critical_coverage import WITHIN, alike, critical_coverage
 from cornercase.files import written_whole
 from cornercase.objective import Objective
-from cornercase.reduced_set import choose
+from cornercase.reduced_set import KEPT_SHARE, Kept, choose, reduce_clusters
 from cornercase.scenario.openscenario import Scenario, write_concrete
 from cornercase.scenario.space import Value
+from cornercase.shapes import Method, shapes
 from cornercase.study import Study
-from cornercase.typing import FloatArray
+from cornercase.typing import FloatArray, IntArray
 
 _WHY = {
-    "archetype": "on the hull of cluster {cluster} in the parameter space",
+    "hull": "on the hull of cluster {cluster} in the parameter space",
+    "pcha": "at an extreme of cluster {cluster} in the parameter space, by archetypal analysis",
+    "parts": "on the hull of a near-convex part of cluster {cluster} in the parameter space",
+    "kernel": "at an extreme of cluster {cluster} in kernel space, by archetypal analysis",
     "prototype": "the scenario most like all others of cluster {cluster}",
-    "gap": "the scenario that was least like all that are kept before it",
+    "gap": "for what is unlike all others that are kept",
 }
 
 
@@ -32,11 +37,15 @@ def reduce_study(
     folder: Path | str,
     *,
     by: str | None = None,
-    archetypes: int | Literal["auto"] = "auto",
+    archetypes: int | Literal["auto"] | None = None,
     size: int | None = None,
     cover: float | None = None,
+    method: Method = "auto",
+    within: float = WITHIN,
 ) -> dict[str, Any]:
-    """Write archetypes and a prototype of each cluster as OpenSCENARIO files, and ``manifest.json``.
+    """Write the scenarios to keep as OpenSCENARIO files, and ``manifest.json``, which says why each is there.
+
+    By default a tenth of all are kept.
 
     Parameters
     ----------
@@ -46,12 +55,18 @@ def reduce_study(
         Each file in it runs by itself and gives the same recording.
     by : str, optional
         Clustering whose clusters count; by default that of the searched metric.
-    archetypes : int or "auto"
-        Largest number for each cluster, as of `cornercase.archetypes.reduce_clusters`.
+    archetypes : int or "auto", optional
+        Keep nothing but prototypes and archetypes, so many for each cluster at most, as of
+        `cornercase.reduced_set.reduce_clusters`.
     size : int, optional
-        How many to keep in all, as of `cornercase.reduced_set.choose`, instead.
+        How many to keep in all, as of `cornercase.reduced_set.choose`.
     cover : float, optional
         Instead: keep as few as leave nothing more unlike than this share of the largest distance.
+    method : {"auto", "hull", "pcha", "parts", "kernel"}
+        How archetypes are found, as of `cornercase.shapes.shapes`.
+    within : float, default 0.5
+        Up to this share of what is usual within a cluster scenarios are alike, for the coverage of the critical set, as
+        of `cornercase.critical_coverage.alike`.
 
     Returns
     -------
@@ -69,12 +84,19 @@ def reduce_study(
     rows = {row.id: row for row in study.done()}
     chosen = [rows[i] for i in arrays["ids"].tolist()]
     points = np.array([row.point for row in chosen])
-    if size is None and cover is None:
-        kept = reduce_clusters(points, arrays["distances"], arrays["labels"], archetypes=archetypes)
-    else:
-        kept = choose(
-            points, _distances(analyses, by), arrays["labels"], _critical(study, arrays), size=size, cover=cover
+    labels, embedding = arrays["labels"], arrays["embedding"]
+    if archetypes is not None:
+        kept = reduce_clusters(
+            points, arrays["distances"], labels, archetypes=archetypes, embedding=embedding, method=method
         )
+    else:
+        if size is None and cover is None:
+            size = max(1, round(len(chosen) / KEPT_SHARE))
+        kept = choose(
+            points, _distances(analyses, by), labels, critical_clusters(study, arrays),
+            size=size, cover=cover, embedding=embedding, method=method,
+        )  # fmt: skip
+    found = {shape.cluster: shape for shape in shapes(points, labels, embedding, method)}
     scores = {name: study.scores(name) for name in study.meta["metrics"]}
     ids = [row.id for row in study.done()]
 
@@ -83,7 +105,7 @@ def reduce_study(
     for one in kept:
         row = chosen[one.index]
         name = f"{stem}-{row.id:05}.xosc"
-        why = _WHY[one.role].format(cluster=one.cluster)
+        why = _WHY[found[one.cluster].method if one.role == "archetype" else one.role].format(cluster=one.cluster)
         drivers = study.meta["settings"].get("drivers", {})
         write_concrete(
             scenario,
@@ -113,7 +135,18 @@ def reduce_study(
         "run": len(ids),
         "kept": len(items),
         "scenarios": items,
+        "shapes": [
+            {
+                "cluster": shape.cluster,
+                "convexity": shape.convexity,
+                "convexity in kernel space": shape.behaviour,
+                "archetypes by": shape.method,
+                "parts": len(shape.parts),
+            }
+            for shape in found.values()
+        ],
         "coverage": {name: _coverage(one, [item["id"] for item in items]) for name, one in analyses.items()},
+        "critical": _of_critical(study, analyses, [item["id"] for item in items], within),
     }
     with written_whole(folder / "manifest.json") as temporary:
         temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
@@ -123,8 +156,10 @@ def reduce_study(
         {
             "by": by,
             "kept": items,
-            "coverage": manifest["coverage"],
-            "hulls": _hulls(points, arrays["labels"], [row.id for row in chosen]),
+            **{key: manifest[key] for key in ("shapes", "coverage", "critical")},
+            "hulls": {
+                str(shape.cluster): _facets(points, shape.parts, [row.id for row in chosen]) for shape in found.values()
+            },
         },
     )
     return manifest
@@ -137,8 +172,17 @@ def _distances(analyses: Mapping[str, Any], by: str) -> list[FloatArray]:
     return [first["distances"], *others]
 
 
-def _critical(study: Study, arrays: Mapping[str, Any]) -> list[int]:
-    """Clusters in which most scenarios are critical; without a threshold the one with the most critical median."""
+def critical_clusters(study: Study, arrays: Mapping[str, Any]) -> list[int]:
+    """Clusters in which most scenarios are critical.
+
+    Where that holds for all clusters or nothing says what is critical, the one with the most critical median.
+
+    Parameters
+    ----------
+    study : Study
+    arrays : mapping
+        Of `Study.analysis`, with the ids and the labels.
+    """
     objective = Objective.of_study(study.meta)
     metric, labels = objective.metrics[0], arrays["labels"]
     ids = [row.id for row in study.done()]
@@ -147,9 +191,32 @@ def _critical(study: Study, arrays: Mapping[str, Any]) -> list[int]:
     clusters = [label for label in np.unique(labels).tolist() if label >= 0]
     medians = {label: float(np.median(told[labels == label])) for label in clusters}
     limit = study.meta.get("critical")
-    if limit is None or objective.weights or objective.pareto:
-        return [min(clusters, key=medians.__getitem__)] if clusters else []
-    return [label for label in clusters if medians[label] <= objective.flip(limit)]
+    critical = clusters
+    if limit is not None and not objective.weights and not objective.pareto:
+        critical = [label for label in clusters if medians[label] <= objective.flip(limit)]
+    return [min(clusters, key=medians.__getitem__)] if critical == clusters and clusters else critical
+
+
+def _of_critical(study: Study, analyses: Mapping[str, Any], kept: list[int], within: float) -> dict[str, Any]:
+    """Coverage of the critical set by each clustering; nothing where no threshold says what is critical."""
+    objective, limit = Objective.of_study(study.meta), study.meta.get("critical")
+    if limit is None or objective.pareto or not kept:
+        return {}
+    rows = {row.id: row for row in study.done()}
+    told = dict(zip(rows, objective.told_of(study).tolist(), strict=True))
+    found = {}
+    for name, one in analyses.items():
+        ids = one["ids"].tolist()
+        index = np.array([ids.index(i) for i in kept if i in ids], dtype=np.int64)
+        if len(index):
+            points, scores = np.array([rows[i].point for i in ids]), np.array([told[i] for i in ids])
+            found[name] = asdict(
+                critical_coverage(
+                    study.space, points, scores, objective.flip(limit), one["distances"], index,
+                    alike(one["distances"], one["labels"], within), seed=study.meta["seed"],
+                )
+            )  # fmt: skip
+    return found
 
 
 def _item(
@@ -176,10 +243,6 @@ def _coverage(arrays: Mapping[str, Any], kept: list[int]) -> dict[str, Any]:
     return found
 
 
-def _hulls(points: Any, labels: Any, ids: list[int]) -> dict[str, list[list[int]]]:
-    hulls = {}
-    for label in np.unique(labels[labels >= 0]).tolist():
-        members = np.flatnonzero(labels == label)
-        facets = convex_hull(points[members]).simplices
-        hulls[str(label)] = [[ids[members[i]] for i in facet] for facet in facets]
-    return hulls
+def _facets(points: FloatArray, parts: Sequence[IntArray], ids: list[int]) -> list[list[int]]:
+    """Facets of the hulls of a cluster's parts, by scenario."""
+    return [[ids[part[i]] for i in facet] for part in parts for facet in convex_hull(points[part]).simplices]
