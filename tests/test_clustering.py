@@ -7,6 +7,7 @@ from sklearn.metrics import adjusted_rand_score
 from cornercase.clustering import cluster
 from cornercase.dtw import distance_matrix
 from cornercase.errors import InputError
+from cornercase.estimator import ScenarioClustering
 from cornercase.validity import density_validity
 
 
@@ -66,17 +67,102 @@ def test_courses_of_criticality_separate_high_from_low():
     assert np.sum(found.labels == highest) > 60
 
 
+def blobs_with_bridges(seed):
+    """Three blobs, and six scenarios on the way between two of them, twice; -1 is who belongs to none."""
+    rng = np.random.default_rng(seed)
+    centres = np.array([[0.0, 0.0], [8.0, 0.0], [4.0, 7.0]])
+    points = [centre + 0.7 * rng.normal(size=(80, 2)) for centre in centres]
+    for a, b in ((0, 1), (1, 2)):
+        along = rng.uniform(0.25, 0.75, 6)[:, None]
+        points.append(centres[a] + along * (centres[b] - centres[a]) + 0.1 * rng.normal(size=(6, 2)))
+    return np.concatenate(points), np.repeat([0, 1, 2, -1], [80, 80, 80, 12])
+
+
+def horseshoe_around_a_blob(seed):
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(-0.3 * np.pi, 1.3 * np.pi, 200) + 0.01 * rng.normal(size=200)
+    shoe = np.stack([np.cos(angle), np.sin(angle)], axis=1) * (1 + 0.05 * rng.normal(size=200))[:, None]
+    return np.concatenate([shoe, 0.12 * rng.normal(size=(80, 2))]), np.repeat([0, 1], [200, 80])
+
+
+def known_sets(seed):
+    shoe, of_shoe = horseshoe_around_a_blob(seed)
+    # Somebody who stands there for twenty instants: the distances in time are those of the places, twenty times.
+    return {
+        "moons": (between(make_moons(300, noise=0.05, random_state=seed)[0]), make_moons(300, random_state=seed)[1]),
+        "rings": (
+            between(make_circles(300, noise=0.04, factor=0.4, random_state=seed)[0]),
+            make_circles(300, random_state=seed)[1],
+        ),
+        "blobs": (
+            between(make_blobs(300, centers=[[0, 0], [8, 0], [3, 7]], cluster_std=0.8, random_state=seed)[0]),
+            make_blobs(300, centers=[[0, 0], [8, 0], [3, 7]], random_state=seed)[1],
+        ),
+        "bridges": (between(blobs_with_bridges(seed)[0]), blobs_with_bridges(seed)[1]),
+        "horseshoe": (distance_matrix([np.repeat(place[None], 20, axis=0) for place in shoe]), of_shoe),
+    }
+
+
+@pytest.mark.filterwarnings("ignore:Conversion of an array:DeprecationWarning")
+@pytest.mark.parametrize("method", ["dbscan", "hdbscan"])
+@pytest.mark.parametrize("name", ["moons", "rings", "blobs", "bridges", "horseshoe"])
 @pytest.mark.parametrize("seed", range(3))
-def test_known_shapes(seed):
-    for points, truth in (
-        make_moons(300, noise=0.05, random_state=seed),
-        make_circles(300, noise=0.04, factor=0.4, random_state=seed),
-        make_blobs(300, centers=[[0, 0], [8, 0], [3, 7]], random_state=seed),
-    ):
-        found = cluster(between(points))
-        inside = found.labels >= 0
-        assert adjusted_rand_score(truth[inside], found.labels[inside]) >= 0.95
-        assert found.noise < 0.05
+def test_known_shapes(seed, name, method):
+    distances, truth = known_sets(seed)[name]
+    found = cluster(distances, method=method)
+    one = truth >= 0
+    assert adjusted_rand_score(truth[one], found.labels[one]) >= 0.95
+    assert found.noise < 0.06
+    assert 0.5 < found.stability <= 1.0
+
+
+@pytest.mark.parametrize("name", ["moons", "rings", "blobs", "bridges", "horseshoe"])
+def test_a_tenth_more_scenarios_or_another_order_change_few_labels(name):
+    distances, _ = known_sets(3)[name]
+    found = cluster(distances)
+    rng = np.random.default_rng(0)
+    fewer = np.sort(rng.permutation(len(distances))[: round(len(distances) / 1.1)])
+    assert adjusted_rand_score(cluster(distances[np.ix_(fewer, fewer)]).labels, found.labels[fewer]) >= 0.9
+    order = rng.permutation(len(distances))
+    assert adjusted_rand_score(cluster(distances[np.ix_(order, order)]).labels, found.labels[order]) >= 0.9
+
+
+def test_landmarks_find_the_same_and_say_what_they_lose():
+    points, truth = make_moons(900, noise=0.05, random_state=0)
+    distances = between(points)
+    errors = []
+    for count in (10, 60, 300):
+        found = cluster(distances, landmarks=count)
+        assert len(found.landmarks) == count == len(set(found.landmarks.tolist()))
+        errors.append(found.error)
+    assert adjusted_rand_score(truth, found.labels) >= 0.95
+    assert found.embedding.shape == (900, 3)
+    assert 0.0 < errors[2] < errors[1] < errors[0] < 0.5
+    few = distances[:200, :200]
+    assert len(cluster(few, landmarks=200).landmarks) == len(cluster(few).landmarks) == 0
+    assert cluster(few).error == 0.0
+
+
+def test_many_scenarios_take_landmarks_by_themselves(monkeypatch):
+    monkeypatch.setattr("cornercase.clustering.MOST_EXACT", 500)
+    monkeypatch.setattr("cornercase.clustering.LANDMARKS", 300)
+    points, truth = make_circles(700, noise=0.04, factor=0.4, random_state=1)
+    distances = between(points)
+    model = ScenarioClustering().fit(distances)
+    assert len(model.result_.landmarks) == 300
+    assert adjusted_rand_score(truth, model.labels_) >= 0.95
+    np.testing.assert_allclose(model.transform(distances), model.embedding_, atol=1e-9)
+    assert (model.predict(distances) == model.labels_).mean() > 0.97
+
+
+def test_the_error_of_landmarks_is_that_of_the_kernel():
+    distances, _ = known_sets(2)["moons"]
+    found = cluster(distances, landmarks=40, gamma=2.0, eps=0.3)
+    kernel = np.exp(-2.0 * (distances / found.scale) ** 2)
+    some, others = found.landmarks, np.setdiff1d(np.arange(300), found.landmarks)
+    built = kernel[:, some] @ np.linalg.pinv(kernel[np.ix_(some, some)], rcond=1e-10) @ kernel[some]
+    lost = np.linalg.norm((kernel - built)[np.ix_(others, others)]) / np.linalg.norm(kernel[np.ix_(others, others)])
+    assert found.error == pytest.approx(lost, rel=0.05)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -14,6 +14,7 @@ from scipy.spatial.distance import cdist
 from cornercase.coverage import coverage, medoids
 from cornercase.errors import InputError
 from cornercase.reduced_set import choose
+from cornercase.study import Study
 from test_cli import SPACE, X, cornercase
 
 
@@ -41,8 +42,31 @@ def test_critical_clusters_come_first_and_have_more_archetypes():
     kept = choose(points, distances, labels, critical=[1], size=16)
     assert [(one.cluster, one.role) for one in kept[:2]] == [(1, "prototype"), (0, "prototype")]
     archetypes = [one.cluster for one in kept if one.role == "archetype"]
-    assert (archetypes.count(1), archetypes.count(0)) == (6, 2)
-    assert sum(one.role == "gap" for one in kept) == 6
+    assert (archetypes.count(1), archetypes.count(0)) == (3, 1)
+    assert sum(one.role == "gap" for one in kept) == 10
+
+
+def test_critical_clusters_are_covered_more_closely():
+    points, distances, labels = two_clusters(300)
+    left = []
+    for critical in ([0], [1]):
+        kept = [one.index for one in choose(points, distances, labels, critical, size=30)]
+        left.append(distances[0][labels == 1][:, kept].min(axis=1).mean())
+    assert left[1] < 0.95 * left[0]
+
+
+def test_each_that_fills_a_gap_is_where_it_leaves_least():
+    points, distances, labels = two_clusters(60)
+    kept = [one.index for one in choose(points, distances[:1], labels, size=12)]
+
+    def left(indices):
+        return (distances[0][:, indices].min(axis=1) ** 3).sum()
+
+    gaps = [k for k, one in enumerate(choose(points, distances[:1], labels, size=12)) if one.role == "gap"]
+    assert gaps
+    for k in gaps:
+        for other in range(len(points)):
+            assert left([*kept[:k], other, *kept[k + 1 :]]) >= left(kept) * (1.0 - 1e-6)
 
 
 @pytest.mark.parametrize("cover", [0.4, 0.2, 0.1])
@@ -115,5 +139,104 @@ def test_the_command_line_keeps_as_many_as_it_is_told(tmp_path):
     assert max(one["largest_relative"] for one in covered.values()) <= 0.3
     for option in (["--size", "3", "--cover", "0.1"], ["--share", "1.5"], ["--size", "3", "--archetypes", "2"]):
         assert cornercase("reduce", study, *option, "-o", tmp_path / "x").returncode == 2
-    assert cornercase("report", study, "-o", tmp_path / "r.html").returncode == 0
-    assert "k-medoids" in (tmp_path / "r.html").read_text()
+    for option, words in (
+        (["--within", "0"], "give a number above 0"),
+        (["--archetypes-by", "hul"], "did you mean 'hull'"),
+    ):
+        done = cornercase("reduce", study, *option, "-o", tmp_path / "x")
+        assert (done.returncode, words in done.stderr) == (2, True), done.stderr
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory):
+    """Study of 120 scenarios of the X-intersection, analysed, reduced and reported, and its folder."""
+    folder = tmp_path_factory.mktemp("explored")
+    study = folder / "s.db"
+    common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--critical", "0.5"]
+    for command in (
+        ["explore", X, "--space", SPACE, *common, "--budget", "120", "-o", study],
+        ["analyze", study],
+        ["reduce", study, "-o", folder / "reduced"],
+        ["report", study, "-o", folder / "r.html"],
+    ):
+        done = cornercase(*command)
+        assert done.returncode == 0, done.stderr
+    return folder, json.loads((folder / "reduced" / "manifest.json").read_text())
+
+
+def test_a_tenth_is_kept_and_leaves_less_than_random_choices(explored):
+    _, manifest = explored
+    assert manifest["kept"] == 12
+    for found in manifest["coverage"].values():
+        assert found["better_largest"] >= 0.95
+        assert found["better_mean"] >= 0.95
+
+
+def test_the_manifest_tells_the_shape_of_each_cluster_and_what_is_unlike_all_kept(explored):
+    folder, manifest = explored
+    with Study.open(folder / "s.db", readonly=True) as study:
+        labels = study.analysis("wttc", "labels")[0]["labels"]
+    assert [one["cluster"] for one in manifest["shapes"]] == list(range(labels.max() + 1))
+    for one in manifest["shapes"]:
+        assert 0.0 <= one["convexity"] <= 1.0
+        assert one["archetypes by"] in ("hull", "parts", "kernel")
+    assert set(manifest["critical"]) == {"ego-trajectory", "wttc"}
+    for found in manifest["critical"].values():
+        assert found["within"] > 0.0
+        assert 0.0 <= found["boundary"] <= found["critical"] <= 1.0
+        assert 0.0 <= found["unlike"]["low"] <= found["unlike"]["value"] <= found["unlike"]["high"] <= 1.0
+        assert found["medoids"] is not None
+
+
+def test_the_page_and_the_summary_tell_it_too(explored):
+    folder, _ = explored
+    page = (folder / "r.html").read_text()
+    for words in ("k-medoids", "stability", "Shapes of the clusters", "on the boundary", "better than random"):
+        assert words in page
+    assert (folder / "r-figures" / "coverage.png").stat().st_size > 5000
+    shown = cornercase("show", folder / "s.db", "--json")
+    summary = json.loads(shown.stdout)
+    told = summary["coverage"]["wttc"]
+    assert told["random subsets with a larger mean"] >= 0.95
+    assert "one of the space is unlike all kept" in told["critical scenarios"]
+    assert summary["shapes"]["cluster 0"]["convexity"] <= 1.0
+
+
+def test_reduced_twice_gives_the_same_bytes(explored):
+    folder, _ = explored
+    again = folder / "again"
+    assert cornercase("reduce", folder / "s.db", "-o", again).returncode == 0
+    first = {path.name: path.read_bytes() for path in (folder / "reduced").iterdir()}
+    assert first == {path.name: path.read_bytes() for path in again.iterdir()}
+
+
+def test_the_papers_way_keeps_archetypes_alone(explored):
+    folder, _ = explored
+    done = cornercase(
+        "reduce", folder / "s.db", "--archetypes", "auto", "--archetypes-by", "hull", "-o", folder / "paper"
+    )
+    assert done.returncode == 0, done.stderr
+    manifest = json.loads((folder / "paper" / "manifest.json").read_text())
+    assert {one["role"] for one in manifest["scenarios"]} == {"prototype", "archetype"}
+    assert {one["archetypes by"] for one in manifest["shapes"]} == {"hull"}
+
+
+def test_new_scenarios_join_the_clusters_that_are_kept(explored, tmp_path):
+    folder, _ = explored
+    study = tmp_path / "s.db"
+    study.write_bytes((folder / "s.db").read_bytes())
+    with Study.open(study, readonly=True) as opened:
+        before = opened.analysis("wttc", "ids", "labels")[0]
+    common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--critical", "0.5"]
+    assert cornercase("explore", X, "--space", SPACE, *common, "--budget", "132", "-o", study).returncode == 0
+    for _ in range(2):
+        done = cornercase("analyze", study, "--keep")
+        assert done.returncode == 0, done.stderr
+        with Study.open(study, readonly=True) as opened:
+            after, info = opened.analysis("wttc", "ids", "labels", "embedding")
+        assert len(after["ids"]) == len(after["labels"]) == len(after["embedding"]) == 132
+        assert after["labels"][:120].tolist() == before["labels"].tolist()
+        assert set(after["labels"][120:].tolist()) <= {-1, *before["labels"].tolist()}
+        assert (after["labels"][120:] >= 0).mean() > 0.5
+        assert info["fitted"] == list(range(1, 121))

@@ -42,7 +42,8 @@ EPS_FACTORS: Final = (1.25, 1.6, 2.0)
 EPS_SHARES: Final = (0.05, 0.1, 0.2)
 MOST_CLUSTERS: Final = 8
 MOST_NOISE: Final = 0.3
-LEAST_SCORE: Final = 0.05
+LEAST_SCORE: Final = 0.03
+DBCV_SHARE: Final = 0.65
 NOISE_COST: Final = 1.0
 CLUSTER_COST: Final = 0.02
 SMALL_SHARE: Final = 0.05
@@ -197,14 +198,14 @@ def cluster(
     ``"auto"`` tries a fixed grid of `gamma` and, for each, of `eps` at quantiles of the distance to the
     `min_samples`-th neighbour. Eligible are outcomes of 2 to 8 clusters with at most 30 % noise. Each is
     scored on the given distances, not in the embedding, as kernels of different width could not be compared
-    there: by the mean of the density-based validity index, which accepts any shape, and of the silhouette
+    there: by 0.65 of the density-based validity index, which accepts any shape, and 0.35 of the silhouette
     (Rousseeuw, Silhouettes, 1987), which asks how far apart clusters are; scenarios in noise count as 0 in
     both. From this goes the share of noise, as both indices gain when the edge of a cluster is declared
     noise; 0.02 for each cluster beyond the second, so that the coarser of two equal answers wins; up to
     0.2 where the second cluster has less than 5 % of the scenarios, so that a handful of odd ones does not
     pass as the structure of all; and up to 0.1 where other clusters are found in random parts of 80 % of the
     scenarios, with the same settings (stability under resampling: U. von Luxburg, "Clustering stability: an overview",
-    2010). The best score wins, at a tie the smaller gamma and eps. With a best score under 0.05, as sets
+    2010). The best score wins, at a tie the smaller gamma and eps. With a best score under 0.03, as sets
     without structure mostly have, or with fewer than 5 scenarios, all are one cluster. With some ten scenarios, chance
     alone can look like structure.
 
@@ -371,7 +372,7 @@ def _judge(gamma: float, eps: float, labels: IntArray, validity: Validity, wante
         dbcv, silhouette = validity.of(labels)
         second = np.mean(labels == 1)
         small = max(0.0, 1.0 - second / SMALL_SHARE)
-        score = (dbcv + silhouette) / 2 - NOISE_COST * noise
+        score = DBCV_SHARE * dbcv + (1.0 - DBCV_SHARE) * silhouette - NOISE_COST * noise
         score -= CLUSTER_COST * (clusters - 2) + SMALL_COST * float(small)
     return Candidate(gamma, eps, clusters, noise, dbcv, silhouette, math.nan, score)
 

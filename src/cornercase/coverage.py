@@ -49,6 +49,50 @@ class Coverage:
     medoids_mean: float
 
 
+@dataclass(frozen=True)
+class Gaps:
+    """Distances from every scenario to the nearest one of some subsets.
+
+    Attributes
+    ----------
+    kept : ndarray of float64, shape (n,)
+    medoids : ndarray of float64, shape (n,)
+        Of k-medoids of the same size.
+    random : ndarray of float64, shape (draws, n)
+        Of random subsets of the same size.
+    """
+
+    kept: FloatArray
+    medoids: FloatArray
+    random: FloatArray
+
+
+def gaps(distances: FloatArray, kept: npt.ArrayLike, *, draws: int = 100, seed: int = 0) -> Gaps:
+    """Measure how far every scenario is from the nearest kept one, and from what could have been kept instead.
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n)
+    kept : array_like of int, shape (m,)
+        At least one.
+    draws : int
+        Number of random subsets.
+    seed : int
+
+    Returns
+    -------
+    Gaps
+    """
+    chosen = np.unique(np.asarray(kept, dtype=np.int64))
+    rng = np.random.default_rng(seed)
+    random = [rng.choice(len(distances), size=len(chosen), replace=False) for _ in range(draws)]
+    return Gaps(
+        distances[:, chosen].min(axis=1),
+        distances[:, medoids(distances, len(chosen))].min(axis=1),
+        np.array([distances[:, one].min(axis=1) for one in random]),
+    )
+
+
 def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100, seed: int = 0) -> Coverage:
     """Measure how well some scenarios represent all.
 
@@ -83,22 +127,20 @@ def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100,
         raise InputError(f"A kept scenario is not among the {n} of the distance matrix; give indices from 0.")
     if draws < 1:
         raise InputError(f"draws is {draws}; give at least 1.")
-    gaps = _gaps(matrix, chosen)
     extent = float(matrix.max())
-    rng = np.random.default_rng(seed)
-    random = [_gaps(matrix, rng.choice(n, size=len(chosen), replace=False).astype(np.int64)) for _ in range(draws)]
-    middle = _gaps(matrix, medoids(matrix, len(chosen)))
+    found = gaps(matrix, chosen, draws=draws, seed=seed)
+    left, random, middle = found.kept, found.random, found.medoids
     return Coverage(
         kept=len(chosen),
-        largest=float(gaps.max()),
-        mean=float(gaps.mean()),
-        worst=int(gaps.argmax()),
-        largest_relative=float(gaps.max()) / extent if extent else 0.0,
-        mean_relative=float(gaps.mean()) / extent if extent else 0.0,
+        largest=float(left.max()),
+        mean=float(left.mean()),
+        worst=int(left.argmax()),
+        largest_relative=float(left.max()) / extent if extent else 0.0,
+        mean_relative=float(left.mean()) / extent if extent else 0.0,
         random_largest=float(np.median([one.max() for one in random])),
         random_mean=float(np.median([one.mean() for one in random])),
-        better_largest=float(np.mean([one.max() > gaps.max() for one in random])),
-        better_mean=float(np.mean([one.mean() > gaps.mean() for one in random])),
+        better_largest=float(np.mean([one.max() > left.max() for one in random])),
+        better_mean=float(np.mean([one.mean() > left.mean() for one in random])),
         medoids_largest=float(middle.max()),
         medoids_mean=float(middle.mean()),
     )
@@ -139,8 +181,3 @@ def medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
             break
         found = np.array(middles, dtype=np.int64)
     return np.sort(found)
-
-
-def _gaps(matrix: FloatArray, chosen: IntArray) -> FloatArray:
-    nearest: FloatArray = matrix[:, chosen].min(axis=1)
-    return nearest

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cornercase.coverage import medoids
+from cornercase.coverage import gaps
 from cornercase.critical_set import CriticalSet, Estimate
 from cornercase.errors import InputError
 from cornercase.scenario.space import ParameterSpace
@@ -18,8 +18,6 @@ from cornercase.typing import BoolArray, FloatArray, IntArray
 
 WITHIN: Final = 0.5
 """Up to this share of what is usual within a cluster two scenarios are alike, unless somebody says otherwise."""
-
-_DRAWS: Final = 100
 
 
 @dataclass(frozen=True)
@@ -103,13 +101,9 @@ def critical_coverage(
     if not len(kept):
         raise InputError("No scenario is kept, so nothing is covered; keep at least one.")
     critical = scores <= threshold
-    gap = distances[:, kept].min(axis=1)
-    middle = distances[:, medoids(distances, len(kept))].min(axis=1)
-    rng = np.random.default_rng(seed)
-    random = [
-        distances[:, rng.choice(len(scores), size=len(kept), replace=False)].min(axis=1)[critical] <= within
-        for _ in range(_DRAWS)
-    ]
+    all_gaps = gaps(distances, kept, seed=seed)
+    gap, middle = all_gaps.kept, all_gaps.medoids
+    random = all_gaps.random[:, critical] <= within
     there = bool(critical.any())
     edge = critical & _beside(encoded(space, points), ~critical)
     unlike = None
@@ -122,7 +116,7 @@ def critical_coverage(
         within=within,
         critical=float((gap[critical] <= within).mean()) if there else None,
         boundary=float((gap[edge] <= within).mean()) if edge.any() else None,
-        random=float(np.median([one.mean() for one in random])) if there else None,
+        random=float(np.median(random.mean(axis=1))) if there else None,
         medoids=float((middle[critical] <= within).mean()) if there else None,
         largest=float(gap[critical].max()) if there else None,
         mean=float(gap[critical].mean()) if there else None,

@@ -97,6 +97,9 @@ def reduce_study(
             size=size, cover=cover, embedding=embedding, method=method,
         )  # fmt: skip
     found = {shape.cluster: shape for shape in shapes(points, labels, embedding, method)}
+    kept_ids = [chosen[one.index].id for one in kept]
+    # Before anything is written, as what the user asked for here may not be possible.
+    critical = _of_critical(study, analyses, kept_ids, within)
     scores = {name: study.scores(name) for name in study.meta["metrics"]}
     ids = [row.id for row in study.done()]
 
@@ -145,8 +148,8 @@ def reduce_study(
             }
             for shape in found.values()
         ],
-        "coverage": {name: _coverage(one, [item["id"] for item in items]) for name, one in analyses.items()},
-        "critical": _of_critical(study, analyses, [item["id"] for item in items], within),
+        "coverage": {name: _coverage(one, kept_ids) for name, one in analyses.items()},
+        "critical": critical,
     }
     with written_whole(folder / "manifest.json") as temporary:
         temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")

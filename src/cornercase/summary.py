@@ -89,7 +89,42 @@ def summarize(study: Study) -> dict[str, Any]:
     reduction = study.reduction()
     if reduction is not None:
         summary["kept"] = len(reduction["kept"])
+        summary["shapes"] = {
+            f"cluster {one['cluster']}": {key: value for key, value in one.items() if key != "cluster"}
+            # Studies that were reduced by earlier versions have none.
+            for one in reduction.get("shapes", ())
+        }
+        summary["coverage"] = {name: _left_out(one) for name, one in reduction["coverage"].items() if one}
+        for name, one in reduction.get("critical", {}).items():
+            summary["coverage"].setdefault(name, {})["critical scenarios"] = _of_critical(one)
     return summary
+
+
+def _left_out(found: dict[str, Any]) -> dict[str, Any]:
+    """What the kept scenarios leave, in the words of a summary."""
+    words = {
+        "largest": "largest distance to a kept one",
+        "mean": "mean distance",
+        "better_largest": "random subsets with a larger largest one",
+        "better_mean": "random subsets with a larger mean",
+        "medoids_largest": "largest one of k-medoids",
+        "medoids_mean": "mean of k-medoids",
+    }
+    return {text: found[key] for key, text in words.items() if key in found}
+
+
+def _of_critical(found: dict[str, Any]) -> dict[str, Any]:
+    words = {
+        "within": "alike up to a distance of",
+        "critical": "like a kept one",
+        "random": "like one of a random subset",
+        "medoids": "like one of k-medoids",
+        "boundary": "on the boundary, like a kept one",
+    }
+    told: dict[str, Any] = {text: found[key] for key, text in words.items() if found[key] is not None}
+    if found["unlike"]:
+        told["one of the space is unlike all kept"] = found["unlike"]
+    return told
 
 
 def knowledge(study: Study, objective: Objective) -> dict[str, Any]:

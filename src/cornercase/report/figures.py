@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from cornercase.coverage import Gaps
 from cornercase.metrics.base import Metric
 from cornercase.scenario.space import Parameter
-from cornercase.typing import FloatArray, IntArray
+from cornercase.typing import BoolArray, FloatArray, IntArray
 
 # Okabe and Ito's colours, which the colour-blind tell apart; markers say the same again.
 _COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
@@ -208,6 +209,50 @@ def hulls(
     for one, k in zip((axis.xaxis, axis.yaxis, *([axis.zaxis] if solid else [])), chosen, strict=False):
         _name_axis(one, parameters[k])
     axis.legend(loc="center left", bbox_to_anchor=(1.05, 0.5), frameon=False)
+    return figure
+
+
+def coverage(curves: dict[str, tuple[Gaps, BoolArray]], units: Sequence[str]) -> Figure:
+    """Share of the scenarios that have a kept one within a distance, by the distance.
+
+    Parameters
+    ----------
+    curves : dict of str to tuple
+        By clustering, what `cornercase.coverage.gaps` says, and a mask of the critical scenarios.
+    units : sequence of str
+        Of each clustering's distance.
+    """
+    columns = min(3, len(curves))
+    rows = -(-len(curves) // columns)
+    figure = Figure(figsize=(4.4 * columns + 1.8, 3.4 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis, (name, (found, critical)), unit in zip(axes, curves.items(), units, strict=False):
+        farthest = max(
+            float(found.kept.max()), float(found.medoids.max()), float(np.quantile(found.random, 0.99)), 1e-9
+        )
+        reach = np.linspace(0.0, 1.05 * farthest, 300)
+
+        def share(gaps: FloatArray, reach: FloatArray = reach) -> FloatArray:
+            return np.asarray(np.searchsorted(np.sort(gaps), reach, side="right") / max(len(gaps), 1))
+
+        band = np.quantile([share(one) for one in found.random], (0.05, 0.95), axis=0)
+        axis.fill_between(reach, *(100.0 * band), color=_NOISE, alpha=0.35, linewidth=0, label="random choices")
+        axis.plot(reach, 100.0 * share(found.medoids), ":", color=_COLOURS[6], linewidth=1.6, label="k-medoids")
+        axis.plot(reach, 100.0 * share(found.kept), color=_COLOURS[0], linewidth=2.0, label="kept")
+        if critical.any():
+            axis.plot(
+                reach, 100.0 * share(found.kept[critical]), "--", color=_COLOURS[1], linewidth=2.0,
+                label="kept, of the critical ones",
+            )  # fmt: skip
+        axis.set_title(name)
+        axis.set_xlabel(f"distance to the nearest kept one [{unit}]")
+        axis.set_ylabel("scenarios [%]")
+        axis.set_ylim(0.0, 103.0)
+        axis.grid(alpha=0.3)
+    for axis in axes[len(curves) :]:
+        axis.set_visible(False)
+    if curves:
+        axes[0].legend(loc="lower right", frameon=True)
     return figure
 
 

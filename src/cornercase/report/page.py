@@ -11,18 +11,20 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase.analysis import EGO_TRAJECTORY
+from cornercase.coverage import gaps
 from cornercase.errors import InputError
 from cornercase.files import written_whole
 from cornercase.metrics import METRICS
 from cornercase.metrics.base import Metric, capped
 from cornercase.objective import Objective
 from cornercase.profiles import agreements
-from cornercase.report import figures
+from cornercase.report import figures, tables
 from cornercase.study import Row, Study
 from cornercase.summary import knowledge
 from cornercase.typing import FloatArray
 
 _MOST_NAMED: Final = 12
+_METHODS: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
 _STYLE: Final = """
 body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a}
 h1{margin-bottom:.2rem}h2{margin-top:2.4rem;border-bottom:1px solid #ccc}figure{margin:1rem 0}img{max-width:100%}
@@ -30,6 +32,7 @@ figcaption{color:#444;font-size:.92rem}table{border-collapse:collapse;font-size:
 th,td{padding:.25rem .6rem;text-align:right;border-bottom:1px solid #ddd}th{background:#f3f3f3}
 td.text,th.text{text-align:left}.wide{overflow-x:auto}.numbers{display:flex;flex-wrap:wrap;gap:1rem;margin:1rem 0}
 .numbers div{border:1px solid #ccc;border-radius:.4rem;padding:.4rem .9rem}.numbers b{display:block;font-size:1.5rem}
+td.text:first-child{white-space:nowrap}td.text:last-child{min-width:12rem}
 @media print{body{margin:0;font-size:11px}h2,figure{break-inside:avoid}}
 """
 
@@ -157,7 +160,7 @@ class _Page:
             )
         if "share" in known.get("critical", {}):
             yield "<h2>What is known of the critical set</h2>"
-            yield _critical_set(known["critical"], len(self._rows))
+            yield tables.critical_set(known["critical"], len(self._rows))
         if "sensitivity" in known:
             yield "<h2>What matters</h2>"
             found = known["sensitivity"]
@@ -186,9 +189,22 @@ class _Page:
             figure,
             f"clusters-{name}",
             f"Dynamic Time Warping, RBF kernel PCA (gamma {info['gamma']:.4g}, {100 * info['explained']:.0f} % of the"
-            f" variance in three components), DBSCAN (eps {info['eps']:.4g}, min samples {info['min_samples']}).",
+            f" variance in three components), {_METHODS[info.get('method', 'dbscan')]} (eps {info['eps']:.4g}, min"
+            f" samples {info['min_samples']})."
+            + (
+                f" The kernel space is that of {info['landmarks']} landmarks; of the kernel between others"
+                f" {info['error']:.1%} is lost."
+                if info.get("landmarks")
+                else ""
+            ),
         )
-        yield _table(
+        if chosen_from := tables.choices(info["candidates"], info["gamma"], info["eps"]):
+            yield chosen_from
+            yield (
+                "<p>The best setting for each number of clusters. DBCV and silhouette say how dense and how far apart"
+                " clusters are (1 is best), stability how much of them is found again in random parts of 80 %.</p>"
+            )
+        yield tables.table(
             [
                 "cluster",
                 "scenarios",
@@ -204,7 +220,7 @@ class _Page:
         )
         # Studies that were analysed by earlier versions have none.
         if described := info.get("profiles"):
-            yield _in_words(described)
+            yield tables.in_words(described)
         metric = self._metrics[0] if name == EGO_TRAJECTORY else METRICS.create(name)
         ids = [self._rows[k].id for k in rows]
         yield self._figure(
@@ -223,7 +239,7 @@ class _Page:
         if not found:
             return
         yield "<h2>Do the clusterings agree?</h2>"
-        yield _table(
+        yield tables.table(
             ["by", "and by", "adjusted Rand", "adjusted mutual information", "differ", "scenarios"],
             [
                 [
@@ -265,10 +281,11 @@ class _Page:
         yield self._figure(
             figure,
             "hulls",
-            f"Hull of each cluster by {reduction['by']}, archetypes on it, and the prototype (star) of each.",
+            f"Hull of each cluster by {reduction['by']}, or of its near-convex parts; archetypes (circles), the"
+            " prototype of each (star), and what is kept for what these leave out (triangles).",
         )
         parameters = [figures.axis_name(p) for p in self._study.space.parameters]
-        yield _table(
+        yield tables.table(
             ["file", "cluster", "role", *parameters, *(f"{m.name} [{m.unit}]" for m in self._metrics), "why"],
             [
                 [
@@ -283,33 +300,61 @@ class _Page:
             ],
             text=(0, 2, -1),
         )
+        # Studies that were reduced by earlier versions know less.
+        if "shapes" in reduction:
+            yield "<h3>Shapes of the clusters</h3>"
+            yield tables.shapes(reduction["shapes"])
+            yield (
+                "<p>Convexity: how much of what lies between the scenarios of a cluster is the cluster's; from 0.8 on"
+                " it counts as convex.</p>"
+            )
         yield "<h3>What the kept ones leave out</h3>"
-        yield _table(
-            [
-                "compared by", "largest distance", "of all", "mean distance", "of all",
-                "random: largest", "random: mean", "k-medoids: largest", "k-medoids: mean",
-            ],
-            [
-                [
-                    name, f"{c['largest']:.4g}", f"{100 * c['largest_relative']:.1f} %", f"{c['mean']:.4g}",
-                    f"{100 * c['mean_relative']:.1f} %", f"{c['random_largest']:.4g}", f"{c['random_mean']:.4g}",
-                    *(f"{c[key]:.4g}" if key in c else "" for key in ("medoids_largest", "medoids_mean")),
-                ]
-                for name, c in reduction["coverage"].items()
-                if c
-            ],
-        )  # fmt: skip
+        yield self._figure(
+            self._left_out(reduction),
+            "coverage",
+            "Share of all scenarios, and of the critical ones, whose nearest kept one is at most so far away by Dynamic"
+            " Time Warping; beside it k-medoids, and the range that 90 of 100 random choices of as many leave.",
+        )
+        yield tables.coverage(reduction["coverage"])
         yield (
             "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"
-            " distance between any two; beside it the median over random subsets of the same size, and k-medoids of the"
-            " same size, which leave a small mean.</p>"
+            " distance between any two; than how many of 100 random subsets of the same size that is better; and"
+            " k-medoids of the same size, which leave a small mean in that one clustering.</p>"
         )
+        if reduction.get("critical"):
+            yield tables.critical_coverage(reduction["critical"])
+            yield (
+                "<p>Two scenarios are alike where they are closer than a share of what is usual in a cluster. A"
+                " critical scenario is on the boundary where one of its neighbours in the parameter space is not"
+                " critical. The last two columns foretell scenarios that were not run, by Gaussian processes.</p>"
+            )
+
+    def _left_out(self, reduction: dict[str, Any]) -> Any:
+        kept = [item["id"] for item in reduction["kept"]]
+        ids = [row.id for row in self._rows]
+        critical = dict.fromkeys(ids, False)
+        limit = self._study.meta.get("critical")
+        if limit is not None and not self._objective.pareto:
+            told = self._objective.told_of(self._study)
+            critical = dict(zip(ids, (told <= self._objective.flip(limit)).tolist(), strict=True))
+        curves = {}
+        for name in reduction["coverage"]:
+            arrays, _ = self._study.analysis(name, "ids", "distances")
+            compared = arrays["ids"].tolist()
+            chosen = [compared.index(i) for i in kept if i in compared]
+            if chosen:
+                curves[name] = gaps(arrays["distances"], chosen), np.array([critical[i] for i in compared])
+        return figures.coverage(curves, [self._unit_of(name) for name in curves])
+
+    def _unit_of(self, name: str) -> str:
+        """Unit of a sum of distances along the best path."""
+        return "m" if name == EGO_TRAJECTORY else METRICS.create(name).unit
 
     def _failures(self) -> Iterable[str]:
         failed = self._study.failed()
         if failed:
             yield "<h2>Scenarios that could not be run</h2>"
-            yield _table(["scenario", "why"], [[str(row.id), row.error or ""] for row in failed], text=(1,))
+            yield tables.table(["scenario", "why"], [[str(row.id), row.error or ""] for row in failed], text=(1,))
 
     def _provenance(self) -> Iterable[str]:
         meta, study = self._study.meta, self._study
@@ -329,7 +374,7 @@ class _Page:
             "cornercase": meta["version"],
         }
         yield "<h2>How it was made</h2>"
-        yield _table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
+        yield tables.table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
 
     def _collides(self, row: Row) -> bool:
         pair = {self._study.meta["ego"], self._study.meta["other"]}
@@ -344,64 +389,6 @@ class _Page:
         return (
             f"<figure><img alt='{text}' src='data:image/png;base64,{source}'><figcaption>{text}</figcaption></figure>"
         )
-
-
-def _in_words(described: Sequence[dict[str, Any]]) -> str:
-    return _table(
-        ["cluster", "how it ends", "where", "of the cluster", "purity"],
-        [
-            [
-                figures.look(one["cluster"])[2] if k == 0 else "",
-                ", ".join(f"{end} ({count})" for end, count in one["outcomes"].items()) if k == 0 else "",
-                rule["text"],
-                f"{rule['covers']:.0%}",
-                f"{rule['purity']:.0%}",
-            ]
-            for one in described
-            for k, rule in enumerate(one["rules"])
-        ],
-        text=(0, 1, 2),
-    )
-
-
-def _critical_set(known: dict[str, Any], run: int) -> str:
-    def share(estimate: dict[str, float]) -> list[str]:
-        return [f"{estimate['value']:.2%}", f"{estimate['low']:.2%} to {estimate['high']:.2%}"]
-
-    table = _table(
-        ["what", "estimate", "90 % interval"],
-        [
-            ["critical share of the space", *share(known["share"])],
-            ["share of the critical set that is missed", *share(known["missed"])],
-            [
-                f"probability that a region of {known['overlooked']['size']:.0%} of the space was overlooked",
-                f"{known['overlooked']['value']:.2%}",
-                "",
-            ],
-            [
-                f"share of the space where a region of {known['unvisited']['size']:.0%} would hold nothing run",
-                f"{known['unvisited']['value']:.2%}",
-                "",
-            ],
-        ],
-    )
-    return (
-        f"<p>A scenario is critical where {escape(known['is'])}: {known['scenarios']} of the {run} that were run.</p>"
-        f"{table}<p>All but the last figure come from a Gaussian process of the scores, corrected by how well it"
-        " foretells each scenario that was run from all others.</p>"
-    )
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = (0,)) -> str:
-    left = {k % len(head) for k in text}
-
-    def line(cells: Sequence[str], tag: str) -> str:
-        return "".join(
-            f"<{tag}{' class=text' if k in left else ''}>{escape(cell)}</{tag}>" for k, cell in enumerate(cells)
-        )
-
-    body = "".join(f"<tr>{line(cells, 'td')}</tr>" for cells in rows)
-    return f"<div class='wide'><table><tr>{line(head, 'th')}</tr>{body}</table></div>"
 
 
 def _unit(metric: Metric) -> str:
