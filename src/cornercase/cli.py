@@ -6,14 +6,14 @@ import inspect
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from cornercase import __version__
-from cornercase.errors import InputError, suggestion
+from cornercase import __version__, option_values
+from cornercase.errors import InputError
 
 app = typer.Typer(
     name="cornercase",
@@ -51,6 +51,11 @@ By = Annotated[
 Gamma = Annotated[str, typer.Option(metavar="X|auto", help="Kernel width parameter.")]
 Eps = Annotated[str, typer.Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
 MinSamples = Annotated[str, typer.Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
+SimulatorName = Annotated[str, typer.Option("--simulator", metavar="NAME", help="What runs the scenarios.")]
+Timeout = Annotated[float | None, typer.Option(metavar="S", help="Give a scenario up after this time in s.")]
+Retries = Annotated[
+    int, typer.Option(metavar="N", help="Run a scenario again so often after the simulator died or hung.", min=0)
+]
 Workers = Annotated[int, typer.Option(metavar="N", help="Simulators that run side by side.", min=1)]
 
 
@@ -115,8 +120,10 @@ def explore(
     ] = None,
     max_seconds: Annotated[float | None, typer.Option(metavar="S", help="Stop after this time.")] = None,
     seed: Seed = 0,
-    simulator: Annotated[str, typer.Option(metavar="NAME", help="What runs the scenarios.")] = "builtin",
+    simulator: SimulatorName = "builtin",
     workers: Workers = 1,
+    timeout: Timeout = None,
+    retries: Retries = 1,
     time_step: TimeStep = 0.05,
     duration: Duration = 60.0,
     on_collision: OnCollision = "continue",
@@ -137,7 +144,7 @@ def explore(
     from cornercase.scenario.openscenario import Scenario
 
     logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
-    if simulator == "builtin":
+    if simulator.partition(":")[0] in ("builtin", "sumo"):
         _notice(Scenario.read(logical.path))
     _explore(
         explore_scenario,
@@ -148,7 +155,7 @@ def explore(
             metrics=tuple(metric),
             optimizer=optimizer,
             critical=critical,
-            weights=_weights(weight or ()),
+            weights=option_values.weights(weight or ()),
             pareto=pareto,
             stop_when=tuple(stop_when or ()),
             budget=budget,
@@ -158,10 +165,12 @@ def explore(
             max_seconds=max_seconds,
             simulator=simulator,
             workers=workers,
+            timeout=timeout,
+            retries=retries,
             time_step=time_step,
             duration=duration,
             on_collision=on_collision,
-            drivers=_pairs(driver or (), "--driver"),
+            drivers=option_values.pairs(driver or (), "--driver"),
         ),
         output,
     )
@@ -230,7 +239,7 @@ def simulate(
     from cornercase.scenario.openscenario import Scenario
     from cornercase.simulators.builtin import BuiltinSimulator
 
-    pairs = _pairs(values or (), "--set")
+    pairs = option_values.pairs(values or (), "--set")
     read = Scenario.read(scenario)
     read.require_parameters(list(pairs))
     _notice(read)
@@ -238,7 +247,7 @@ def simulate(
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,
-        drivers={entity: named_driver(name) for entity, name in _pairs(driver or (), "--driver").items()},
+        drivers={entity: named_driver(name) for entity, name in option_values.pairs(driver or (), "--driver").items()},
     )
     (recording,) = simulator.run([ConcreteScenario(scenario, pairs)])
     if isinstance(recording, Exception):
@@ -319,6 +328,33 @@ def metrics(
 
 
 @app.command()
+def simulators(
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """List the simulators, whether they can run here, and what they can do.
+
+    \b
+    Example:
+      cornercase simulators
+    """
+    from dataclasses import asdict
+
+    from cornercase.simulators import availabilities
+
+    found = availabilities()
+    if as_json:
+        sys.stdout.write(json.dumps({name: asdict(one) for name, one in found.items()}, indent=2) + "\n")
+        return
+    table = Table("simulator", "here", "version", "what it can do", "what is missing", box=None)
+    for name, one in found.items():
+        table.add_row(
+            name, "no" if one.missing else "yes", one.version or "-", ", ".join(one.abilities), one.missing or "-"
+        )
+    _out.print(table)
+
+
+@app.command()
 def analyze(
     study: StudyFile,
     *,
@@ -344,10 +380,10 @@ def analyze(
         results = analyze_study(
             opened,
             by,
-            gamma=_number_or_auto(gamma, "--gamma"),
-            eps=_number_or_auto(eps, "--eps"),
-            min_samples=_count_or_auto(min_samples, "--min-samples"),
-            method=_one_of(method, ("dbscan", "hdbscan"), "--method"),
+            gamma=option_values.number_or_auto(gamma, "--gamma"),
+            eps=option_values.number_or_auto(eps, "--eps"),
+            min_samples=option_values.count_or_auto(min_samples, "--min-samples"),
+            method=option_values.one_of(method, ("dbscan", "hdbscan"), "--method"),
             keep=keep,
             progress=True,
         )
@@ -417,15 +453,15 @@ def reduce(
         raise InputError("--size, --share, --cover, --archetypes: give one of them.")
     with Study.open(study) as opened:
         if share is not None:
-            size = _of_all(share, len(opened.done()))
+            size = option_values.of_all(share, len(opened.done()))
         manifest = reduce_study(
             opened,
             output,
             by=by,
-            archetypes=None if archetypes is None else _count_or_auto(archetypes, "--archetypes"),
+            archetypes=None if archetypes is None else option_values.count_or_auto(archetypes, "--archetypes"),
             size=size,
             cover=cover,
-            method=_one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
+            method=option_values.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
             within=within,
         )
     _out.print(f"{manifest['kept']} of {manifest['run']} scenarios kept, in {output}")
@@ -461,6 +497,8 @@ def demo(
     ] = None,
     seed: Seed = 0,
     driver: Annotated[str | None, typer.Option(metavar="NAME", help="Who drives the ego.")] = None,
+    simulator: SimulatorName = "builtin",
+    workers: Workers = 1,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
 ) -> None:
     """Explore, cluster, reduce and report one of the examples.
@@ -472,7 +510,7 @@ def demo(
     from cornercase.pipeline import demonstration, explore_scenario, finish
 
     folder = output or Path("demo") / name
-    exploration = demonstration(name, budget=budget, seed=seed, driver=driver)
+    exploration = demonstration(name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers)
     study = folder / "study.db"
     _explore(explore_scenario, exploration, study)
     finish(study, folder)
@@ -560,59 +598,3 @@ def _show(key: str, value: Any, indent: str = "") -> None:
         text = ", ".join(map(str, value)) if isinstance(value, list) else value
         text = f"{text:.6g}" if isinstance(text, float) else text
         _out.print(f"{indent}{key}: {text}", markup=False)
-
-
-def _pairs(texts: list[str] | tuple[str, ...], option: str) -> dict[str, str]:
-    pairs = {}
-    for text in texts:
-        name, sign, value = text.partition("=")
-        if not sign or not name or not value:
-            raise InputError(f"{option} {text}: write it as NAME=VALUE.")
-        pairs[name] = value
-    return pairs
-
-
-def _weights(texts: list[str] | tuple[str, ...]) -> dict[str, float]:
-    weights = {}
-    for text in texts:
-        # A metric may have options with an equals sign of their own.
-        name, _, value = text.rpartition("=")
-        try:
-            weights[name] = float(value)
-        except ValueError:
-            name = ""
-        if not name:
-            raise InputError(f"--weight {text}: write it as METRIC=NUMBER.")
-    return weights
-
-
-def _of_all(share: float, count: int) -> int:
-    if not 0.0 < share <= 1.0:
-        raise InputError(f"--share {share:g}: give a number above 0 and up to 1.")
-    return max(1, round(share * count))
-
-
-def _number_or_auto(text: str, option: str) -> float | Literal["auto"]:
-    if text == "auto":
-        return "auto"
-    try:
-        number = float(text)
-    except ValueError:
-        number = float("nan")
-    if not 0 < number < float("inf"):
-        raise InputError(f"{option} {text}: give a positive number or auto.")
-    return number
-
-
-def _one_of(text: str, known: tuple[str, ...], option: str) -> Any:
-    if text not in known:
-        raise InputError(f"{option} {text}: {suggestion(text, known)}")
-    return text
-
-
-def _count_or_auto(text: str, option: str) -> int | Literal["auto"]:
-    if text == "auto":
-        return "auto"
-    if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"{option} {text}: give a positive whole number or auto.")
-    return int(text)

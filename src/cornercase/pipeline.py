@@ -18,6 +18,7 @@ from cornercase.scenario.openscenario import Scenario
 from cornercase.simulators import SIMULATORS
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.parallel import ParallelSimulator
+from cornercase.simulators.workers import WorkerSimulator
 from cornercase.stopping import Criterion
 from cornercase.study import Study
 
@@ -46,6 +47,10 @@ class Exploration:
     max_seconds : float or None
     simulator : str
     workers : int
+    timeout : float or None
+        s after which a scenario is given up.
+    retries : int
+        How often a scenario is run again after the simulator died or hung.
     time_step, duration : float
         s.
     on_collision : {"continue", "stop"}
@@ -69,6 +74,8 @@ class Exploration:
     max_seconds: float | None = None
     simulator: str = "builtin"
     workers: int = 1
+    timeout: float | None = None
+    retries: int = 1
     time_step: float = 0.05
     duration: float = 60.0
     on_collision: str = "continue"
@@ -132,7 +139,11 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
             budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,
             objective=objective, stop_when=criteria, critical=limit, seed=one.seed,
         )  # fmt: skip
-        return explorer.run(progress)
+        try:
+            return explorer.run(progress)
+        finally:
+            # Simulators in processes of their own have something to end.
+            getattr(simulator, "close", lambda: None)()
 
 
 def _limit(objective: Objective, given: float | None, required: bool) -> float | None:
@@ -173,7 +184,15 @@ _DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-def demonstration(name: str, *, budget: int | None = None, seed: int = 0, driver: str | None = None) -> Exploration:
+def demonstration(
+    name: str,
+    *,
+    budget: int | None = None,
+    seed: int = 0,
+    driver: str | None = None,
+    simulator: str = "builtin",
+    workers: int = 1,
+) -> Exploration:
     """Exploration of one of the paper's experiments, at its size.
 
     Parameters
@@ -183,6 +202,8 @@ def demonstration(name: str, *, budget: int | None = None, seed: int = 0, driver
     seed : int
     driver : str, optional
         Who drives the ego, instead of the file's own choice.
+    simulator : str
+    workers : int
 
     Raises
     ------
@@ -198,6 +219,8 @@ def demonstration(name: str, *, budget: int | None = None, seed: int = 0, driver
         ego="Ego",
         seed=seed,
         drivers={} if driver is None else {"Ego": driver},
+        simulator=simulator,
+        workers=workers,
         **_DEMONSTRATIONS[name],
     )
     return exploration if budget is None else replace(exploration, budget=budget)
@@ -212,8 +235,6 @@ def examples() -> Path:
 def _simulator(one: Exploration) -> Simulator:
     from cornercase.drivers import named_driver
 
-    if one.simulator not in SIMULATORS.names():
-        SIMULATORS.create(one.simulator)
     options: dict[str, Any] = {
         "time_step": one.time_step,
         "duration": one.duration,
@@ -223,6 +244,11 @@ def _simulator(one: Exploration) -> Simulator:
     }
     for name in one.drivers.values():
         named_driver(name)
+    if one.timeout is not None and not 0.0 < one.timeout < float("inf"):
+        raise InputError(f"--timeout {one.timeout:g}: give a time above 0 s.")
+    # Its own process protects from a simulator that is not ours; the builtin one steps batches.
+    if one.simulator.partition(":")[0] != "builtin" or one.timeout is not None:
+        return WorkerSimulator(one.simulator, options, one.workers, one.timeout, one.retries)
     if one.workers > 1:
         return ParallelSimulator(one.simulator, options, one.workers)
     return SIMULATORS.create(one.simulator, **options)

@@ -48,7 +48,7 @@ class Registry(Generic[T]):
             No such name, no such option, or a value that it does not take.
         """
         base, _, text = name.partition(":")
-        factory = self._factory(base)
+        factory = self.factory(base)
         if not text:
             return factory(**options)
         for option in text.split(","):
@@ -65,7 +65,14 @@ class Registry(Generic[T]):
         made.name = name
         return cast(T, made)
 
-    def _factory(self, name: str) -> Callable[..., T]:
+    def factory(self, name: str) -> Callable[..., T]:
+        """What builds the one called `name`, without options.
+
+        Raises
+        ------
+        InputError
+            No such name.
+        """
         if name in self._factories:
             return self._factories[name]
         for entry in entry_points(group=self._group, name=name):

@@ -1,8 +1,20 @@
 """Simulators by name."""
 
-from cornercase.simulators.base import SIMULATORS, Simulator
+from cornercase.simulators.base import SIMULATORS, Availability, Simulator
 from cornercase.simulators.builtin import BuiltinSimulator
+from cornercase.simulators.sumo import SumoSimulator
 
 SIMULATORS.register("builtin", BuiltinSimulator)
+SIMULATORS.register("sumo", SumoSimulator)
 
-__all__ = ["SIMULATORS", "BuiltinSimulator", "Simulator"]
+
+def availabilities() -> dict[str, Availability]:
+    """Whether each simulator can run here, by name; of other packages' what they tell."""
+    found = {}
+    for name in SIMULATORS.names():
+        tell = getattr(SIMULATORS.factory(name), "availability", None)
+        found[name] = Availability("", "", ()) if tell is None else tell()
+    return found
+
+
+__all__ = ["SIMULATORS", "Availability", "BuiltinSimulator", "Simulator", "SumoSimulator", "availabilities"]

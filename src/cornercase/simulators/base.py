@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from cornercase.errors import SimulationError
@@ -35,6 +36,25 @@ class Simulator(Protocol):
             The scenario file itself cannot be used, so none of them can run.
         """
         ...
+
+
+@dataclass(frozen=True)
+class Availability:
+    """Whether a simulator can run here; what a simulator's class method `availability` gives, where it has one.
+
+    Attributes
+    ----------
+    version : str
+        Empty where that is not known.
+    missing : str
+        What is missing and how to get it, as a sentence; empty where nothing is.
+    abilities : tuple of str
+        What it can do, in a few words each.
+    """
+
+    version: str
+    missing: str
+    abilities: tuple[str, ...]
 
 
 SIMULATORS: Registry[Simulator] = Registry("simulator", "cornercase.simulators")

@@ -40,6 +40,10 @@ class ParallelSimulator:
         for future in futures:
             yield from future.result()
 
+    def close(self) -> None:
+        """End the processes."""
+        self._pool.shutdown(cancel_futures=True)
+
 
 def _run(name: str, options: dict[str, Any], concretes: list[ConcreteScenario]) -> list[Recording | SimulationError]:
     return list(SIMULATORS.create(name, **options).run(concretes))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from cornercase import __version__
 from cornercase.drivers import Driver
 from cornercase.errors import InputError, SimulationError
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.scope import VariesError
+from cornercase.simulators.base import Availability
 from cornercase.simulators.builtin.batch import Batch
 
 # A batch keeps the whole motion of its scenarios; this many take about 300 MB for four entities and 400 instants.
@@ -47,24 +49,22 @@ class BuiltinSimulator:
         on_collision: str = "continue",
         drivers: Mapping[str, str | Driver] | None = None,
     ) -> None:
-        if not 0.001 <= time_step <= 1.0:
-            raise InputError(f"The time step is {time_step} s; choose one from 0.001 s to 1 s.")
-        if not time_step <= duration <= 3600.0:
-            raise InputError(f"The duration is {duration} s; choose one from one time step to 3600 s.")
-        if on_collision not in ("continue", "stop"):
-            raise InputError(f"on_collision is '{on_collision}'; it is continue or stop.")
+        self.settings = checked_settings(time_step, duration, on_collision, drivers)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
         self._drivers = dict(drivers or {})
         self._batches: dict[str, set[str]] = {}
-        self.settings: dict[str, object] = {
-            "time_step": time_step,
-            "duration": duration,
-            "on_collision": on_collision,
-            "drivers": {
-                entity: driver if isinstance(driver, str) else driver.settings
-                for entity, driver in sorted(self._drivers.items())
-            },
-        }
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Say whether it can run here: always."""
+        return Availability(
+            version=__version__,
+            missing="",
+            abilities=(
+                "pedestrians", "drivers of your own", "occlusion", "collisions go on or end the run", "deterministic",
+                "batches",
+            ),
+        )  # fmt: skip
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Give one recording or one error per concrete scenario, in order.
@@ -126,3 +126,30 @@ class BuiltinSimulator:
             key = tuple(concretes[i].values.get(name) for name in sorted(shaping))
             groups.setdefault(key, []).append(i)
         return list(groups.values())
+
+
+def checked_settings(
+    time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver] | None
+) -> dict[str, object]:
+    """Settings that all simulators with a storyboard have, as plain values.
+
+    Raises
+    ------
+    InputError
+        One is out of range.
+    """
+    if not 0.001 <= time_step <= 1.0:
+        raise InputError(f"The time step is {time_step} s; choose one from 0.001 s to 1 s.")
+    if not time_step <= duration <= 3600.0:
+        raise InputError(f"The duration is {duration} s; choose one from one time step to 3600 s.")
+    if on_collision not in ("continue", "stop"):
+        raise InputError(f"on_collision is '{on_collision}'; it is continue or stop.")
+    return {
+        "time_step": time_step,
+        "duration": duration,
+        "on_collision": on_collision,
+        "drivers": {
+            entity: driver if isinstance(driver, str) else driver.settings
+            for entity, driver in sorted((drivers or {}).items())
+        },
+    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from lxml import etree
@@ -25,6 +25,14 @@ from cornercase.typing import BoolArray
 _MOST_ENTITIES: Final = 500
 
 
+class Coupling(Protocol):
+    """Another simulator that moves some of the entities, in step with the storyboard."""
+
+    def step(self, world: World, dt: float) -> None:
+        """Move its entities to the end of the coming time step; with a step of 0, only see where all begin."""
+        ...
+
+
 class Batch:
     """All concrete scenarios that share a file and everything that shapes its storyboard.
 
@@ -40,6 +48,9 @@ class Batch:
     stop_at_collision : bool
     drivers : mapping of str to Driver or str
         Who drives which entity; a name is one of `DRIVERS`. Beats the file's own controller properties.
+
+    coupling : Coupling, optional
+        Another simulator that moves some of the entities.
 
     Raises
     ------
@@ -57,6 +68,7 @@ class Batch:
         duration: float,
         stop_at_collision: bool,
         drivers: Mapping[str, Driver | str],
+        coupling: Coupling | None = None,
     ) -> None:
         scope = Scope.of_file(str(scenario.path), scenario.root, values, scenario.catalog_entry)
         file = scenario.root.find("RoadNetwork/LogicFile")
@@ -76,7 +88,7 @@ class Batch:
         for name, broken in scope.violations(scenario.root).items():
             self._world.fail(broken, f"the value of {name} breaks a constraint of its declaration")
         self._time_step, self._duration = time_step, duration
-        self._stop_at_collision = stop_at_collision
+        self._stop_at_collision, self._coupling = stop_at_collision, coupling
         asked = {e.get("name", ""): driver_property(e) for e in objects}
         chosen = {name: drivers.get(name, own) for name, own in asked.items()}
         for name, driver in chosen.items():
@@ -102,6 +114,8 @@ class Batch:
             self._storyboard.step(dt)
             for driving in world.drivers:
                 driving.step(dt)
+            if self._coupling is not None:
+                self._coupling.step(world, dt)
             world.move(dt)
             # Counting steps rather than adding them up keeps 0.05 s steps on the instants one expects.
             world.time = steps * self._time_step

@@ -200,6 +200,20 @@ class World:
         # Who follows a trajectory goes on with it.
         self.attach(entity, where & ((self.track[entity] == FREE) | self.on_lane(entity)), pose)
 
+    def pull(self, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray) -> None:
+        """Put an entity where somebody else has moved it in the coming step, each shape (N,), along its track."""
+        every = np.arange(self.scenarios)
+        self.x[entity], self.y[entity], self.heading[entity], self.speed[entity] = x, y, heading, speed
+        self.moved[entity] = True
+        for k, track in enumerate(self.tracks[entity]):
+            at = every[(self.track[entity] == k) & self.running]
+            if at.size:
+                along = track.nearest(x[at], y[at], at, self.distance[entity][at])
+                on_x, on_y, ahead = track.at(along, np.zeros(len(at)), at)
+                self.distance[entity][at] = along
+                self.offset[entity][at] = (y[at] - on_y) * np.cos(ahead) - (x[at] - on_x) * np.sin(ahead)
+                self.turn[entity][at] = (heading[at] - ahead + np.pi) % (2 * np.pi) - np.pi
+
     def attach(self, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
         """Make an entity follow the lane that it is on, the way that its heading points, where it is now."""
         self.track[entity][where] = FREE

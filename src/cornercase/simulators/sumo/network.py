@@ -1,0 +1,89 @@
+"""SUMO's network of a scenario's roads."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
+from typing import Final
+
+from cornercase.errors import InputError
+from cornercase.files import written_whole
+from cornercase.scenario.openscenario import Scenario
+
+_PATIENCE: Final = 120.0
+
+
+def sumo_network(scenario: Scenario, given: str | None = None) -> Path:
+    """Network file for a scenario: the one that is given, or netconvert's of the OpenDRIVE file.
+
+    What was converted is kept in the user's cache, under the hash of the OpenDRIVE file.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    given : str, optional
+        A ``.net.xml`` in the coordinates of the scenario.
+
+    Raises
+    ------
+    InputError
+        There is no such file, the scenario has no road network, or netconvert is missing or cannot convert it.
+    """
+    if given is not None:
+        if not Path(given).is_file():
+            raise InputError(f"{given}: there is no such network file; give a .net.xml.")
+        return Path(given)
+    element = scenario.root.find("RoadNetwork/LogicFile")
+    name = "" if element is None else element.get("filepath", "")
+    if not name:
+        raise InputError(f"{scenario.path}: has no road network in <RoadNetwork><LogicFile>, which SUMO needs.")
+    roads = scenario.beside(name, "road file")
+    if roads.name.endswith(".net.xml"):
+        return roads
+    key = hashlib.sha256(roads.read_bytes()).hexdigest()[:32]
+    cached = _cache() / f"{key}.net.xml"
+    if not cached.exists():
+        with written_whole(cached) as temporary:
+            _convert(roads, temporary)
+    return cached
+
+
+def _cache() -> Path:
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "cornercase" / "sumo"
+
+
+def _convert(roads: Path, target: Path) -> None:
+    program = _netconvert()
+    # netconvert tells formats by the ending.
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "roads.net.xml"
+        command = [program, "--opendrive", str(roads), "--output-file", str(written)]
+        command += ["--offset.disable-normalization", "true", "--xml-validation", "never"]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE, check=False)
+        except subprocess.TimeoutExpired:
+            raise InputError(f"{roads}: netconvert did not convert it within {_PATIENCE:g} s.") from None
+        if done.returncode != 0 or not written.exists():
+            lines = [line for line in done.stderr.splitlines() if "rror" in line] or done.stderr.splitlines() or ["?"]
+            raise InputError(f"{roads}: netconvert cannot convert it ({lines[0].strip()}).")
+        target.write_bytes(written.read_bytes())
+
+
+def _netconvert() -> str:
+    found = which("netconvert")
+    if found is None and find_spec("sumo") is not None:
+        import sumo
+
+        beside = Path(sumo.SUMO_HOME) / "bin" / "netconvert"
+        found = str(beside) if beside.exists() else None
+    if found is None:
+        raise InputError(
+            "netconvert, which makes SUMO's network of OpenDRIVE, is missing; pip install 'cornercase[sumo]'."
+        )
+    return found

@@ -1,0 +1,78 @@
+"""Simulators that fail in all the ways in which simulators fail; they are known wherever this module is loaded."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from cornercase.errors import InputError, SimulationError
+from cornercase.recording import Recording
+from cornercase.simulators.base import SIMULATORS
+
+
+class Unsendable:
+    def __reduce__(self):
+        os._exit(7)
+
+
+class Plan:
+    """What goes wrong in which scenario: by the value of its parameter ``k``, a list of what each try does."""
+
+    def __init__(self, folder, does=None, start="well"):
+        self.folder, self.does, self.start = Path(folder), does or {}, start
+
+
+class FailingSimulator:
+    """Fails as its plan says, and notes each start and each try in the plan's folder."""
+
+    name = "failing"
+
+    def __init__(self, *, plan):
+        self.settings = {}
+        self._plan = plan
+        self._begun = False
+
+    def run(self, concretes):
+        if not self._begun:
+            self._begun = True
+            self._note("starts")
+        for concrete in concretes:
+            k = int(concrete.values["k"])
+            tries = self._note(f"tries-{k}")
+            plan = self._plan.does.get(k, ["well"])
+            what = plan[min(tries, len(plan)) - 1]
+            if what == "crash":
+                os._exit(3)
+            elif what == "hang":
+                time.sleep(600)
+            elif what == "raise":
+                raise ZeroDivisionError("of the adapter")
+            elif what == "refuse":
+                raise InputError("The licence server is gone; start it.")
+            elif what == "cut":
+                yield Unsendable()
+            elif what == "fail":
+                yield SimulationError("it cannot be")
+            else:
+                yield recording(k)
+
+    def _note(self, name):
+        path = self._plan.folder / name
+        with path.open("a") as file:
+            file.write("x")
+        return path.stat().st_size
+
+
+def recording(k):
+    """One entity that stands at x = k."""
+    row = np.full((1, 3), float(k))
+    still = np.zeros((1, 3))
+    one = np.ones(1)
+    return Recording(np.arange(3) * 0.1, ("Ego",), ("car",), row, still, still, still, still, one, one, 0 * one, ())
+
+
+if "failing" not in SIMULATORS.names():
+    SIMULATORS.register("failing", FailingSimulator)
