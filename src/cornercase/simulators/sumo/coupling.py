@@ -113,17 +113,17 @@ class SumoCoupling:
             for e in np.flatnonzero(world.present[:, 0]).tolist():
                 if e not in self._known:
                     self._add(world, e)
-            if dt > 0.0:
-                for e, name in self._known.items():
-                    if name in self._types:
-                        self._ask(world, e, name)
-                    else:
-                        self._show(world, e, name, dt)
+            if dt == 0.0:
+                return
+            for e, name in self._known.items():
+                if name in self._types:
+                    self._ask(world, e, name)
+                else:
+                    self._show(world, e, name, dt)
             self._sumo.simulationStep()
-            if dt > 0.0:
-                for e, name in self._known.items():
-                    if name in self._types:
-                        self._take(world, e, name)
+            for e, name in self._known.items():
+                if name in self._types:
+                    self._take(world, e, name)
         except self._sumo.TraCIException as error:
             self._fail(world, f"SUMO cannot go on at {world.time:g} s ({error})")
 
