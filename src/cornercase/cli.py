@@ -263,7 +263,9 @@ def measure(
     recording: Annotated[
         Path,
         typer.Argument(
-            metavar="RECORDING", help="Recording to measure: CSV, ASAM OSI trace (.osi, .mcap), CommonRoad (.xml)."
+            metavar="RECORDING",
+            help="Recording to measure: CSV, also esmini's; SUMO FCD (.xml), CarMaker (.erg), CARLA (.log), ASAM OSI"
+            " (.osi, .mcap), CommonRoad (.xml).",
         ),
     ],
     *,
@@ -294,6 +296,40 @@ def measure(
         table.add_row(one.name, f"{one.score(courses[one.name]):.4g}", one.unit, critical)
     _out.print(table)
     _out.print(f"{read.time.size} instants written to {output}")
+
+
+@app.command(name="import")
+def import_(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with recordings and parameters.csv.")],
+    *,
+    ego: Ego,
+    other: Other,
+    metric: Metrics,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")],
+    table: Annotated[
+        Path | None,
+        typer.Option("--parameters", metavar="FILE.csv", help="Column 'file', and one for each parameter."),
+    ] = None,
+    critical: Annotated[
+        float | None,
+        typer.Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own."),
+    ] = None,
+) -> None:
+    """Make a study of recordings that were made elsewhere, to cluster and reduce them.
+
+    Reads what measure reads: cornercase's and esmini's CSV, SUMO's floating car data, CarMaker's ERG, CARLA's recorder
+    files, ASAM OSI traces, CommonRoad scenarios.
+
+    \b
+    Example:
+      cornercase import runs --ego hero --other adversary --metric ttc -o study.db
+    """
+    from cornercase.importing import import_recordings
+
+    count = import_recordings(
+        folder, output, ego=ego, other=other, metrics=metric, table=table, critical=critical, progress=True
+    )
+    _out.print(f"{count} scenarios in {output}")
 
 
 @app.command()

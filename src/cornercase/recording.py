@@ -129,8 +129,9 @@ def read_recording(path: Path | str) -> Recording:
     ----------
     path : path
         By its ending an ASAM OSI trace (``.osi``, ``.mcap``; extra ``osi``), a CommonRoad scenario (``.xml``;
-        extra ``commonroad``), or else a CSV table with at least the columns `COLUMNS`. Its rows may come in
-        any order; an entity without a row at an instant of another's does not exist then.
+        extra ``commonroad``), floating car data of SUMO (``.xml``), a result file of CarMaker (``.erg``), a file of
+        CARLA's recorder (``.log``), or else CSV: a log of esmini, or a table with at least the columns `COLUMNS`. Its
+        rows may come in any order; an entity without a row at an instant of another's does not exist then.
 
     Returns
     -------
@@ -147,10 +148,23 @@ def read_recording(path: Path | str) -> Recording:
         from cornercase.readers.osi import read_osi
 
         return read_osi(path)
+    if path.suffix.lower() == ".erg":
+        from cornercase.readers.erg import read_erg
+
+        return read_erg(path)
+    if path.suffix.lower() == ".log":
+        from cornercase.readers.carla_log import read_carla_log
+
+        return read_carla_log(path)
     if path.suffix.lower() == ".xml":
         from cornercase.readers.commonroad import read_commonroad
+        from cornercase.readers.sumo_fcd import read_sumo_fcd
 
-        return read_commonroad(path)
+        return read_sumo_fcd(path) if _begins(path, "<fcd-export") else read_commonroad(path)
+    if _begins(path, "esmini GIT"):
+        from cornercase.readers.esmini import read_esmini
+
+        return read_esmini(path)
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
@@ -232,3 +246,12 @@ def _number(path: Path, line: int, row: dict[str, str | None], column: str) -> f
         return float(text)
     except ValueError:
         raise InputError(f"{path}, line {line}: {column} is '{text}', which is not a number.") from None
+
+
+def _begins(path: Path, words: str) -> bool:
+    """Whether some words stand at the beginning of a file."""
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            return words in file.read(8192)
+    except OSError:
+        return False

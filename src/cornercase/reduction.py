@@ -14,6 +14,7 @@ from cornercase.archetypes import convex_hull
 from cornercase.coverage import coverage
 from cornercase.critical_coverage import WITHIN, alike, critical_coverage
 from cornercase.files import written_whole
+from cornercase.importing import IMPORTED
 from cornercase.objective import Objective
 from cornercase.reduced_set import KEPT_SHARE, Kept, choose, reduce_clusters
 from cornercase.scenario.openscenario import Scenario, write_concrete
@@ -52,7 +53,8 @@ def reduce_study(
     study : Study
         Open for writing, and analysed.
     folder : path
-        Each file in it runs by itself and gives the same recording.
+        Each file in it runs by itself and gives the same recording. Of a study of imported recordings only the manifest
+        is written.
     by : str, optional
         Clustering whose clusters count; by default that of the searched metric.
     archetypes : int or "auto", optional
@@ -103,20 +105,26 @@ def reduce_study(
     scores = {name: study.scores(name) for name in study.meta["metrics"]}
     ids = [row.id for row in study.done()]
 
-    scenario, stem = Scenario.read(study.meta["scenario"]), Path(study.meta["scenario"]).stem
+    imported = study.meta["simulator"] == IMPORTED
+    stem = Path(study.meta["scenario"]).stem
+    scenario = None if imported else Scenario.read(study.meta["scenario"])
+    drivers = study.meta["settings"].get("drivers", {})
     items = []
     for one in kept:
         row = chosen[one.index]
-        name = f"{stem}-{row.id:05}.xosc"
         why = _WHY[found[one.cluster].method if one.role == "archetype" else one.role].format(cluster=one.cluster)
-        drivers = study.meta["settings"].get("drivers", {})
-        write_concrete(
-            scenario,
-            row.values,
-            folder / name,
-            drivers={entity: driver for entity, driver in drivers.items() if isinstance(driver, str)},
-            description=f"Scenario {row.id} of the logical scenario {stem}: {why}",
-        )
+        if scenario is None:
+            # What was run elsewhere is run again there; the manifest says which it was.
+            name = str(study.meta["files"][row.id - 1])
+        else:
+            name = f"{stem}-{row.id:05}.xosc"
+            write_concrete(
+                scenario,
+                row.values,
+                folder / name,
+                drivers={entity: driver for entity, driver in drivers.items() if isinstance(driver, str)},
+                description=f"Scenario {row.id} of the logical scenario {stem}: {why}",
+            )
         items.append(
             _item(
                 one,

@@ -1,0 +1,109 @@
+"""Recordings as other tools write them, of an ego that overtakes nobody on a straight road."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+
+TIME = np.arange(0.0, 4.01, 0.1)
+SPEED = 8.0
+HEADING = 0.3
+
+
+def way(t, ahead=0.0):
+    """Place on a line that begins at (10, -5)."""
+    return 10.0 + (SPEED * t + ahead) * np.cos(HEADING), -5.0 + (SPEED * t + ahead) * np.sin(HEADING)
+
+
+def esmini(path):
+    """Two cars of 5 m x 2 m, whose boxes are 1.4 m ahead of their reference points; the second 30 m ahead."""
+    one = (
+        "Entity_Name [-], #{0} Entity_ID [-], #{0} Current_Speed [m/s], #{0} Wheel_Angle [deg], #{0} Wheel_Rotation [-],"
+        " #{0} bb_x [m], #{0} bb_y [m], #{0} bb_z [m], #{0} bb_length [m], #{0} bb_width [m], #{0} bb_height [m],"
+        " #{0} World_Position_X [m], #{0} World_Position_Y [m], #{0} World_Position_Z [m],"
+        " #{0} World_Heading_Angle [rad], #{0} collision_ids, "
+    )
+    lines = [
+        "esmini GIT REV: 0", "esmini GIT TAG: v3", "Scenario File Name: a.xosc", "Number of Vehicles: 2",
+        "Index [-], TimeStamp [s], " + "".join(f"#{k} " + one.format(k) for k in (1, 2)),
+    ]  # fmt: skip
+    for k, t in enumerate(TIME):
+        row = f"{k}, {t:f}, "
+        for name, ahead in (("Ego", 0.0), ("Other", 30.0)):
+            x, y = way(t, ahead)
+            row += f"{name}, 0, {SPEED:f}, 0.0, 0.0, 1.4, 0.0, 0.7, 5.0, 2.0, 1.5, {x:f}, {y:f}, 0.0, {HEADING:f}, , "
+        lines.append(row)
+    path.write_text("\n".join(lines) + "\n")
+
+
+def erg(path, without=()):
+    """Ego and T00 with boxes of 4.5 m x 1.8 m from their rear ends, 30 m apart."""
+    x, y = way(TIME)
+    other_x, other_y = way(TIME, 30.0)
+    columns = {
+        "Time": ("Double", TIME), "Car.tx": ("Double", x), "Car.ty": ("Double", y), "Car.v": ("Float", 0 * TIME + SPEED),
+        "Car.Yaw": ("Float", 0 * TIME + HEADING), "Traffic.T00.tx": ("Double", other_x),
+        "Traffic.T00.ty": ("Double", other_y), "Traffic.T00.v_0.x": ("Float", 0 * TIME + SPEED * np.cos(HEADING)),
+        "Traffic.T00.v_0.y": ("Float", 0 * TIME + SPEED * np.sin(HEADING)), "Driver.GearNo": ("Int", TIME),
+        "Padding": ("3 Bytes", TIME),
+    }  # fmt: skip
+    kinds = {"Double": "<f8", "Float": "<f4", "Int": "<i4", "3 Bytes": "V3"}
+    kept = {name: one for name, one in columns.items() if name not in without}
+    table = np.zeros(len(TIME), [(name, kinds[kind]) for name, (kind, _) in kept.items()])
+    for name, (kind, values) in kept.items():
+        if kind != "3 Bytes":
+            table[name] = values
+    path.write_bytes(b"CM-ERG\0\0" + struct.pack("<HHI", 1, table.dtype.itemsize, 0) + table.tobytes())
+    about = ["#INFOFILE1.1 - Do not remove this line!", "File.Format = erg", "File.ByteOrder = LittleEndian"]
+    for k, (name, (kind, _)) in enumerate(kept.items(), 1):
+        about += [f"File.At.{k}.Name = {name}", f"File.At.{k}.Type = {kind}"]
+    path.with_name(path.name + ".info").write_text("\n".join(about) + "\n")
+
+
+def carla(path):
+    """A hero of 5 m x 2 m whose box is 0.1 m ahead of its origin, and a walker 30 m ahead, in CARLA's axes and cm."""
+
+    def text(value):
+        return struct.pack("<H", len(value)) + value.encode()
+
+    def packet(kind, body):
+        return struct.pack("<BI", kind, len(body)) + body
+
+    def actor(number, sort, kind, role):
+        body = struct.pack("<IB6fI", number, sort, *[0.0] * 6, 7) + text(kind) + struct.pack("<H", 1)
+        return body + b"\0" + text("role_name") + text(role)
+
+    data = struct.pack("<H", 1) + text("CARLA_RECORDER") + struct.pack("<q", 0) + text("Town01")
+    added = [actor(5, 1, "vehicle.a.b", "hero"), actor(6, 2, "walker.pedestrian.0001", "")]
+    added.append(actor(7, 3, "traffic.traffic_light", ""))
+    for k, t in enumerate(TIME):
+        data += packet(0, struct.pack("<Qdd", k, 0.1, t))
+        if k == 0:
+            data += packet(2, struct.pack("<H", 3) + b"".join(added))
+        rows = b"".join(
+            struct.pack("<I6f", number, 100 * x, -100 * y, 0.0, 0.0, 0.0, -np.degrees(HEADING))
+            for number, (x, y) in ((5, way(t)), (6, way(t, 30.0)), (7, (0.0, 0.0)))
+        )
+        data += packet(6, struct.pack("<H", 3) + rows)
+        boxes = ((5, 10.0, 250.0, 100.0), (6, 0.0, 20.0, 30.0))
+        body = b"".join(struct.pack("<I6f", n, ahead, 0, 70, length, width, 70) for n, ahead, length, width in boxes)
+        data += packet(13, struct.pack("<H", 2) + body)
+        data += packet(99, b"later versions")
+        data += packet(1, b"")
+    path.write_bytes(data)
+
+
+def fcd(path):
+    """A car of 5 m x 1.8 m whose front is on the way, and a person 30 m ahead."""
+    lines = ["<?xml version='1.0'?>", "<fcd-export>"]
+    angle = 90.0 - np.degrees(HEADING)
+    for t in TIME:
+        (x, y), (other_x, other_y) = way(t), way(t, 30.0)
+        lines += [
+            f"<timestep time='{t:.2f}'>",
+            f"<vehicle id='Ego' x='{x}' y='{y}' angle='{angle}' type='DEFAULT_VEHTYPE' speed='{SPEED}' pos='1' lane='a_0'/>",
+            f"<person id='P' x='{other_x}' y='{other_y}' angle='{angle}' speed='{SPEED}' pos='1' edge='a'/>",
+            "</timestep>",
+        ]
+    path.write_text("\n".join([*lines, "</fcd-export>"]))
