@@ -2,9 +2,11 @@
 
 from cornercase.simulators.base import SIMULATORS, Availability, Simulator
 from cornercase.simulators.builtin import BuiltinSimulator
+from cornercase.simulators.esmini import EsminiSimulator
 from cornercase.simulators.sumo import SumoSimulator
 
 SIMULATORS.register("builtin", BuiltinSimulator)
+SIMULATORS.register("esmini", EsminiSimulator)
 SIMULATORS.register("sumo", SumoSimulator)
 
 
@@ -17,4 +19,12 @@ def availabilities() -> dict[str, Availability]:
     return found
 
 
-__all__ = ["SIMULATORS", "Availability", "BuiltinSimulator", "Simulator", "SumoSimulator", "availabilities"]
+__all__ = [
+    "SIMULATORS",
+    "Availability",
+    "BuiltinSimulator",
+    "EsminiSimulator",
+    "Simulator",
+    "SumoSimulator",
+    "availabilities",
+]
