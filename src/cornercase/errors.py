@@ -1,4 +1,4 @@
-"""The two kinds of failure that a user of cornercase meets."""
+"""The kinds of failure that a user of cornercase meets."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ class InputError(ValueError):
 
 class SimulationError(RuntimeError):
     """One concrete scenario could not be run; the others of its batch are not affected."""
+
+
+class SimulatorError(SimulationError):
+    """The simulator failed, not the scenario; the same scenario may be run again."""
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

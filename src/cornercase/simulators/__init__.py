@@ -2,10 +2,12 @@
 
 from cornercase.simulators.base import SIMULATORS, Availability, Simulator
 from cornercase.simulators.builtin import BuiltinSimulator
+from cornercase.simulators.carmaker import CarMakerSimulator
 from cornercase.simulators.esmini import EsminiSimulator
 from cornercase.simulators.sumo import SumoSimulator
 
 SIMULATORS.register("builtin", BuiltinSimulator)
+SIMULATORS.register("carmaker", CarMakerSimulator)
 SIMULATORS.register("esmini", EsminiSimulator)
 SIMULATORS.register("sumo", SumoSimulator)
 

@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
-from cornercase.errors import InputError, SimulationError
+from cornercase.errors import InputError, SimulationError, SimulatorError
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.simulators.base import SIMULATORS
@@ -37,7 +37,7 @@ class WorkerSimulator:
     timeout : float, optional
         s after which a scenario is given up; the start of the simulator has a minute of its own.
     retries : int, default 1
-        How often a scenario is run again after the simulator's process died or was stopped.
+        How often a scenario is run again after the simulator failed: its process died, was stopped, or its line broke.
 
     Raises
     ------
@@ -56,7 +56,9 @@ class WorkerSimulator:
         self.name = name
         self.settings = SIMULATORS.create(name, **options).settings
         self._name, self._options, self._timeout, self._retries = name, options, timeout, retries
-        self._workers = [_Worker(name, options) for _ in range(workers)]
+        # A simulator that has something of its own for each worker, as a port, is told which one it is.
+        numbered = getattr(SIMULATORS.factory(name.partition(":")[0]), "numbered", False)
+        self._workers = [_Worker(name, options | ({"worker": k} if numbered else {})) for k in range(workers)]
         self._lost = 0
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
@@ -105,27 +107,27 @@ class WorkerSimulator:
             found = worker.answer()
         except (EOFError, OSError, TimeoutError) as error:
             worker.stop()
-            why = str(error) if isinstance(error, TimeoutError) else worker.ending()
-            if tries < self._retries:
-                waiting.appendleft((index, tries + 1))
-                return
-            self._lost += 1
-            if self._lost >= _MOST_LOST:
-                raise InputError(
-                    f"The simulator '{self.name}' gave no result in {self._lost} scenarios in a row; in the last one"
-                    f" {why}. The same command goes on when it is well again."
-                ) from error
-            times = "once" if tries == 0 else f"{tries + 1} times"
-            done[index] = SimulationError(f"{why}, tried {times}")
-            return
+            found = SimulatorError(str(error) if isinstance(error, TimeoutError) else worker.ending())
         if found is None:
             worker.begin()
             return
         worker.task = None
         if isinstance(found, InputError):
             raise found
-        self._lost = 0
-        done[index] = found
+        if not isinstance(found, SimulatorError):
+            self._lost = 0
+            done[index] = found
+        elif tries < self._retries:
+            waiting.appendleft((index, tries + 1))
+        else:
+            self._lost += 1
+            if self._lost >= _MOST_LOST:
+                raise InputError(
+                    f"The simulator '{self.name}' gave no result in {self._lost} scenarios in a row; in the last one"
+                    f" {found}. The same command goes on when it is well again."
+                )
+            times = "once" if tries == 0 else f"{tries + 1} times"
+            done[index] = SimulationError(f"{found}, tried {times}")
 
 
 class _Worker:
