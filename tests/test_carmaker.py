@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -166,8 +167,8 @@ def test_a_silent_port_is_given_up():
 
 
 def test_nobody_listens(project):
-    port = Port()
-    port.close()
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = SimpleNamespace(number=free.getsockname()[1])
     with pytest.raises(InputError, match=r"No CarMaker listens on 127\.0\.0\.1:\d+ .*start it with -cmdport"):
         run(project, port)
 
