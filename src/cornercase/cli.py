@@ -215,6 +215,35 @@ def check(
 
 
 @app.command()
+def convert(
+    scenario: ScenarioFile,
+    *,
+    ego: Ego,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.xosc", help="File to write.")],
+    values: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")
+    ] = None,
+) -> None:
+    """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
+
+    Says what is not quite the same there, and refuses what cannot be said.
+
+    \b
+    Example:
+      cornercase convert examples/t_intersection/t_intersection.xosc \\
+          --set c_start_time=1 --ego Ego -o t10.xosc
+    """
+    from cornercase.scenario.openscenario import Scenario
+    from cornercase.scenario.scenario_runner import write_scenario_runner
+
+    for note in write_scenario_runner(
+        Scenario.read(scenario), dict(option_values.pairs(values or (), "--set")), output, ego=ego
+    ):
+        _err.print(note, markup=False)
+    _out.print(f"Written to {output}")
+
+
+@app.command()
 def simulate(
     scenario: ScenarioFile,
     *,

@@ -171,6 +171,12 @@ def _line(parameter: Parameter) -> str:
     return f"{parameter.name}: {parameter.low:g} to {parameter.high:g}{step} {parameter.unit}".rstrip()
 
 
+def schema_errors(root: etree._Element) -> list[str] | None:
+    """Errors by the schema of the version that a file says it has; None where the schema is not installed."""
+    version, errors = _validate(root)
+    return None if version is None else errors
+
+
 def _validate(root: etree._Element) -> tuple[str | None, list[str]]:
     """Version of the schema, and errors with their lines."""
     header = root.find("FileHeader")

@@ -220,13 +220,13 @@ def write_concrete(
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _holder(root, logic_file, "filepath")
         source = scenario.beside(holder.get(attribute, ""), "road file")
-        _copy(source, target.parent / source.name)
+        copy_beside(source, target.parent / source.name)
         holder.set(attribute, source.name)
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _holder(root, directory, "path")
         folder = scenario.beside(holder.get(attribute, ""), "catalog location")
         for file in sorted(folder.glob("*.xosc")):
-            _copy(file, target.parent / "catalogs" / folder.name / file.name)
+            copy_beside(file, target.parent / "catalogs" / folder.name / file.name)
         holder.set(attribute, f"catalogs/{folder.name}")
 
     with written_whole(target) as temporary:
@@ -258,7 +258,8 @@ def _set_driver(scenario_object: etree._Element, driver: str) -> None:
     etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver)
 
 
-def _copy(source: Path, target: Path) -> None:
+def copy_beside(source: Path, target: Path) -> None:
+    """Copy a file that a scenario needs, unless it is there already."""
     if not source.is_file():
         raise InputError(f"{source}: is needed by the scenario but is not there.")
     if target.exists() and target.read_bytes() == source.read_bytes():
