@@ -75,6 +75,7 @@ class SumoCoupling:
         self._sumo: Any = libsumo
         self._types = types
         self._known: dict[int, str] = {}
+        self._looked_up: dict[int, tuple[tuple[float, float, float], bool]] = {}
         self.error: SimulationError | None = None
         self._folder = tempfile.TemporaryDirectory()
         kinds = Path(self._folder.name) / "types.add.xml"
@@ -204,9 +205,16 @@ class SumoCoupling:
         self._sumo.vehicle.moveToXY(name, "", -1, x, y, _compass(heading), keepRoute=1 if on_way else 2)
 
     def _on_lane(self, world: World, e: int) -> bool:
-        """Whether an entity's box reaches into a lane for vehicles."""
+        """Whether an entity's box reaches into a lane for vehicles; looked up only where it has moved."""
         if world.network is None:
             return True
+        pose = (float(world.x[e, 0]), float(world.y[e, 0]), float(world.heading[e, 0]))
+        if e not in self._looked_up or self._looked_up[e][0] != pose:
+            self._looked_up[e] = (pose, self._reaches(world, e))
+        return self._looked_up[e][1]
+
+    def _reaches(self, world: World, e: int) -> bool:
+        assert world.network is not None
         one = world.entities[e]
         corners = world.corners()[e, 0]
         places = np.concatenate([corners, corners.mean(axis=0, keepdims=True)])
