@@ -63,7 +63,7 @@ class Port:
                     if odd == "close":
                         return
                     if odd == "silence":
-                        time.sleep(60)
+                        time.sleep(2)
                     answer = odd.encode() if odd else self._answer(word)
                     half = odd == "Ocut"
                     for k in range(0, len(answer), self._pieces):
@@ -81,6 +81,8 @@ class Port:
         return f'Einvalid command name "{word}"\r\n\r\n'.encode()
 
     def close(self):
+        # Wakes who waits for a call.
+        self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
 
 

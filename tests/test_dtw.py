@@ -158,6 +158,7 @@ def test_interrupt_ends_between_tiles(monkeypatch):
             _thread.interrupt_main()
 
     done = []
+    threads = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
         cpu.distances(
             [one[:, None] for one in series],
@@ -171,7 +172,7 @@ def test_interrupt_ends_between_tiles(monkeypatch):
     assert started
     # The whole matrix is 75 blocks, each of one tile at least.
     assert len(done) < 20
-    assert threading.active_count() < 10
+    assert threading.active_count() <= threads + 2
 
 
 def test_few_series():
