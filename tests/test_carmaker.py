@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -50,6 +51,11 @@ class Port:
             threading.Thread(target=self._talk, args=(line,), daemon=True).start()
 
     def _talk(self, line):
+        # Who asked may have hung up.
+        with suppress(OSError):
+            self._answer_all(line)
+
+    def _answer_all(self, line):
         heard = b""
         with line:
             while piece := line.recv(4096):

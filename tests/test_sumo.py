@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -181,10 +182,11 @@ def test_a_killed_worker_changes_nothing(tmp_path):
     with subprocess.Popen([str(one) for one in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         victim = None
         while process.poll() is None and victim is None:
-            children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-            for child in children:
-                if b"multiprocessing.spawn" in Path(f"/proc/{child}/cmdline").read_bytes():
-                    victim = int(child)
+            # Who is just beginning or ending has no such files.
+            with suppress(OSError):
+                for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
+                    if b"multiprocessing.spawn" in Path(f"/proc/{child}/cmdline").read_bytes():
+                        victim = int(child)
         # Long enough for it to be at a scenario.
         time.sleep(3.0)
         os.kill(victim, signal.SIGKILL)
