@@ -196,6 +196,11 @@ class _Page:
                 f" {info['error']:.1%} is lost."
                 if info.get("landmarks")
                 else ""
+            )
+            + (
+                f" Found of {fitted} scenarios; {len(labels) - fitted} have joined them since."
+                if (fitted := len(info.get("fitted", labels))) < len(labels)
+                else ""
             ),
         )
         if chosen_from := tables.choices(info["candidates"], info["gamma"], info["eps"]):
