@@ -42,7 +42,7 @@ EPS_FACTORS: Final = (1.25, 1.6, 2.0)
 EPS_SHARES: Final = (0.05, 0.1, 0.2)
 MOST_CLUSTERS: Final = 8
 MOST_NOISE: Final = 0.3
-LEAST_SCORE: Final = 0.03
+LEAST_SCORE: Final = 0.0
 DBCV_SHARE: Final = 0.65
 NOISE_COST: Final = 1.0
 CLUSTER_COST: Final = 0.02
@@ -205,7 +205,7 @@ def cluster(
     0.2 where the second cluster has less than 5 % of the scenarios, so that a handful of odd ones does not
     pass as the structure of all; and up to 0.1 where other clusters are found in random parts of 80 % of the
     scenarios, with the same settings (stability under resampling: U. von Luxburg, "Clustering stability: an overview",
-    2010). The best score wins, at a tie the smaller gamma and eps. With a best score under 0.03, as sets
+    2010). The best score wins, at a tie the smaller gamma and eps. With a best score under 0, as sets
     without structure mostly have, or with fewer than 5 scenarios, all are one cluster. With some ten scenarios, chance
     alone can look like structure.
 
