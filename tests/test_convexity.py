@@ -126,10 +126,11 @@ def test_all_ways_keep_scenarios_of_the_cluster_and_as_many_as_wanted():
     points = horseshoe(120, 0)
     distances, labels = cdist(points, points), np.repeat([0, -1], [100, 20])
     for method in ("auto", "hull", "pcha", "parts", "kernel"):
-        kept = reduce_clusters(points, distances, labels, archetypes=8, method=method)
+        shaped = shapes(points, labels, method=method)
+        kept = reduce_clusters(points, distances, labels, archetypes=8, shaped=shaped)
         assert len({one.index for one in kept}) == len(kept) <= 9
         assert all(one.cluster == 0 and one.index < 100 for one in kept)
-        assert kept == reduce_clusters(points, distances, labels, archetypes=8, method=method)
+        assert kept == reduce_clusters(points, distances, labels, archetypes=8, shaped=shaped)
 
 
 @pytest.mark.parametrize(

@@ -84,13 +84,18 @@ def gaps(distances: FloatArray, kept: npt.ArrayLike, *, draws: int = 100, seed: 
     Gaps
     """
     chosen = np.unique(np.asarray(kept, dtype=np.int64))
-    rng = np.random.default_rng(seed)
-    random = [rng.choice(len(distances), size=len(chosen), replace=False) for _ in range(draws)]
     return Gaps(
         distances[:, chosen].min(axis=1),
         distances[:, medoids(distances, len(chosen))].min(axis=1),
-        np.array([distances[:, one].min(axis=1) for one in random]),
+        random_gaps(distances, len(chosen), draws=draws, seed=seed),
     )
+
+
+def random_gaps(distances: FloatArray, size: int, *, draws: int = 100, seed: int = 0) -> FloatArray:
+    """Distances from every scenario to the nearest one of random subsets of a size, shape (draws, n)."""
+    rng = np.random.default_rng(seed)
+    chosen = [rng.choice(len(distances), size=size, replace=False) for _ in range(draws)]
+    return np.array([distances[:, one].min(axis=1) for one in chosen])
 
 
 def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100, seed: int = 0) -> Coverage:
@@ -137,10 +142,10 @@ def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100,
         worst=int(left.argmax()),
         largest_relative=float(left.max()) / extent if extent else 0.0,
         mean_relative=float(left.mean()) / extent if extent else 0.0,
-        random_largest=float(np.median([one.max() for one in random])),
-        random_mean=float(np.median([one.mean() for one in random])),
-        better_largest=float(np.mean([one.max() > left.max() for one in random])),
-        better_mean=float(np.mean([one.mean() > left.mean() for one in random])),
+        random_largest=float(np.median(random.max(axis=1))),
+        random_mean=float(np.median(random.mean(axis=1))),
+        better_largest=float(np.mean(random.max(axis=1) > left.max())),
+        better_mean=float(np.mean(random.mean(axis=1) > left.mean())),
         medoids_largest=float(middle.max()),
         medoids_mean=float(middle.mean()),
     )

@@ -64,6 +64,7 @@ def critical_coverage(
     within: float,
     *,
     seed: int = 0,
+    critical_set: CriticalSet | None = None,
 ) -> CriticalCoverage:
     """Measure how well kept scenarios represent the critical ones.
 
@@ -81,6 +82,8 @@ def critical_coverage(
     within : float
         Distance up to which scenarios are alike, as of `alike`.
     seed : int, default 0
+    critical_set : CriticalSet, optional
+        Of the same points, scores, threshold and seed, where somebody has it already.
 
     Returns
     -------
@@ -109,9 +112,8 @@ def critical_coverage(
     unlike = None
     # Fewer than ten critical scenarios, or all as critical or as far from a kept one as each other.
     with suppress(ValueError):
-        unlike = CriticalSet(space, points, scores, threshold, seed).share_in(
-            CriticalSet(space, points[critical], -gap[critical], -within, seed)
-        )
+        whole = critical_set or CriticalSet(space, points, scores, threshold, seed)
+        unlike = whole.share_in(CriticalSet(space, points[critical], -gap[critical], -within, seed))
     return CriticalCoverage(
         within=within,
         critical=float((gap[critical] <= within).mean()) if there else None,

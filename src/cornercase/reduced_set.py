@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -13,14 +13,13 @@ import numpy.typing as npt
 
 from cornercase.archetypal_analysis import MOST_ARCHETYPES
 from cornercase.archetypes import prototype
-from cornercase.coverage import medoids
+from cornercase.coverage import medoids, random_gaps
 from cornercase.errors import InputError
-from cornercase.shapes import Method, Shape, shapes, shared
+from cornercase.shapes import Shape, shapes, shared
 from cornercase.typing import BoolArray, FloatArray, IntArray
 
 # Of all scenarios about a tenth is kept, in the paper and here.
 KEPT_SHARE: Final = 10
-_DRAWS: Final = 100
 _BETTER: Final = 0.95
 _ALIKE: Final = 1e-3
 _ROUNDS: Final = 3
@@ -75,8 +74,7 @@ def reduce_clusters(
     labels: npt.ArrayLike,
     *,
     archetypes: int | Literal["auto"] = "auto",
-    embedding: FloatArray | None = None,
-    method: Method = "hull",
+    shaped: Sequence[Shape] | None = None,
 ) -> tuple[Kept, ...]:
     """Choose the scenarios that stand for the clusters, as the paper does.
 
@@ -92,9 +90,8 @@ def reduce_clusters(
         How many for each cluster at most. ``"auto"`` keeps about a tenth of all scenarios, prototypes
         included, so ``n // (10 * clusters) - 1``, but at least d + 1, without which a hull is flat, and at
         most 15, as the paper.
-    embedding : ndarray of float64, shape (n, e), optional
-    method : {"auto", "hull", "pcha", "parts", "kernel"}
-        As of `shapes`; the paper's is the hull.
+    shaped : sequence of Shape, optional
+        How archetypes are found for each cluster, as of `cornercase.shapes.shapes`; by the paper's hulls by default.
 
     Returns
     -------
@@ -116,7 +113,7 @@ def reduce_clusters(
             f"There are {n} labels, points of shape {points.shape} and distances of shape {distances.shape}; "
             "give all for the same scenarios."
         )
-    found = shapes(points, names, embedding, method)
+    found = shapes(points, names, method="hull") if shaped is None else shaped
     if archetypes == "auto":
         lowest = min(points.shape[1] + 1, MOST_ARCHETYPES)
         most = int(np.clip(n // (KEPT_SHARE * max(1, len(found))) - 1, lowest, MOST_ARCHETYPES))
@@ -131,7 +128,7 @@ def reduce_clusters(
         kept.append(Kept(middle, shape.cluster, "prototype"))
         # A scenario with the same parameters as the prototype would add nothing to it.
         others = [part[(points[part] != points[middle]).any(axis=1)] for part in shape.parts]
-        rest = Shape(shape.cluster, shape.convexity, shape.behaviour, shape.method, tuple(o for o in others if len(o)))
+        rest = replace(shape, parts=tuple(part for part in others if len(part)))
         if rest.parts:
             corners = rest.archetypes(points, distances, most)
             kept.extend(Kept(index, shape.cluster, "archetype") for index in corners.tolist())
@@ -146,8 +143,7 @@ def choose(
     *,
     size: int | None = None,
     cover: float | None = None,
-    embedding: FloatArray | None = None,
-    method: Method = "auto",
+    shaped: Sequence[Shape] | None = None,
 ) -> tuple[Kept, ...]:
     """Choose scenarios for the clusters, and then for whatever they leave out.
 
@@ -184,9 +180,8 @@ def choose(
         Instead: as few as leave nothing more unlike than this, as a share of the largest distance in any clustering,
         above 0 and up to 1. After the prototypes always the scenario that is least like all that are kept is added
         (farthest-first traversal, Gonzalez 1985).
-    embedding : ndarray of float64, shape (n, e), optional
-    method : {"auto", "hull", "pcha", "parts", "kernel"}
-        As of `shapes`.
+    shaped : sequence of Shape, optional
+        How archetypes are found for each cluster, as of `cornercase.shapes.shapes`; by its convexity by default.
 
     Returns
     -------
@@ -219,7 +214,7 @@ def choose(
             start.keep(Kept(worst, int(labels[worst]), "gap"))
         return tuple(start.kept)
     assert size is not None
-    known = {shape.cluster: shape for shape in shapes(points, labels, embedding, method)}
+    known = {shape.cluster: shape for shape in (shapes(points, labels) if shaped is None else shaped)}
     rival = _Rival(distances, labels, critical, size) if len(labels) <= _MOST_EXCHANGED else None
     best, least = start.kept, np.inf
     for composition in _COMPOSITIONS:
@@ -357,9 +352,7 @@ class _Rival:
         self._size = min(size, len(labels))
         self._random = []
         for matrix in distances:
-            rng = np.random.default_rng(0)
-            random = [rng.choice(len(labels), size=self._size, replace=False) for _ in range(_DRAWS)]
-            gaps = np.array([matrix[:, one].min(axis=1) for one in random])
+            gaps = random_gaps(matrix, self._size)
             self._random.append((gaps.max(axis=1), gaps.mean(axis=1)))
         # Where every cluster is critical there is nothing that would count more than the rest.
         members = np.isin(labels, critical)

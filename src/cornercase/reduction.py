@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +14,7 @@ import numpy as np
 from cornercase.archetypes import convex_hull
 from cornercase.coverage import coverage
 from cornercase.critical_coverage import WITHIN, alike, critical_coverage
+from cornercase.critical_set import CriticalSet
 from cornercase.files import written_whole
 from cornercase.importing import IMPORTED
 from cornercase.objective import Objective
@@ -86,24 +88,23 @@ def reduce_study(
     rows = {row.id: row for row in study.done()}
     chosen = [rows[i] for i in arrays["ids"].tolist()]
     points = np.array([row.point for row in chosen])
-    labels, embedding = arrays["labels"], arrays["embedding"]
+    labels = arrays["labels"]
+    shaped = shapes(points, labels, arrays["embedding"], method)
     if archetypes is not None:
-        kept = reduce_clusters(
-            points, arrays["distances"], labels, archetypes=archetypes, embedding=embedding, method=method
-        )
+        kept = reduce_clusters(points, arrays["distances"], labels, archetypes=archetypes, shaped=shaped)
     else:
         if size is None and cover is None:
             size = max(1, round(len(chosen) / KEPT_SHARE))
         kept = choose(
             points, _distances(analyses, by), labels, critical_clusters(study, arrays),
-            size=size, cover=cover, embedding=embedding, method=method,
+            size=size, cover=cover, shaped=shaped,
         )  # fmt: skip
-    found = {shape.cluster: shape for shape in shapes(points, labels, embedding, method)}
+    methods = {shape.cluster: shape.method for shape in shaped}
     kept_ids = [chosen[one.index].id for one in kept]
     # Before anything is written, as what the user asked for here may not be possible.
     critical = _of_critical(study, analyses, kept_ids, within)
     scores = {name: study.scores(name) for name in study.meta["metrics"]}
-    ids = [row.id for row in study.done()]
+    place = {scenario: k for k, scenario in enumerate(rows)}
 
     imported = study.meta["simulator"] == IMPORTED
     stem = Path(study.meta["scenario"]).stem
@@ -112,7 +113,7 @@ def reduce_study(
     items = []
     for one in kept:
         row = chosen[one.index]
-        why = _WHY[found[one.cluster].method if one.role == "archetype" else one.role].format(cluster=one.cluster)
+        why = _WHY[methods[one.cluster] if one.role == "archetype" else one.role].format(cluster=one.cluster)
         if scenario is None:
             # What was run elsewhere is run again there; the manifest says which it was.
             name = str(study.meta["files"][row.id - 1])
@@ -132,7 +133,7 @@ def reduce_study(
                 name,
                 why,
                 row.values,
-                {m: float(s[ids.index(row.id)]) for m, s in scores.items()},
+                {m: float(s[place[row.id]]) for m, s in scores.items()},
             )
         )
 
@@ -143,7 +144,7 @@ def reduce_study(
         "simulator": study.meta["simulator"],
         "settings": study.meta["settings"],
         "by": by,
-        "run": len(ids),
+        "run": len(rows),
         "kept": len(items),
         "scenarios": items,
         "shapes": [
@@ -154,7 +155,7 @@ def reduce_study(
                 "archetypes by": shape.method,
                 "parts": len(shape.parts),
             }
-            for shape in found.values()
+            for shape in shaped
         ],
         "coverage": {name: _coverage(one, kept_ids) for name, one in analyses.items()},
         "critical": critical,
@@ -168,9 +169,7 @@ def reduce_study(
             "by": by,
             "kept": items,
             **{key: manifest[key] for key in ("shapes", "coverage", "critical")},
-            "hulls": {
-                str(shape.cluster): _facets(points, shape.parts, [row.id for row in chosen]) for shape in found.values()
-            },
+            "hulls": {str(shape.cluster): _facets(points, shape.parts, [row.id for row in chosen]) for shape in shaped},
         },
     )
     return manifest
@@ -215,18 +214,24 @@ def _of_critical(study: Study, analyses: Mapping[str, Any], kept: list[int], wit
         return {}
     rows = {row.id: row for row in study.done()}
     told = dict(zip(rows, objective.told_of(study).tolist(), strict=True))
-    found = {}
+    threshold, seed = objective.flip(limit), study.meta["seed"]
+    found, known = {}, {}
     for name, one in analyses.items():
         ids = one["ids"].tolist()
         index = np.array([ids.index(i) for i in kept if i in ids], dtype=np.int64)
-        if len(index):
-            points, scores = np.array([rows[i].point for i in ids]), np.array([told[i] for i in ids])
-            found[name] = asdict(
-                critical_coverage(
-                    study.space, points, scores, objective.flip(limit), one["distances"], index,
-                    alike(one["distances"], one["labels"], within), seed=study.meta["seed"],
-                )
-            )  # fmt: skip
+        if not len(index):
+            continue
+        points, scores = np.array([rows[i].point for i in ids]), np.array([told[i] for i in ids])
+        # Clusterings of the same scenarios have one critical set.
+        if tuple(ids) not in known:
+            with suppress(ValueError):
+                known[tuple(ids)] = CriticalSet(study.space, points, scores, threshold, seed)
+        found[name] = asdict(
+            critical_coverage(
+                study.space, points, scores, threshold, one["distances"], index,
+                alike(one["distances"], one["labels"], within), seed=seed, critical_set=known.get(tuple(ids)),
+            )
+        )  # fmt: skip
     return found
 
 
