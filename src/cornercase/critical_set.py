@@ -136,7 +136,8 @@ class CriticalSet:
 
     def _limit(self, part: slice) -> FloatArray:
         """Normal deviate up to which a place is critical in each draw; infinite where it was run."""
-        a, log_b = self._correction.T
+        # Copies: see the logarithm in cornercase.surrogate.
+        a, log_b = self._correction.T.copy()
         limit = -(a + np.exp(log_b) * self._t[part, None])
         return np.where(self._certain[part, None] == 0.0, limit, self._certain[part, None])
 
