@@ -66,6 +66,29 @@ class FailingSimulator:
         return path.stat().st_size
 
 
+class NoisySimulator:
+    """Never gives the same twice: the other stands somewhere else in each run, and every fifth run fails."""
+
+    name = "noisy"
+
+    def __init__(self, **options):
+        self.settings = {}
+        self._rng = np.random.default_rng(0)
+        self.given = []
+
+    def run(self, concretes):
+        for _ in concretes:
+            if len(self.given) % 5 == 4:
+                self.given.append(None)
+                yield SimulationError("it cannot be")
+                continue
+            self.given.append(float(self._rng.uniform(10.0, 50.0)))
+            row, still, one = np.array([[0.0] * 3, [self.given[-1]] * 3]), np.zeros((2, 3)), np.ones(2)
+            yield Recording(
+                np.arange(3) * 0.1, ("Ego", "C"), ("car",) * 2, row, still, still, still, still, one, one, 0 * one
+            )
+
+
 def recording(k):
     """One entity that stands at x = k."""
     row = np.full((1, 3), float(k))
@@ -74,5 +97,7 @@ def recording(k):
     return Recording(np.arange(3) * 0.1, ("Ego",), ("car",), row, still, still, still, still, one, one, 0 * one, ())
 
 
+if "noisy" not in SIMULATORS.names():
+    SIMULATORS.register("noisy", NoisySimulator)
 if "failing" not in SIMULATORS.names():
     SIMULATORS.register("failing", FailingSimulator)

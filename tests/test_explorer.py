@@ -6,15 +6,21 @@ import sqlite3
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cornercase.errors import InputError
+from cornercase.errors import InputError, SimulationError
+from cornercase.explorer import ScenarioExplorer
+from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.pipeline import demonstration, explore_scenario
+from cornercase.report import write_report
 from cornercase.scenario.space import ParameterSpace
 from cornercase.study import Study
+from cornercase.summary import summarize
+from fake_simulators import NoisySimulator
 
 SPACE = ParameterSpace.from_ranges(["a=0:1:0.02", "b=0:1:0.02", "c=0:1"])
 
@@ -362,3 +368,58 @@ def test_progress_in_a_file_is_a_line_with_the_best_score(tmp_path, capfd):
     assert "20 of 20 scenarios" in said
     assert f"best {best:.3g} m" in said
     assert "\x1b" not in said
+
+
+def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
+    one, simulator = demonstration("t-intersection", budget=6, seed=1), NoisySimulator()
+    meta = {
+        "scenario": str(one.logical.path), "space": one.logical.space.to_json(), "metrics": ["distance"], "repeats": 3,
+        "ego": "Ego", "other": "C", "optimizer": "sobol", "seed": 1, "simulator": "noisy", "settings": {},
+    }  # fmt: skip
+    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        ScenarioExplorer(
+            one.logical, simulator, optimizer, [METRICS.create("distance")], "Ego", "C", study, budget=6, repeats=3
+        ).run()
+        runs = [[k for k in simulator.given[i : i + 3] if k is not None] for i in range(0, 18, 3)]
+        expected = [sorted(run)[(len(run) - 1) // 2] for run in runs]
+        assert min(map(len, runs)) == 2
+        np.testing.assert_allclose(study.scores("distance"), expected)
+        np.testing.assert_allclose(study.spread("distance"), [[min(run), max(run)] for run in runs])
+        for row, score in zip(study.done(), expected, strict=True):
+            assert study.recording(row.id).x[1, 0] == pytest.approx(score)
+            assert study.course(row.id, "distance")[0] == pytest.approx(score)
+        said = summarize(study)["metrics"]["distance"]
+        assert said["spread of the runs, largest"] == pytest.approx(max(max(run) - min(run) for run in runs))
+        write_report(study, tmp_path / "r.html")
+        assert "Each was run 3 times" in (tmp_path / "r.html").read_text()
+        study.export(tmp_path / "csv")
+        head = (tmp_path / "csv" / "scenarios.csv").read_text().splitlines()[0]
+        assert "lowest distance,highest distance" in head
+
+
+def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):
+    class Failing(NoisySimulator):
+        def run(self, concretes):
+            for number, run in enumerate(super().run(concretes)):
+                yield SimulationError(f"run {number}") if number < 3 else run
+
+    one = demonstration("t-intersection", budget=2, seed=1)
+    meta = {"space": one.logical.space.to_json(), "metrics": ["distance"]}
+    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        ScenarioExplorer(
+            one.logical, Failing(), optimizer, [METRICS.create("distance")], "Ego", "C", study, budget=2, repeats=3
+        ).run()
+        assert [row.state for row in study.rows()] == ["failed", "done"]
+        assert study.failed()[0].error == "run 0"
+
+
+def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
+    one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2)
+    explore_scenario(one, tmp_path / "s.db")
+    with pytest.raises(InputError, match="another number of repeats"):
+        explore_scenario(replace(one, repeats=3), tmp_path / "s.db")
+    with Study.open(tmp_path / "s.db") as study:
+        # The builtin simulator gives the same each time.
+        np.testing.assert_array_equal(*study.spread("ttc").T)

@@ -124,6 +124,9 @@ def explore(
     workers: Workers = 1,
     timeout: Timeout = None,
     retries: Retries = 1,
+    repeats: Annotated[
+        int, typer.Option(metavar="N", help="Run each scenario N times; its score is the median.", min=1)
+    ] = 1,
     time_step: TimeStep = 0.05,
     duration: Duration = 60.0,
     on_collision: OnCollision = "continue",
@@ -167,6 +170,7 @@ def explore(
             workers=workers,
             timeout=timeout,
             retries=retries,
+            repeats=repeats,
             time_step=time_step,
             duration=duration,
             on_collision=on_collision,

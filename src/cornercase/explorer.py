@@ -21,10 +21,12 @@ from cornercase.interrupts import noted_interrupts
 from cornercase.metrics.base import Metric
 from cornercase.objective import Best, Objective
 from cornercase.optimizers.base import Optimizer
+from cornercase.recording import Recording
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.simulators.base import Simulator
 from cornercase.stopping import Criterion
 from cornercase.study import Row, Study
+from cornercase.typing import FloatArray
 
 # With fewer scenarios nothing is said about a critical set.
 _LEAST = 40
@@ -82,6 +84,10 @@ class ScenarioExplorer:
         For them: score up to which, as a search is told of it, a scenario is critical.
     seed : int, default 0
         For them.
+    repeats : int, default 1
+        How often each scenario is run, by a simulator that does not give the same twice. What is stored is the run
+        with the median of what is searched (of an even number the more critical of the two in the middle), and the
+        scores of all. Runs that failed are left out, unless all did.
     """
 
     def __init__(
@@ -102,6 +108,7 @@ class ScenarioExplorer:
         stop_when: Sequence[Criterion] = (),
         critical: float | None = None,
         seed: int = 0,
+        repeats: int = 1,
     ) -> None:
         self._objective = Objective(metrics) if objective is None else objective
         if stop_when and critical is None:
@@ -114,6 +121,7 @@ class ScenarioExplorer:
         self._best, self._stale = Best(self._objective), 0
         self._stop_when, self._critical, self._seed = tuple(stop_when), critical, seed
         self._points, self._told = np.zeros((0, logical.space.dimension)), np.zeros(0)
+        self._repeats = repeats
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion is fulfilled.
@@ -180,24 +188,39 @@ class ScenarioExplorer:
         """Run scenarios, and store each when it has ended; what is told of those that did not fail."""
         scores: dict[int, Any] = {}
         best = copy(self._best)
-        results = self._simulator.run([self._logical.concrete(row.values) for row in rows]) if rows else iter(())
+        concretes = [self._logical.concrete(row.values) for row in rows for _ in range(self._repeats)]
+        results = self._simulator.run(concretes) if rows else iter(())
+        nothing = SimulationError("the simulator ended without a result")
         for row in rows:
             with self._clock("simulate"):
-                result = next(results, SimulationError("the simulator ended without a result"))
-            if isinstance(result, SimulationError):
-                self._study.fail(row.id, result)
-                continue
+                results_of_row = [next(results, nothing) for _ in range(self._repeats)]
             with self._clock("measure"):
-                courses = {}
-                for metric in self._metrics:
-                    course = metric.course(result, self._ego, self._other)
-                    courses[metric.name] = (course, metric.score(course))
-            self._study.finish(row.id, result, courses)
-            scores[row.id] = self._objective.told(np.array([[score for _, score in courses.values()]]))[0]
+                runs = [self._measured(one) for one in results_of_row if not isinstance(one, SimulationError)]
+            if not runs:
+                self._study.fail(row.id, next(one for one in results_of_row if isinstance(one, SimulationError)))
+                continue
+            told = [self._objective.told(np.array([[score for _, score in run[1].values()]]))[0] for run in runs]
+            # Of several objectives the first says which run is in the middle.
+            order = sorted(range(len(runs)), key=lambda k: float(np.atleast_1d(told[k])[0]))
+            middle = order[(len(order) - 1) // 2]
+            recording, courses = runs[middle]
+            repeats = None
+            if self._repeats > 1:
+                repeats = {metric.name: [run[1][metric.name][1] for run in runs] for metric in self._metrics}
+            self._study.finish(row.id, recording, courses, repeats)
+            scores[row.id] = told[middle]
             best.add(scores[row.id][None])
             if bar is not None:
                 bar.update(row.id, best.text)
         return scores
+
+    def _measured(self, recording: Recording) -> tuple[Recording, dict[str, tuple[FloatArray, float]]]:
+        """A recording, with the course and the score of each metric."""
+        courses = {}
+        for metric in self._metrics:
+            course = metric.course(recording, self._ego, self._other)
+            courses[metric.name] = (course, metric.score(course))
+        return recording, courses
 
     def _tell(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> None:
         failed = np.full_like(self._objective.uncritical, np.nan)

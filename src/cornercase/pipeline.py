@@ -51,6 +51,8 @@ class Exploration:
         s after which a scenario is given up.
     retries : int
         How often a scenario is run again after the simulator died or hung.
+    repeats : int
+        How often each scenario is run, as of `ScenarioExplorer`.
     time_step, duration : float
         s.
     on_collision : {"continue", "stop"}
@@ -76,6 +78,7 @@ class Exploration:
     workers: int = 1
     timeout: float | None = None
     retries: int = 1
+    repeats: int = 1
     time_step: float = 0.05
     duration: float = 60.0
     on_collision: str = "continue"
@@ -126,6 +129,7 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
         "batch": one.batch,
         "simulator": one.simulator,
         "settings": simulator.settings,
+        "repeats": one.repeats if one.repeats > 1 else None,
         "version": __version__,
     }
     if path.exists():
@@ -137,7 +141,7 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
         explorer = ScenarioExplorer(
             one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
             budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,
-            objective=objective, stop_when=criteria, critical=limit, seed=one.seed,
+            objective=objective, stop_when=criteria, critical=limit, seed=one.seed, repeats=one.repeats,
         )  # fmt: skip
         try:
             return explorer.run(progress)
@@ -270,6 +274,7 @@ def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
         ("batch", "another batch size"),
         ("simulator", "another simulator"),
         ("settings", "other simulator settings"),
+        ("repeats", "another number of repeats"),
     ):
         if study.meta.get(key) != meta[key]:
             study.close()

@@ -38,6 +38,12 @@ CREATE TABLE courses (
 CREATE TABLE analyses (name TEXT PRIMARY KEY, info TEXT NOT NULL, arrays BLOB NOT NULL) WITHOUT ROWID;
 CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROWID;
 """
+# Only studies of repeated runs have it.
+_REPEATS: Final = """
+CREATE TABLE IF NOT EXISTS repeats (
+    scenario INTEGER NOT NULL REFERENCES scenarios, metric TEXT NOT NULL, scores TEXT NOT NULL,
+    PRIMARY KEY (scenario, metric)) WITHOUT ROWID
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,9 +195,31 @@ class Study:
                 rows.append(Row(int(cursor.lastrowid or 0), number, point, dict(one), "pending", None))
         return rows
 
-    def finish(self, scenario: int, recording: Recording, courses: Mapping[str, tuple[FloatArray, float]]) -> None:
-        """Store what came out of a scenario: its recording, and course and score of each metric."""
+    def finish(
+        self,
+        scenario: int,
+        recording: Recording,
+        courses: Mapping[str, tuple[FloatArray, float]],
+        repeats: Mapping[str, Sequence[float]] | None = None,
+    ) -> None:
+        """Store what came out of a scenario: its recording, and course and score of each metric.
+
+        Parameters
+        ----------
+        scenario : int
+        recording : Recording
+        courses : mapping of str to (ndarray of float64, shape (T,), float)
+            Course and score by metric.
+        repeats : mapping of str to sequence of float, optional
+            Where the scenario was run several times, the scores of all runs by metric.
+        """
         with _sentences(self.path), self._connection:
+            if repeats is not None:
+                self._connection.execute(_REPEATS)
+                self._connection.executemany(
+                    "INSERT INTO repeats VALUES (?, ?, ?)",
+                    [(scenario, name, json.dumps(list(scores))) for name, scores in repeats.items()],
+                )
             self._connection.executemany(
                 "INSERT INTO courses VALUES (?, ?, ?, ?)",
                 [(scenario, name, score, _packed({"course": course})) for name, (course, score) in courses.items()],
@@ -236,6 +264,15 @@ class Study:
             metric,
         )
         return np.array([score for (score,) in found], dtype=np.float64)
+
+    def spread(self, metric: str) -> FloatArray | None:
+        """Lowest and highest score of the runs of each scenario that was run, shape (n, 2); None if each ran once."""
+        self._require_metric(metric)
+        if not self._found("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'repeats'"):
+            return None
+        # Only a scenario that was run has them.
+        found = self._found("SELECT scores FROM repeats WHERE metric = ? ORDER BY scenario", metric)
+        return np.array([[min(scores), max(scores)] for scores in (json.loads(text) for (text,) in found)])
 
     def course(self, scenario: int, metric: str) -> FloatArray:
         """Course of a metric in one scenario, shape (T,)."""
@@ -332,6 +369,10 @@ class Study:
         for name in self.meta["metrics"]:
             scores = dict(zip(done, self.scores(name).tolist(), strict=True))
             table[name] = [scores.get(row.id) for row in rows]
+            if (spread := self.spread(name)) is not None:
+                ends = dict(zip(done, spread.tolist(), strict=True))
+                table[f"lowest {name}"] = [ends.get(row.id, (None, None))[0] for row in rows]
+                table[f"highest {name}"] = [ends.get(row.id, (None, None))[1] for row in rows]
         for name in self.analyses():
             arrays, _ = self.analysis(name)
             labels = dict(zip(arrays["ids"].tolist(), arrays["labels"].tolist(), strict=True))

@@ -57,6 +57,13 @@ def summarize(study: Study) -> dict[str, Any]:
             "median": float(np.median(scores)),
             "at": done[worst].values,
         }
+        if (spread := study.spread(name)) is not None:
+            width = spread[:, 1] - spread[:, 0]
+            summary["metrics"][name] |= {
+                "runs of each": meta["repeats"],
+                "spread of the runs, median": float(np.median(width)),
+                "spread of the runs, largest": float(width.max()),
+            }
     objective = Objective.of_study(meta)
     summary["searched"] = objective.text
     if done:

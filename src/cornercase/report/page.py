@@ -139,11 +139,19 @@ class _Page:
             figure = figures.criticality(self._values, self._study.space.parameters, scores, metric)
             worst = int(scores.argmin() if metric.lower_is_critical else scores.argmax())
             at = ", ".join(f"{k} = {_number(v)}" for k, v in self._rows[worst].values.items())
+            spread, of_runs = self._study.spread(metric.name), ""
+            if spread is not None:
+                width = spread[:, 1] - spread[:, 0]
+                of_runs = (
+                    f" Each was run {self._study.meta['repeats']} times; between its runs the score differs by"
+                    f" {np.median(width):.3g}{_unit(metric)} in the median scenario, {width.max():.3g}{_unit(metric)}"
+                    " at most."
+                )
             yield self._figure(
                 figure,
                 f"criticality-{metric.name}",
                 f"Each scenario that was run, by its {metric.name} score. The most critical one is scenario"
-                f" {self._rows[worst].id} with {scores[worst]:.3g}{_unit(metric)} ({at}).",
+                f" {self._rows[worst].id} with {scores[worst]:.3g}{_unit(metric)} ({at}).{of_runs}",
             )
 
     def _knowledge(self) -> Iterable[str]:
