@@ -374,7 +374,7 @@ def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
     one, simulator = demonstration("t-intersection", budget=6, seed=1), NoisySimulator()
     meta = {
         "scenario": str(one.logical.path), "space": one.logical.space.to_json(), "metrics": ["distance"], "repeats": 3,
-        "ego": "Ego", "other": "C", "optimizer": "sobol", "seed": 1, "simulator": "noisy", "settings": {},
+        "ego": "Ego", "other": "C", "optimizer": "sobol", "seed": 1, "simulator": "noisy", "settings": {}, "fingerprint": "", "version": "", "budget": 6, "batch": 6,
     }  # fmt: skip
     optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
     with Study.create(tmp_path / "s.db", meta) as study:
