@@ -9,6 +9,8 @@ from conftest import car, event, same_recording, scenario_file, speed_action, st
 from cornercase.errors import InputError
 from cornercase.optimizers import GridOptimizer, SequenceOptimizer
 from cornercase.scenario.logical import ConcreteScenario, LogicalScenario
+from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.scenario_runner import write_scenario_runner
 from cornercase.simulators.builtin import BuiltinSimulator
 
 DT = 0.05
@@ -257,6 +259,11 @@ parameterRef="to" value="${5*5}"/></ParameterAssignments></CatalogReference>"""
     recording = run(path, 3.0)
     assert recording.length[0] == 12
     assert recording.speed[0][-1] == 25
+    # As OpenSCENARIO 1.0 it all stands in one file, which may lie anywhere.
+    write_scenario_runner(Scenario.read(path), {}, tmp_path / "elsewhere" / "one.xosc", ego="Ego")
+    again = run(tmp_path / "elsewhere" / "one.xosc", 3.0)
+    assert again.length[0] == 12
+    np.testing.assert_allclose(again.x[0], recording.x[0], atol=25 * 0.1)
 
 
 def test_a_deleted_entity_is_gone(tmp_path):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Final
 
@@ -28,12 +29,17 @@ _RULES: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
 
 
 def write_scenario_runner(
-    scenario: Scenario, values: Mapping[str, Value], target: Path | str, *, ego: str
+    scenario: Scenario,
+    values: Mapping[str, Value],
+    target: Path | str,
+    *,
+    ego: str,
+    adapt: Callable[[etree._Element], None] | None = None,
 ) -> tuple[str, ...]:
     """Write a concrete scenario for ScenarioRunner.
 
-    All parameters and expressions become their values, as 1.0 has no expressions; the ego becomes ScenarioRunner's
-    ``ego_vehicle``. The road file is copied beside the target.
+    All parameters and expressions become their values, as 1.0 has no expressions, and what stands in catalogs comes into
+    the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the target.
 
     Parameters
     ----------
@@ -44,6 +50,8 @@ def write_scenario_runner(
     target : path
     ego : str
         Entity that becomes the ego vehicle.
+    adapt : callable, optional
+        Changes the tree before it is held against the schema and written.
 
     Returns
     -------
@@ -65,8 +73,8 @@ def write_scenario_runner(
     # The file's own declarations are in the scope already, with the values that were given.
     for child in root:
         _resolve(child, scope)
-    for declarations in root.findall("ParameterDeclarations"):
-        declarations.clear()
+    for unused in root.iter("ParameterDeclarations", "CatalogLocations"):
+        unused.clear()
     header = root.find("FileHeader")
     if header is None:
         raise InputError(f"{scenario.path}: has no <FileHeader>.")
@@ -79,6 +87,15 @@ def write_scenario_runner(
     _trajectories(root)
     _conditions(root, notes)
     _synchronised(root, scenario, notes)
+    for part in list(root.iter("TrailerHitch", "TrailerCoupler", "Trailer")):
+        holder = part.getparent()
+        if holder is not None:
+            holder.remove(part)
+        if part.tag == "Trailer":
+            notes.append("Trailers are left out.")
+    for action in root.iter("LongitudinalDistanceAction", "LateralDistanceAction"):
+        if action.get("coordinateSystem") == "entity":
+            action.attrib.pop("coordinateSystem")
     for tag, names in _LATER.items():
         for element in root.iter(tag):
             for name in names:
@@ -88,6 +105,8 @@ def write_scenario_runner(
     target = Path(target)
     if road is not None and file is not None:
         file.set("filepath", road.name)
+    if adapt is not None:
+        adapt(root)
     wrong = schema_errors(root)
     if wrong is None:
         notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
@@ -114,7 +133,14 @@ def _resolve(element: etree._Element, scope: Scope) -> None:
         else:
             element.set(name, inner.text(element, str(name)))
     for child in element:
-        _resolve(child, inner)
+        if child.tag == "CatalogReference":
+            # ScenarioRunner would look for the catalogs beside the new file, and reads none of a later version.
+            entry, own = inner.from_catalog(child)
+            within = deepcopy(entry)
+            element.replace(child, within)
+            _resolve(within, own)
+        else:
+            _resolve(child, inner)
 
 
 def _entities(root: etree._Element, ego: str, notes: list[str]) -> None:
