@@ -50,10 +50,16 @@ ROAD = """<OpenDRIVE><header revMajor="1" revMinor="7"/><road id="1" length="500
 </laneSection></lanes></road></OpenDRIVE>"""
 
 
+AXLES = "".join(
+    f'<{kind} maxSteering="0.5" wheelDiameter="0.6" trackWidth="1.6" positionX="{x}" positionZ="0.3"/>'
+    for kind, x in (("FrontAxle", 2.7), ("RearAxle", 0))
+)
+
+
 def car(name: str) -> str:
     return f"""<ScenarioObject name="{name}"><Vehicle name="car" vehicleCategory="car">
 <BoundingBox><Center x="1.4" y="0" z="0.7"/><Dimensions length="4" width="2" height="1.5"/></BoundingBox>
-<Performance maxSpeed="60" maxAcceleration="200" maxDeceleration="200"/><Axles/><Properties/></Vehicle></ScenarioObject>"""
+<Performance maxSpeed="60" maxAcceleration="200" maxDeceleration="200"/><Axles>{AXLES}</Axles><Properties/></Vehicle></ScenarioObject>"""
 
 
 def speed_action(value: str, shape: str = "step", dimension: str = "time", over: str = "0") -> str:

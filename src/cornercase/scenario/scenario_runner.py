@@ -38,8 +38,8 @@ def write_scenario_runner(
 ) -> tuple[str, ...]:
     """Write a concrete scenario for ScenarioRunner.
 
-    All parameters and expressions become their values, as 1.0 has no expressions, and what stands in catalogs comes into
-    the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the target.
+    All parameters and expressions become their values, as 1.0 has no expressions, and what stands in catalogs comes
+    into the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the target.
 
     Parameters
     ----------
@@ -138,6 +138,9 @@ def _resolve(element: etree._Element, scope: Scope) -> None:
             entry, own = inner.from_catalog(child)
             within = deepcopy(entry)
             element.replace(child, within)
+            # Their values are in the scope, or overwritten there by what the reference assigns.
+            for declarations in within.findall("ParameterDeclarations"):
+                declarations.clear()
             _resolve(within, own)
         else:
             _resolve(child, inner)
