@@ -16,7 +16,7 @@ from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.scenario.openscenario import Scenario
 from cornercase.simulators import SIMULATORS
-from cornercase.simulators.base import Simulator
+from cornercase.simulators.base import Simulator, told
 from cornercase.simulators.parallel import ParallelSimulator
 from cornercase.simulators.workers import WorkerSimulator
 from cornercase.stopping import Criterion
@@ -248,6 +248,8 @@ def _simulator(one: Exploration) -> Simulator:
     }
     for name in one.drivers.values():
         named_driver(name)
+    if "ego" in told(one.simulator):
+        options["ego"] = one.ego
     if one.timeout is not None and not 0.0 < one.timeout < float("inf"):
         raise InputError(f"--timeout {one.timeout:g}: give a time above 0 s.")
     # Its own process protects from a simulator that is not ours; the builtin one steps batches.

@@ -10,9 +10,9 @@ from typing import Any, Final
 
 from cornercase.errors import InputError
 from cornercase.readers.tracks import Track, recording_of
-from cornercase.recording import Recording
+from cornercase.recording import Collision, Recording
 
-_FRAME, _ADDED, _REMOVED, _POSITIONS, _BOXES = 0, 2, 3, 6, 13
+_FRAME, _ADDED, _REMOVED, _COLLISIONS, _POSITIONS, _BOXES = 0, 2, 3, 5, 6, 13
 _VEHICLE, _WALKER = 1, 2
 _MAGIC: Final = b"CARLA_RECORDER"
 _CM: Final = 0.01
@@ -41,7 +41,7 @@ def read_carla_log(path: Path | str) -> Recording:
     Recording
         Vehicles and walkers, by their role name where that is one's own (``hero``), else by type and number. Reference
         points are the box centres. CARLA's left-handed axes are turned: y and headings change their sign. Speeds are
-        those of the positions.
+        those of the positions, collisions those that CARLA noted between two of them.
 
     Raises
     ------
@@ -56,29 +56,38 @@ def read_carla_log(path: Path | str) -> Recording:
     if not data[4:].startswith(_MAGIC):
         raise InputError(f"{path}: is no file of CARLA's recorder.")
     try:
-        actors = _actors(data)
+        actors, touched = _actors(data)
     except (struct.error, UnicodeDecodeError, IndexError) as error:
         raise InputError(f"{path}: is cut off or damaged; record it again.") from error
     roles = [one.name.partition(" ")[0] for one in actors]
     tracks: dict[str, Track] = {}
+    names: dict[str, str] = {}
     for one, role in zip(actors, roles, strict=True):
         if not one.places or one.box is None:
             continue
+        names[one.name] = role if roles.count(role) == 1 else one.name
         ahead, right, length, width = one.box
         track = Track(one.kind, 2.0 * length, 2.0 * width)
         for time, x, y, heading in one.places:
             cos, sin = math.cos(heading), math.sin(heading)
             place = (x + ahead * cos + right * sin, y + ahead * sin - right * cos)
             track.samples[time] = (*place, heading, math.nan, math.nan)
-        tracks[role if roles.count(role) == 1 else one.name] = track
-    return recording_of(path, tracks)
+        tracks[names[one.name]] = track
+    collisions: dict[frozenset[str], Collision] = {}
+    for time, a, b in touched:
+        if a in names and b in names:
+            one_name, other = sorted((names[a], names[b]), key=list(tracks).index)
+            collisions.setdefault(frozenset((a, b)), Collision(time, (one_name, other)))
+    return recording_of(path, tracks, sorted(collisions.values(), key=lambda one: one.time))
 
 
-def _actors(data: bytes) -> list[_Actor]:
+def _actors(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:
+    """All that ever appear, and which of them touch when."""
     # A version, the magic words, a date, and the name of the map.
     _, at = _text(data, 2 + 2 + len(_MAGIC) + 8)
     present: dict[int, _Actor] = {}
     everyone: list[_Actor] = []
+    touched: list[tuple[float, str, str]] = []
     time = 0.0
     while at < len(data):
         kind, size = struct.unpack_from("<BI", data, at)
@@ -101,11 +110,15 @@ def _actors(data: bytes) -> list[_Actor]:
                 if number in present:
                     place = (time, x * _CM, -y * _CM, -math.radians(yaw))
                     present[number].places.append(place)
+        elif kind == _COLLISIONS:
+            for _, a, b, *_ in _rows(packet, "<III2?"):
+                if a in present and b in present:
+                    touched.append((time, present[a].name, present[b].name))
         elif kind == _BOXES:
             for number, ahead, right, _, length, width, _ in _rows(packet, "<I6f"):
                 if number in present and present[number].box is None and math.isfinite(length):
                     present[number].box = (ahead * _CM, right * _CM, length * _CM, width * _CM)
-    return everyone
+    return everyone, touched
 
 
 def _added(packet: bytes) -> list[tuple[int, _Actor]]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from cornercase.errors import InputError
-from cornercase.recording import Recording
+from cornercase.recording import Collision, Recording
 from cornercase.typing import FloatArray
 
 
@@ -33,7 +34,7 @@ class Track:
     samples: dict[float, tuple[float, float, float, float, float]] = field(default_factory=dict)
 
 
-def recording_of(path: Path, tracks: dict[str, Track]) -> Recording:
+def recording_of(path: Path, tracks: dict[str, Track], collisions: Sequence[Collision] = ()) -> Recording:
     """Put tracks on one time axis.
 
     Parameters
@@ -42,6 +43,8 @@ def recording_of(path: Path, tracks: dict[str, Track]) -> Recording:
         For messages.
     tracks : dict of str to Track
         By the names that the entities get.
+    collisions : sequence of Collision
+        In order of time.
 
     Returns
     -------
@@ -84,6 +87,7 @@ def recording_of(path: Path, tracks: dict[str, Track]) -> Recording:
         np.array([track.length for track in tracks.values()]),
         np.array([track.width for track in tracks.values()]),
         np.zeros(len(tracks)),
+        tuple(collisions),
     )
 
 

@@ -2,11 +2,13 @@
 
 from cornercase.simulators.base import SIMULATORS, Availability, Simulator
 from cornercase.simulators.builtin import BuiltinSimulator
+from cornercase.simulators.carla import CarlaSimulator
 from cornercase.simulators.carmaker import CarMakerSimulator
 from cornercase.simulators.esmini import EsminiSimulator
 from cornercase.simulators.sumo import SumoSimulator
 
 SIMULATORS.register("builtin", BuiltinSimulator)
+SIMULATORS.register("carla", CarlaSimulator)
 SIMULATORS.register("carmaker", CarMakerSimulator)
 SIMULATORS.register("esmini", EsminiSimulator)
 SIMULATORS.register("sumo", SumoSimulator)
@@ -25,6 +27,8 @@ __all__ = [
     "SIMULATORS",
     "Availability",
     "BuiltinSimulator",
+    "CarMakerSimulator",
+    "CarlaSimulator",
     "EsminiSimulator",
     "Simulator",
     "SumoSimulator",

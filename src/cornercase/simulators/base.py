@@ -57,4 +57,13 @@ class Availability:
     abilities: tuple[str, ...]
 
 
+def told(name: str) -> tuple[str, ...]:
+    """What a simulator wants to be told beside the options that all have, as its class attribute ``told`` says.
+
+    That is ``worker``, the number of the worker in which it runs, and ``ego``, the entity that is it.
+    """
+    wanted: tuple[str, ...] = getattr(SIMULATORS.factory(name.partition(":")[0]), "told", ())
+    return wanted
+
+
 SIMULATORS: Registry[Simulator] = Registry("simulator", "cornercase.simulators")

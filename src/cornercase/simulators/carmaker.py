@@ -60,7 +60,7 @@ class CarMakerSimulator:
     """
 
     name = "carmaker"
-    numbered = True
+    told = ("worker",)
 
     def __init__(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from collections import deque
@@ -14,7 +15,7 @@ from typing import Any, Final
 from cornercase.errors import InputError, SimulationError, SimulatorError
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
-from cornercase.simulators.base import SIMULATORS
+from cornercase.simulators.base import SIMULATORS, told
 
 # So many scenarios in a row that end without a result say that the simulator is at fault, not they.
 _MOST_LOST: Final = 5
@@ -57,7 +58,7 @@ class WorkerSimulator:
         self.settings = SIMULATORS.create(name, **options).settings
         self._name, self._options, self._timeout, self._retries = name, options, timeout, retries
         # A simulator that has something of its own for each worker, as a port, is told which one it is.
-        numbered = getattr(SIMULATORS.factory(name.partition(":")[0]), "numbered", False)
+        numbered = "worker" in told(name)
         self._workers = [_Worker(name, options | ({"worker": k} if numbered else {})) for k in range(workers)]
         self._lost = 0
 
@@ -193,6 +194,9 @@ class _Worker:
         self._process.join(0.2)
         self._code = self._process.exitcode
         if self._process.is_alive():
+            # With all that it has started, as the simulator itself.
+            with suppress(OSError):
+                os.killpg(self._process.pid, signal.SIGKILL)
             self._process.kill()
             self._process.join(_STOPPED)
         self.connection.close()
@@ -202,6 +206,7 @@ class _Worker:
 def _serve(connection: Connection, name: str, options: dict[str, Any]) -> None:
     # Ctrl-C is for the process that the user sees, which lets this one finish its scenario or stops it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.setsid()
     try:
         simulator = SIMULATORS.create(name, **options)
     except InputError as error:

@@ -1,0 +1,94 @@
+"""Drives a vehicle on CARLA along the route of its scenario.
+
+ScenarioRunner loads this file by its name, in its own environment and an older Python; it uses nothing of cornercase.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from typing import Any, Dict, List, Optional, Tuple
+
+import carla
+from agents.navigation.behavior_agent import BehaviorAgent
+from agents.navigation.local_planner import RoadOption
+from srunner.scenariomanager.actorcontrols.npc_vehicle_control import NpcVehicleControl
+from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
+from srunner.tools.openscenario_parser import OpenScenarioParser
+
+# A vehicle that has arrived drives on along its lane, in m, rather than stand in the way of the others.
+_BEYOND = 200.0
+_STEP = 2.0
+
+
+class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
+    """Follows a route as CARLA's behaviour agent, or as ScenarioRunner's own control at the storyboard's speed.
+
+    Parameters
+    ----------
+    actor : carla.Vehicle
+    args : dict
+        ``behavior`` is "cautious", "normal" or "aggressive", or missing; ``route`` an XML element whose children are
+        the positions of an OpenSCENARIO route.
+    """
+
+    _init_speed: bool
+
+    def __init__(self, actor: Any, args: Optional[Dict[str, str]] = None) -> None:
+        super().__init__(actor)
+        args = args or {}
+        plan = _plan(actor, args.get("route", "<route/>"))
+        self._agent: Any = None
+        if args.get("behavior"):
+            self._agent = BehaviorAgent(actor, behavior=args["behavior"])
+            self._agent.set_global_plan(plan)
+        elif plan:
+            self._local_planner.set_global_plan(plan)
+
+    def run_step(self) -> None:
+        """Control the vehicle in one tick."""
+        if self._agent is None:
+            super().run_step()
+            return
+        if not self._actor.is_alive:
+            return
+        if self._init_speed:
+            # Once; from then on the speed is the agent's business.
+            self._init_speed = False
+            ahead = self._actor.get_transform().get_forward_vector()
+            self._actor.set_target_velocity(ahead * float(self._target_speed))
+        if self._agent.done():
+            self._reached_goal = True
+            self._actor.apply_control(carla.VehicleControl(brake=1.0))
+        else:
+            self._actor.apply_control(self._agent.run_step())
+
+
+def _plan(actor: Any, route: str) -> List[Tuple[Any, Any]]:
+    """Waypoints and road options from where the actor is along the positions of a route, and beyond."""
+    road_map = CarlaDataProvider.get_map()
+    planner = CarlaDataProvider.get_global_route_planner()
+    here = CarlaDataProvider.get_location(actor) or actor.get_location()
+    plan: List[Tuple[Any, Any]] = []
+    for position in ElementTree.fromstring(route):
+        target = OpenScenarioParser.convert_position_to_transform(position).location
+        # A route may begin where the actor is.
+        if target.distance(here) > _STEP:
+            plan.extend(planner.trace_route(here, target))
+            here = target
+    if plan:
+        last = plan[-1][0]
+        for _ in range(int(_BEYOND / _STEP)):
+            following = last.next(_STEP)
+            if not following:
+                break
+            last = min(following, key=lambda point: abs(_turn(plan[-1][0], point)))
+            plan.append((last, RoadOption.LANEFOLLOW))
+    elif road_map.get_waypoint(here) is None:
+        print("cornercase: the vehicle stands beside all roads")
+    return plan
+
+
+def _turn(one: Any, other: Any) -> float:
+    """Difference of two waypoints' directions, in degrees."""
+    turn = float(other.transform.rotation.yaw - one.transform.rotation.yaw)
+    return (turn + 180.0) % 360.0 - 180.0

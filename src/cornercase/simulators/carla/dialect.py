@@ -1,0 +1,109 @@
+"""What ScenarioRunner has to find in a scenario so that the right one drives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from cornercase.errors import InputError
+
+DRIVER: Final = Path(__file__).with_name("cornercase_driver.py")
+BEHAVIORS: Final = ("aggressive", "cautious", "normal")
+# ScenarioRunner's own; any other module would be code that a scenario file names.
+_KNOWN: Final = (
+    "carla_autopilot", "external_control", "npc_vehicle_control", "pedestrian_control", "simple_vehicle_control",
+    "vehicle_longitudinal_control",
+)  # fmt: skip
+_UNTOUCHED: Final = (
+    ("Throttle", "value"), ("Brake", "value"), ("Clutch", "value"), ("ParkingBrake", "value"),
+    ("SteeringWheel", "value"), ("Gear", "number"),
+)  # fmt: skip
+
+
+def adapt(root: etree._Element, source: Path, ego: str, behaviors: Mapping[str, str], with_agent: bool) -> None:
+    """Assign to each vehicle who drives it.
+
+    ScenarioRunner 0.9.16 takes no routes (its waypoints need times since then), so a route of the initial actions is
+    left to our own controller.
+
+    Parameters
+    ----------
+    root : Element
+        Of a scenario in OpenSCENARIO 1.0 without parameters; changed in place.
+    source : Path
+        For messages.
+    ego : str
+    behaviors : mapping of str to str
+        Which of CARLA's behaviour agents drives an entity.
+    with_agent : bool
+        Whether the ego is driven by the user's own agent.
+
+    Raises
+    ------
+    InputError
+        The file names code of its own, or an entity with a behaviour agent has no route.
+    """
+    for module in root.iterfind(".//Property[@name='module']"):
+        if module.get("value") not in _KNOWN:
+            raise InputError(
+                f"{source}: a controller names the module '{module.get('value')}'; code that a scenario names is not"
+                " run, give your own as --simulator carla:agent=FILE."
+            )
+    header = root.find("FileHeader")
+    assert header is not None
+    # It becomes the name of the recording, and 'CARLA:' at its beginning would turn the axes.
+    header.set("description", "cornercase")
+    for private in root.iterfind("Storyboard/Init/Actions/Private"):
+        entity = private.get("entityRef", "")
+        route = _taken_route(private)
+        properties = {}
+        if entity == ego and with_agent:
+            properties = {"module": "external_control"}
+        elif entity in behaviors:
+            if not len(route):
+                raise InputError(
+                    f"{source}: '{entity}' needs a route for CARLA's behaviour agent; give it an <AssignRouteAction> or"
+                    " an <AcquirePositionAction> in <Init>."
+                )
+            properties = {"module": DRIVER.name, "behavior": behaviors[entity]}
+        elif len(route):
+            properties = {"module": DRIVER.name}
+        if not properties:
+            continue
+        if len(route):
+            properties["route"] = etree.tostring(route, encoding="unicode")
+        for other in private.findall("PrivateAction"):
+            if other.find("ControllerAction") is not None:
+                private.remove(other)
+        private.append(_controller_action(entity, properties))
+
+
+def _taken_route(private: etree._Element) -> etree._Element:
+    """Positions of the route that an entity is assigned at first, which is taken out."""
+    route = etree.Element("route")
+    for action in private.findall("PrivateAction"):
+        found = action.find("RoutingAction")
+        if found is None or found.find("FollowTrajectoryAction") is not None:
+            continue
+        private.remove(action)
+        route.extend(found.iterfind(".//Position"))
+    return route
+
+
+def _controller_action(entity: str, properties: Mapping[str, str]) -> etree._Element:
+    action = etree.Element("PrivateAction")
+    both = etree.SubElement(action, "ControllerAction")
+    controller = etree.SubElement(
+        etree.SubElement(both, "AssignControllerAction"), "Controller", name=f"driver of {entity}"
+    )
+    holder = etree.SubElement(controller, "Properties")
+    for name, value in properties.items():
+        etree.SubElement(holder, "Property", name=name, value=value)
+    # 1.0 wants it, and ScenarioRunner wants nothing of it to be active.
+    override = etree.SubElement(both, "OverrideControllerValueAction")
+    for tag, attribute in _UNTOUCHED:
+        etree.SubElement(override, tag, {attribute: "0", "active": "false"})
+    return action

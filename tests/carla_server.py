@@ -1,0 +1,455 @@
+"""Speaks CARLA's protocol, so that CARLA's own client takes it for a server: the protocol only, no physics to speak of.
+
+Remote calls come by MessagePack on one port, snapshots and sensor events go out by a stream on the next. Vehicles follow
+their controls as points with a heading; two of them collide when their circles touch. Run it in a process of its own:
+
+    python carla_server.py PORT ROAD.xodr [what goes wrong]
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import msgpack
+
+# Numbers of the serializers in the registry of CARLA 0.9.16's client.
+COLLISION, WORLD = 0, 17
+STATE_SIZE, HEADER_PAD = 119, 0
+STEP = 0.05
+VERSION = "0.9.16"
+BOXES = {"vehicle.tesla.model3": (2.4, 1.0), "walker.pedestrian.0001": (0.2, 0.2)}
+
+
+def value(content):
+    return [[1, content]]
+
+
+def refusal(text):
+    return [[0, [text]]]
+
+
+DONE = [[False]]
+
+
+class Server:
+    """One world with its actors."""
+
+    def __init__(self, port, road, wrong=()):
+        self.port, self.road, self.wrong = port, road, dict(one.partition("=")[::2] for one in wrong)
+        self.frame, self.time, self.episode, self.next = 100, 0.0, 1, 200
+        self.actors, self.subscribers, self.touching = {}, {}, set()
+        self.settings = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
+        self.lock, self.log, self.calls = threading.RLock(), None, 0
+
+    def serve(self):
+        for target in (self._listen_calls, self._listen_streams, self._run_by_itself):
+            threading.Thread(target=target, daemon=True).start()
+
+    # The world
+
+    @property
+    def step(self):
+        return self.settings[2][1] if len(self.settings[2]) > 1 else STEP
+
+    def _run_by_itself(self):
+        while True:
+            time.sleep(STEP)
+            if not self.settings[0]:
+                self.tick()
+
+    def tick(self):
+        with self.lock:
+            self.frame += 1
+            self.time += self.step
+            if self.frame == int(self.wrong.get("die-at", -1)):
+                sys.stdout.flush()
+                import os
+
+                os._exit(1)
+            for actor in self.actors.values():
+                actor.move(self.step)
+            self._collide()
+            if self.frame != int(self.wrong.get("lose", -1)):
+                self.push()
+            if self.log is not None:
+                self.log.frame(self.frame, self.step, self.actors)
+            return self.frame
+
+    def _collide(self):
+        bodies = [actor for actor in self.actors.values() if actor.radius]
+        for one in bodies:
+            for other in bodies:
+                pair = (one.number, other.number)
+                if one is other or math.dist(one.place[:2], other.place[:2]) > one.radius + other.radius:
+                    self.touching.discard(pair)
+                    continue
+                if pair not in self.touching and self.log is not None:
+                    self.log.touch(*pair)
+                self.touching.add(pair)
+                for sensor in self.actors.values():
+                    if sensor.parent == one.number and sensor.kind == "sensor.other.collision":
+                        body = msgpack.packb([self.described(one), self.described(other), [100.0, 0.0, 0.0]])
+                        self.send(sensor.number, self._header(COLLISION) + body)
+
+    # Streams
+
+    def token(self, stream):
+        return struct.pack("<IHBB", stream, self.port + 1, 1, 1) + bytes([127, 0, 0, 1]) + bytes(12)
+
+    def _listen_streams(self):
+        for line in accepted(self.port + 1):
+            with suppress(OSError, struct.error):
+                (stream,) = struct.unpack("<I", line.recv(4))
+                self.subscribers.setdefault(stream, []).append(line)
+                if stream == 1:
+                    with self.lock:
+                        self.push()
+
+    def send(self, stream, body):
+        for line in self.subscribers.get(stream, ()):
+            with suppress(OSError):
+                line.sendall(struct.pack("<I", len(body)) + body)
+
+    def _header(self, sensor):
+        return struct.pack("<QQd6f", sensor, self.frame, self.time, *[0.0] * 6)
+
+    def push(self):
+        head = struct.pack("<Qdf3iI", self.episode, time.time(), self.step, 0, 0, 0, 0) + bytes(HEADER_PAD)
+        body = b"".join(actor.state() for actor in self.actors.values())
+        if self.frame == int(self.wrong.get("cut-at", -1)):
+            body = body[:-7]
+        self.send(1, self._header(WORLD) + head + body)
+
+    # Calls
+
+    def _listen_calls(self):
+        for line in accepted(self.port):
+            threading.Thread(target=self._answer, args=(line,), daemon=True).start()
+
+    def _answer(self, line):
+        unpacker = msgpack.Unpacker(raw=False, unicode_errors="surrogateescape", strict_map_key=False)
+        with suppress(OSError):
+            while piece := line.recv(65536):
+                unpacker.feed(piece)
+                for message in unpacker:
+                    number, name, arguments = message[1:] if message[0] == 0 else (None, *message[1:])
+                    if self.wrong.get("silent") == name:
+                        time.sleep(60)
+                    result = self._call(name, arguments[1:])
+                    if number is None:
+                        continue
+                    answer = msgpack.packb([1, number, None, result], use_bin_type=True)
+                    if self.wrong.get("half") == name:
+                        line.sendall(answer[: len(answer) // 2])
+                        line.close()
+                        return
+                    line.sendall(answer)
+
+    def _call(self, name, arguments):
+        call = getattr(self, f"do_{name}", None)
+        if call is None:
+            plain = name.partition("_")[0] in ("set", "apply", "reset", "enable", "disable", "stop", "freeze", "draw")
+            return DONE if plain else refusal(f"not known here: {name}")
+        with self.lock:
+            try:
+                return call(*arguments)
+            except KeyError as error:
+                return refusal(f"no such actor: {error}")
+
+    def described(self, actor):
+        return [actor.number, actor.parent, actor.description, box(actor), bytes([10]), actor.token]
+
+    def do_version(self):
+        return value(self.wrong.get("version", VERSION))
+
+    def do_get_episode_info(self):
+        return value([self.episode, [self.token(1)]])
+
+    def do_get_sensor_token(self, stream):
+        return value([self.token(stream)])
+
+    def do_get_episode_settings(self):
+        return value(self.settings)
+
+    def do_set_episode_settings(self, settings):
+        self.settings = settings
+        self.push()
+        return value(self.frame)
+
+    def do_get_map_info(self):
+        return value(["Carla/Maps/OpenDriveMap", [[[1.0, 2.0, 3.0], [0.0, 90.0, 0.0]]]])
+
+    def do_get_map_data(self):
+        return value(self.road)
+
+    def do_copy_opendrive_to_file(self, road, _):
+        self.road = road
+        return DONE
+
+    def do_load_new_episode(self, *_):
+        self.episode += 1
+        self.actors.clear()
+        self.settings[0], self.settings[2] = False, [False]
+        self.push()
+        return DONE
+
+    def do_tick_cue(self):
+        return value(self.tick())
+
+    def do_get_actor_definitions(self):
+        def attribute(name, default, kind=4):
+            return [name, kind, default, [default], True, False]
+
+        def fixed(name, content, kind=4):
+            return [name, kind, content, [], False, False]
+
+        role = attribute("role_name", "autopilot")
+        car = [role, attribute("color", "0,0,0", 4), fixed("number_of_wheels", "4", 2), fixed("base_type", "car")]
+        kinds = [
+            ("vehicle.tesla.model3", car),
+            ("walker.pedestrian.0001", [role]),
+            ("sensor.other.collision", [role]),
+            (
+                "static.trigger.friction",
+                [role, *(attribute(f"extent_{a}", "1") for a in "xyz"), attribute("friction", "0")],
+            ),
+        ]
+        return value([[k, name, name.replace(".", ","), attributes] for k, (name, attributes) in enumerate(kinds, 1)])
+
+    def do_spawn_actor(self, description, transform):
+        return value(self.described(self._spawn(description, transform)))
+
+    def do_spawn_actor_with_parent(self, description, transform, parent, *_):
+        actor = self._spawn(description, transform)
+        actor.parent, actor.token = parent, self.token(actor.number)
+        return value(self.described(actor))
+
+    def _spawn(self, description, transform):
+        self.next += 1
+        self.actors[self.next] = Actor(self.next, description, transform)
+        if self.log is not None:
+            self.log.added(self.actors[self.next])
+        return self.actors[self.next]
+
+    def do_get_actors_by_id(self, numbers):
+        return value([self.described(self.actors[k]) for k in numbers if k in self.actors])
+
+    def do_get_actor_bounding_box(self, number):
+        return value(box(self.actors.get(number)))
+
+    def do_destroy_actor(self, number):
+        for gone in [number, *(k for k, actor in self.actors.items() if actor.parent == number)]:
+            self.actors.pop(gone, None)
+        return value(True)
+
+    def do_apply_batch(self, commands, tick=False):
+        answers = []
+        for ((kind, content),) in commands:
+            if kind == 0:
+                answers.append(value(self._spawn(*content[:2]).number))
+            else:
+                if kind == 1:
+                    self.do_destroy_actor(content[0])
+                answers.append(value(content[0] if content else 0))
+        if tick:
+            self.tick()
+        return answers
+
+    def do_set_actor_location(self, number, location):
+        self.actors[number].place[:3] = location
+        return DONE
+
+    def do_set_actor_transform(self, number, transform):
+        self.actors[number].place = [*transform[0], *transform[1]]
+        return DONE
+
+    def do_set_actor_target_velocity(self, number, velocity):
+        self.actors[number].throw(velocity)
+        return DONE
+
+    def do_apply_control_to_vehicle(self, number, control):
+        self.actors[number].control = control
+        return DONE
+
+    def do_apply_control_to_walker(self, number, control):
+        direction, speed = control[0], control[1]
+        self.actors[number].throw([speed * one for one in direction])
+        return DONE
+
+    def do_start_recorder(self, name, *_):
+        self.log = Log(Path(name))
+        for actor in self.actors.values():
+            self.log.added(actor)
+        return value(f"Recording to file: {name}")
+
+    def do_stop_recorder(self):
+        if self.log is not None:
+            self.log.close()
+        self.log = None
+        return DONE
+
+    def do_get_required_files(self, *_):
+        return value([])
+
+    def do_query_lights_state(self, *_):
+        return value([])
+
+    def do_get_vehicle_light_states(self, *_):
+        return value([])
+
+    def do_get_names_of_all_objects(self):
+        return value([])
+
+    def do_get_traffic_lights(self, *_):
+        return value([])
+
+    def do_get_group_traffic_lights(self, *_):
+        return value([])
+
+    def do_get_available_maps(self):
+        return value(["/Game/Carla/Maps/Town01"])
+
+    def do_get_weather_parameters(self, *_):
+        return value([0.0] * 14)
+
+    def do_is_traffic_manager_running(self, _):
+        return value(False)
+
+    def do_add_traffic_manager_running(self, _):
+        return value(True)
+
+    def do_destroy_traffic_manager(self, _):
+        return value(True)
+
+    def do_get_traffic_manager_running(self, _):
+        return value(["", 0])
+
+
+class Actor:
+    """Where something is: x, y, z in m and pitch, yaw, roll in degrees, in CARLA's left-handed axes."""
+
+    def __init__(self, number, description, transform):
+        self.number, self.description, self.kind = number, description, description[1]
+        self.place, self.speed, self.control = [*transform[0], *transform[1]], 0.0, [0.0] * 7
+        self.parent, self.token = 0, b""
+        self.radius = max(BOXES.get(self.kind, (0.0,)))
+        self.free = None
+
+    @property
+    def role(self):
+        return next((content for name, _, content in self.description[2] if name == "role_name"), "")
+
+    def throw(self, velocity):
+        """Give it a velocity: along its heading to a vehicle, any to a walker."""
+        if self.kind.startswith("vehicle."):
+            yaw = math.radians(self.place[4])
+            self.speed = velocity[0] * math.cos(yaw) + velocity[1] * math.sin(yaw)
+        else:
+            self.free = velocity
+
+    @property
+    def velocity(self):
+        if self.free is not None:
+            return self.free
+        yaw = math.radians(self.place[4])
+        return [self.speed * math.cos(yaw), self.speed * math.sin(yaw), 0.0]
+
+    def move(self, step):
+        throttle, steer, brake = self.control[:3]
+        if self.kind.startswith("vehicle."):
+            self.speed = max(0.0, self.speed + step * (4.0 * throttle - 8.0 * brake))
+            self.place[4] += math.degrees(step * self.speed * math.tan(math.radians(70.0 * steer)) / 3.0)
+        for k, part in enumerate(self.velocity):
+            self.place[k] += step * part
+
+    def state(self):
+        pitch, yaw, roll = self.place[3:]
+        told = struct.pack("<IB6f3f6f", self.number, 1, *self.place[:3], pitch, yaw, roll, *self.velocity, *[0.0] * 6)
+        control = struct.pack("<3f3?i", *self.control[:3], False, False, False, 1)
+        told += control + struct.pack("<f", 50.0)
+        return told + bytes(STATE_SIZE - len(told))
+
+
+class Log:
+    """A file of CARLA's recorder."""
+
+    def __init__(self, path):
+        self._file, self._new, self._touched, self._boxes, self._time = path.open("wb"), [], [], [], 0.0
+        self._file.write(struct.pack("<H", 1) + text("CARLA_RECORDER") + struct.pack("<q", 0) + text("OpenDriveMap"))
+
+    def added(self, actor):
+        self._new.append(actor)
+
+    def touch(self, one, other):
+        self._touched.append((one, other))
+
+    def frame(self, number, step, actors):
+        self._packet(0, struct.pack("<Qdd", number, step, self._time))
+        self._time += step
+        if self._new:
+            bodies = [a for a in self._new if a.radius]
+            self._packet(2, struct.pack("<H", len(bodies)) + b"".join(map(self._born, bodies)))
+            rows = b"".join(
+                struct.pack("<I6f", a.number, 0, 0, 70, *(100 * half for half in BOXES[a.kind]), 70) for a in bodies
+            )
+            self._packet(13, struct.pack("<H", len(bodies)) + rows)
+            self._new = []
+        if self._touched:
+            rows = b"".join(struct.pack("<III2?", k, *pair, False, False) for k, pair in enumerate(self._touched))
+            self._packet(5, struct.pack("<H", len(self._touched)) + rows)
+            self._touched = []
+        bodies = [a for a in actors.values() if a.radius]
+        rows = b"".join(
+            struct.pack("<I6f", a.number, *(100 * part for part in a.place[:3]), a.place[5], a.place[3], a.place[4])
+            for a in bodies
+        )
+        self._packet(6, struct.pack("<H", len(bodies)) + rows)
+        self._packet(1, b"")
+
+    @staticmethod
+    def _born(actor):
+        sort = 1 if actor.kind.startswith("vehicle.") else 2
+        attributes = struct.pack("<HB", 1, 4) + text("role_name") + text(actor.role)
+        return struct.pack("<IB6fI", actor.number, sort, *[0.0] * 6, 1) + text(actor.kind) + attributes
+
+    def _packet(self, kind, body):
+        self._file.write(struct.pack("<BI", kind, len(body)) + body)
+
+    def close(self):
+        self._file.close()
+
+
+def box(actor):
+    half = (0.0, 0.0) if actor is None else BOXES.get(actor.kind, (0.0, 0.0))
+    return [[0.0, 0.0, 0.7], [*half, 0.7], [0.0, 0.0, 0.0], 0]
+
+
+def text(words):
+    return struct.pack("<H", len(words)) + words.encode()
+
+
+def accepted(port):
+    """Lines that come in on a port."""
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.bind(("127.0.0.1", port))
+    listener.listen(8)
+    while True:
+        line, _ = listener.accept()
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        yield line
+
+
+if __name__ == "__main__":
+    server = Server(int(sys.argv[1]), Path(sys.argv[2]).read_text(), sys.argv[3:])
+    server.serve()
+    print("ready", flush=True)
+    # Ends with who has started it.
+    sys.stdin.read()

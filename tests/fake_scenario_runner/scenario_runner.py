@@ -1,0 +1,75 @@
+"""Takes ScenarioRunner's options and moves the entities of a scenario straight on, as a client of CARLA.
+
+Entities keep the speed that they have at first, for as long as the storyboard's stop trigger says. What goes wrong
+is said by the environment variable FAKE_RUNNER.
+"""
+
+import argparse
+import math
+import os
+import sys
+import time
+import xml.etree.ElementTree as ElementTree
+
+import carla
+
+parser = argparse.ArgumentParser()
+for name in ("host", "port", "timeout", "frameRate", "openscenario", "trafficManagerPort", "trafficManagerSeed"):
+    parser.add_argument(f"--{name}", required=True)
+parser.add_argument("--record", default="")
+parser.add_argument("--agent")
+parser.add_argument("--agentConfig")
+parser.add_argument("--sync", action="store_true", required=True)
+options = parser.parse_args()
+wrong = os.environ.get("FAKE_RUNNER", "")
+
+root = ElementTree.parse(options.openscenario).getroot()
+assert root.find("FileHeader").get("revMinor") == "0"
+if wrong == "cannot load":
+    print("The scenario cannot be loaded\nTraceback (most recent call last):\n  File 'x'\nKeyError: 'Ego'\nExiting")
+    sys.exit(1)
+client = carla.Client(options.host, int(options.port))
+client.set_timeout(float(options.timeout))
+world = client.get_world()
+settings = world.get_settings()
+settings.synchronous_mode, settings.fixed_delta_seconds = True, 1.0 / float(options.frameRate)
+world.apply_settings(settings)
+world.tick()
+
+actors = []
+for holder in root.iterfind("Entities/ScenarioObject"):
+    walks = holder.find("Pedestrian") is not None
+    blueprint = world.get_blueprint_library().find("walker.pedestrian.0001" if walks else "vehicle.tesla.model3")
+    blueprint.set_attribute("role_name", holder.get("name"))
+    private = root.find(f"Storyboard/Init/Actions/Private[@entityRef='{holder.get('name')}']")
+    at = {key: float(value) for key, value in private.find(".//WorldPosition").attrib.items()}
+    place = carla.Location(at["x"], -at["y"], 0.3 if walks is False else 1.0)
+    turn = carla.Rotation(yaw=-math.degrees(at.get("h", 0.0)))
+    speed = float(private.find(".//AbsoluteTargetSpeed").get("value"))
+    actors.append((world.spawn_actor(blueprint, carla.Transform(place, turn)), turn, speed, walks))
+    world.tick()
+if options.record:
+    client.start_recorder(os.path.join(os.environ["SCENARIO_RUNNER_ROOT"], options.record, "cornercase.log"), True)
+if wrong == "hang":
+    time.sleep(600)
+for actor, turn, speed, walks in actors:
+    ahead = turn.get_forward_vector()
+    if walks:
+        actor.apply_control(carla.WalkerControl(ahead, speed))
+    else:
+        actor.set_target_velocity(ahead * speed)
+end = float(root.find("Storyboard/StopTrigger//SimulationTimeCondition").get("value"))
+for _ in range(round(end * float(options.frameRate))):
+    world.tick()
+    if wrong == "slow":
+        time.sleep(0.05)
+if wrong == "fails at the end":
+    print("RuntimeError: a storyboard that is none")
+    sys.exit(1)
+print("Nothing to analyze, this scenario has no criteria\nNot all scenario tests were successful")
+if options.record:
+    client.stop_recorder()
+for actor, *_ in actors:
+    actor.destroy()
+settings.synchronous_mode, settings.fixed_delta_seconds = False, None
+world.apply_settings(settings)
