@@ -52,6 +52,8 @@ if options.record:
     client.start_recorder(os.path.join(os.environ["SCENARIO_RUNNER_ROOT"], options.record, "cornercase.log"), True)
 if wrong == "hang":
     time.sleep(600)
+# As long as it takes at least to build the tree of a storyboard.
+time.sleep(0.2)
 for actor, turn, speed, walks in actors:
     ahead = turn.get_forward_vector()
     if walks:

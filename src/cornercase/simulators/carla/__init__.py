@@ -363,12 +363,15 @@ class CarlaSimulator:
                 raise SimulatorError(f"no frame came from CARLA for {_SILENCE * self._patience:g} s")
             if (self._stops and tracker.collided) or tracker.elapsed > self._duration:
                 return True
-            time.sleep(_POLL)
+            # The sensors of collisions should be there before the first step.
+            time.sleep(_POLL if not tracker.missing else _POLL / 10)
         return False
 
     def _of_recorder(self, path: Path) -> Recording:
         client = self._connected()
         client.stop_recorder()
+        # An answer to this comes when the file is whole.
+        client.get_world().get_settings()
         if not path.is_file():
             raise SimulationError(
                 f"CARLA left no recording {path}; the server has to see that folder, give one by carla:folder="

@@ -18,6 +18,8 @@ from srunner.tools.openscenario_parser import OpenScenarioParser
 # A vehicle that has arrived drives on along its lane, in m, rather than stand in the way of the others.
 _BEYOND = 200.0
 _STEP = 2.0
+# Lanes that part on a junction do not differ before.
+_AHEAD = 15.0
 
 
 class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
@@ -65,26 +67,24 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
 
 def _plan(actor: Any, route: str) -> List[Tuple[Any, Any]]:
     """Waypoints and road options from where the actor is along the positions of a route, and beyond."""
-    road_map = CarlaDataProvider.get_map()
     planner = CarlaDataProvider.get_global_route_planner()
-    here = CarlaDataProvider.get_location(actor) or actor.get_location()
+    at = CarlaDataProvider.get_location(actor) or actor.get_location()
     plan: List[Tuple[Any, Any]] = []
     for position in ElementTree.fromstring(route):
         target = OpenScenarioParser.convert_position_to_transform(position).location
         # A route may begin where the actor is.
-        if target.distance(here) > _STEP:
-            plan.extend(planner.trace_route(here, target))
-            here = target
+        if target.distance(at) > _STEP:
+            plan.extend(planner.trace_route(at, target))
+            at = target
     if plan:
         last = plan[-1][0]
         for _ in range(int(_BEYOND / _STEP)):
             following = last.next(_STEP)
             if not following:
                 break
-            last = min(following, key=lambda point: abs(_turn(plan[-1][0], point)))
+            here = last
+            last = min(following, key=lambda point: abs(_turn(here, (point.next(_AHEAD) or [point])[0])))
             plan.append((last, RoadOption.LANEFOLLOW))
-    elif road_map.get_waypoint(here) is None:
-        print("cornercase: the vehicle stands beside all roads")
     return plan
 
 
