@@ -25,7 +25,11 @@ COLLISION, WORLD = 0, 17
 STATE_SIZE, HEADER_PAD = 119, 0
 STEP = 0.05
 VERSION = "0.9.16"
-BOXES = {"vehicle.tesla.model3": (2.4, 1.0), "walker.pedestrian.0001": (0.2, 0.2)}
+BOXES = {
+    "vehicle.tesla.model3": (2.4, 1.0),
+    "vehicle.carlamotors.carlacola": (2.6, 1.3),
+    "walker.pedestrian.0001": (0.2, 0.2),
+}
 
 
 def value(content):
@@ -214,6 +218,7 @@ class Server:
         car = [role, attribute("color", "0,0,0", 4), fixed("number_of_wheels", "4", 2), fixed("base_type", "car")]
         kinds = [
             ("vehicle.tesla.model3", car),
+            ("vehicle.carlamotors.carlacola", [*car[:-1], fixed("base_type", "truck")]),
             ("walker.pedestrian.0001", [role]),
             ("sensor.other.collision", [role]),
             (
@@ -280,7 +285,8 @@ class Server:
 
     def do_apply_control_to_walker(self, number, control):
         direction, speed = control[0], control[1]
-        self.actors[number].throw([speed * one for one in direction])
+        # ScenarioRunner gives who stands no direction that is one.
+        self.actors[number].throw([0.0 if math.isnan(one) else speed * one for one in direction])
         return DONE
 
     def do_start_recorder(self, name, *_):

@@ -42,7 +42,7 @@ _NO_RUNNER: Final = (
 )
 # A server takes its port and the two after it.
 _PORTS_EACH: Final = 4
-_ENDING, _LOADING, _POLL = 10.0, 120.0, 0.02
+_ENDING, _LOADING, _POLL = 2.0, 120.0, 0.02
 # What it says when a scenario has ended, whatever came out; its exit code does not tell.
 _ENDED: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
 _ERROR: Final = re.compile(r"^\w*(Error|Exception)\b")
