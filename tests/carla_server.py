@@ -47,6 +47,7 @@ class Server:
     """One world with its actors."""
 
     def __init__(self, port, road, wrong=()):
+        self.map = "OpenDriveMap"
         self.port, self.road, self.wrong = port, road, dict(one.partition("=")[::2] for one in wrong)
         self.frame, self.time, self.episode, self.next = 100, 0.0, 1, 200
         self.actors, self.subscribers, self.touching = {}, {}, set()
@@ -188,7 +189,7 @@ class Server:
         return value(self.frame)
 
     def do_get_map_info(self):
-        return value(["Carla/Maps/OpenDriveMap", [[[1.0, 2.0, 3.0], [0.0, 90.0, 0.0]]]])
+        return value([f"Carla/Maps/{self.map}", [[[1.0, 2.0, 3.0], [0.0, 90.0, 0.0]]]])
 
     def do_get_map_data(self):
         return value(self.road)
@@ -197,7 +198,10 @@ class Server:
         self.road = road
         return DONE
 
-    def do_load_new_episode(self, *_):
+    def do_load_new_episode(self, name, *_):
+        self.map = name.rpartition("/")[2]
+        if self.map != "OpenDriveMap":
+            self.road += f"<!-- {self.map} -->"
         self.episode += 1
         self.actors.clear()
         self.settings[0], self.settings[2] = False, [False]
@@ -320,7 +324,7 @@ class Server:
         return value([])
 
     def do_get_available_maps(self):
-        return value(["/Game/Carla/Maps/Town01"])
+        return value(["/Game/Carla/Maps/Town01", "/Game/Carla/Maps/Town02"])
 
     def do_get_weather_parameters(self, *_):
         return value([0.0] * 14)

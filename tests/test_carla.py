@@ -195,6 +195,16 @@ def test_one_server_runs_many_and_is_left_as_it_was(scenario):
         assert not [one for one in world.get_actors() if one.type_id.startswith(("vehicle", "walker", "sensor"))]
 
 
+def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(scenario):
+    town = scenario.with_name("town.xosc")
+    town.write_text(scenario.read_text().replace("road.xodr", "Town02"))
+    with Served() as server:
+        for path, name in ((town, "Town02"), (scenario, "OpenDriveMap"), (town, "Town02")):
+            assert run(server, path, {"end": 0.5}).names == ("Ego", "C", "Walker")
+            # A new one, as clients keep the map that they know.
+            assert carla.Client(server.host, server.port).get_world().get_map().name.endswith(name)
+
+
 @STUB_ONLY
 @pytest.mark.parametrize(
     ("wrong", "runner", "words"),
@@ -269,15 +279,25 @@ def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monke
 def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
     with Served() as server:
         given = ",".join(f"{name}={value}" for name, value in options(server).items())
-        done = cornercase(
+        command = (
             "explore", scenario, "--range", "gap=15:35", "--ego", "Ego", "--other", "C", "--metric", "ttc",
             "--optimizer", "sobol", "--budget", 3, "--repeats", 2, "--duration", 2, "--simulator", f"carla:{given}",
             "-o", tmp_path / "study.db",
         )  # fmt: skip
+        done = cornercase(*command)
     assert done.returncode == 0, done.stderr
     with Study.open(tmp_path / "study.db") as study:
         assert len(study.done()) == 3
         assert study.spread("ttc").shape == (3, 2)
+        # On another server the same command goes on.
+        with Served() as other:
+            given = ",".join(f"{name}={value}" for name, value in options(other).items())
+            again = [f"carla:{given}" if str(one).startswith("carla:") else one for one in command]
+            again[again.index("--budget") + 1] = 4
+            study.close()
+            done = cornercase(*again)
+            assert done.returncode == 0, done.stderr
+            assert done.stdout.startswith("4 scenarios")
         assert study.meta["settings"]["carla"] == carla.Client("localhost", 1).get_client_version()
 
 

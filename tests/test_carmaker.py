@@ -103,7 +103,7 @@ def project(tmp_path):
 
 def run(project, port, values=None, **options):
     simulator = CarMakerSimulator(
-        testrun="Crossing", project=str(project), host="127.0.0.1", port=port.number, **options
+        testrun="Crossing", project=str(project), hosts="127.0.0.1", port=port.number, **options
     )
     (found,) = simulator.run([ConcreteScenario(project.parent / "s.xosc", values or {"ego_speed": 42.5})])
     return found
@@ -183,7 +183,7 @@ def test_nobody_listens(project):
 
 def test_a_broken_line_is_tried_again_on_a_new_one(project):
     port = Port(odd={"StartSim": ["close"]})
-    options = {"testrun": "Crossing", "project": str(project), "host": "127.0.0.1", "port": port.number}
+    options = {"testrun": "Crossing", "project": str(project), "hosts": "127.0.0.1", "port": port.number}
     simulator = WorkerSimulator("carmaker", options)
     found = list(
         simulator.run([ConcreteScenario(project.parent / "s.xosc", {"ego_speed": float(k)}) for k in range(3)])
@@ -214,7 +214,7 @@ def test_explores(project):
     done = cornercase(
         "explore", project.parent / "s.xosc", "--range", "ego_speed=30:60", "--ego", "Ego", "--other", "T00", "--metric",
         "distance", "--optimizer", "sobol", "--budget", "4", "-o", study,
-        "--simulator", f"carmaker:testrun=Crossing,project={project},host=127.0.0.1,port={port.number}",
+        "--simulator", f"carmaker:testrun=Crossing,project={project},hosts=127.0.0.1,port={port.number}",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert sum(one.startswith("StartSim") for one in port.asked) == 4
@@ -227,7 +227,7 @@ def test_explores(project):
         ({"testrun": ""}, "needs a TestRun"),
         ({"project": "/no/such/folder"}, "no such folder"),
         ({"testrun": "a[exit]"}, "Tcl would take"),
-        ({"port": 0}, "port 0 cannot be"),
+        ({"port": 0}, "localhost:0 cannot be"),
         ({"drivers": {"Ego": "normal"}}, "no drivers of cornercase"),
         ({"on_collision": "stop"}, "only where the TestRun says so"),
         ({"speedup": 0.0}, "both above 0"),

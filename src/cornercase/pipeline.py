@@ -274,13 +274,16 @@ def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
         ("pareto", "another objective"),
         ("seed", "another seed"),
         ("batch", "another batch size"),
-        ("simulator", "another simulator"),
         ("settings", "other simulator settings"),
         ("repeats", "another number of repeats"),
     ):
         if study.meta.get(key) != meta[key]:
             study.close()
             raise InputError(f"{study.path}: belongs to {words}; name another study with -o, or give the same options.")
+    # Where it runs may change; what the recordings depend on is among the settings.
+    if study.meta["simulator"].partition(":")[0] != meta["simulator"].partition(":")[0]:
+        study.close()
+        raise InputError(f"{study.path}: belongs to another simulator; name another study with -o, or give the same.")
     # Earlier studies know a threshold only where the search needed one.
     if study.meta.get("critical") not in (None, meta["critical"]):
         study.close()

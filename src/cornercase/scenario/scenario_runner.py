@@ -39,7 +39,8 @@ def write_scenario_runner(
     """Write a concrete scenario for ScenarioRunner.
 
     All parameters and expressions become their values, as 1.0 has no expressions, and what stands in catalogs comes
-    into the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the target.
+    into the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the target, unless
+    it is the name of one of CARLA's maps (``Town01``).
 
     Parameters
     ----------
@@ -103,6 +104,8 @@ def write_scenario_runner(
     road = scenario.road_file()
     file = root.find("RoadNetwork/LogicFile")
     target = Path(target)
+    # What is no file is the name of one of CARLA's maps.
+    is_map = road is not None and not road.suffix and not road.exists()
     if road is not None and file is not None:
         file.set("filepath", road.name)
     if adapt is not None:
@@ -112,7 +115,7 @@ def write_scenario_runner(
         notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
     elif wrong:
         raise InputError(f"{scenario.path}: cannot be said in OpenSCENARIO 1.0 ({wrong[0]}).")
-    if road is not None:
+    if road is not None and not is_map:
         copy_beside(road, target.parent / road.name)
     with written_whole(target) as temporary:
         etree.ElementTree(root).write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)

@@ -15,6 +15,7 @@ from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.scenario.space import Value
 from cornercase.simulators.base import Availability
+from cornercase.simulators.hosts import address
 
 _PORT: Final = 16660
 _LICENCE, _FATAL = -7, -6
@@ -44,10 +45,10 @@ class CarMakerSimulator:
         Name of the TestRun, in the project's ``Data/TestRun``.
     project : str
         Folder of the CarMaker project, in which the result files lie.
-    host : str, default "localhost"
-        Where ``CM.exe -cmdport`` runs.
+    hosts : str, default "localhost"
+        Where ``CM.exe -cmdport`` runs, as of `cornercase.simulators.hosts.address`.
     port : int, default 16660
-        Of the first worker; the next one uses the next port, so that each has a CarMaker of its own.
+        Of the first worker; the next one on a host uses the next port, so that each has a CarMaker of its own.
     worker : int, default 0
         Which worker this is.
     speedup : float, default 1
@@ -71,7 +72,7 @@ class CarMakerSimulator:
         drivers: Mapping[str, str | Driver] | None = None,
         testrun: str = "",
         project: str = "",
-        host: str = "localhost",
+        hosts: str = "localhost",
         port: int = _PORT,
         worker: int = 0,
         speedup: float = 1.0,
@@ -86,11 +87,10 @@ class CarMakerSimulator:
             raise InputError(f"{project}: there is no such folder; project is that of the CarMaker project.")
         if any(sign in testrun for sign in '"$[]{}\\;\r\n'):
             raise InputError(f"The TestRun '{testrun}' has a sign in its name that Tcl would take for its own.")
-        if not (isinstance(port, int) and 0 < port < 65536):
-            raise InputError(f"The port {port} cannot be; give a whole number from 1 to 65535.")
         if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
             raise InputError(f"A duration of {duration:g} s at a speed-up of {speedup:g} cannot be; give both above 0.")
-        self._testrun, self._project, self._host, self._port = testrun, Path(project), host, port + worker
+        self._testrun, self._project = testrun, Path(project)
+        self._host, self._port = address(hosts, port, worker)
         self._duration, self._patience = duration, duration / speedup + _PATIENCE
         self._line: CommandPort | None = None
         self.settings: dict[str, object] = {"testrun": testrun, "duration": duration}
