@@ -337,11 +337,11 @@ def test_workers_share_hosts_and_ports():
 # What ScenarioRunner finds in the file
 
 
-def adapted(tmp_path, path=T, ego="Ego", behaviors=None, with_agent=False):
+def adapted(tmp_path, path=T, ego="Ego", behaviors=None, agent=None):
     scenario = Scenario.read(path)
     write_scenario_runner(
         scenario, {}, tmp_path / "one.xosc", ego=ego,
-        adapt=lambda root: dialect.adapt(root, scenario.path, ego, behaviors or {}, with_agent),
+        adapt=lambda root: dialect.adapt(root, scenario.path, ego, behaviors or {}, agent, None),
     )  # fmt: skip
     return read_xml(tmp_path / "one.xosc")
 
@@ -366,8 +366,9 @@ def test_a_behaviour_agent_gets_the_entitys_route(tmp_path):
     assert "behavior" not in found["C"]
     assert root.find(".//Init//AssignRouteAction") is None
     assert root.find("FileHeader").get("description") == "cornercase"
-    own = controllers(adapted(tmp_path, with_agent=True))
-    assert own["Ego"]["module"] == "external_control"
+    own = controllers(adapted(tmp_path, agent=Path("/agents/my_agent.py")))
+    assert own["Ego"]["agent"] == "/agents/my_agent.py"
+    assert own["Ego"]["route"] == found["Ego"]["route"]
 
 
 def test_code_that_a_scenario_names_is_not_run(tmp_path, scenario):
@@ -394,6 +395,9 @@ class Control:
         self._actor, self._local_planner, self._target_speed, self._init_speed = actor, Planner(), 8.0, True
         self._reached_goal = False
 
+    def reset(self):
+        self._actor = None
+
     def run_step(self):
         self._actor.did.append("storyboard")
 
@@ -417,6 +421,20 @@ class Agent(Planner):
     def run_step(self):
         self.steps -= 1
         return "control"
+
+
+class Wrapper:
+    def __init__(self, agent):
+        self.agent = agent
+
+    def setup_sensors(self, actor):
+        self.agent.said.append("sensors")
+
+    def cleanup(self):
+        self.agent.said.append("cleanup")
+
+    def __call__(self):
+        return "own control"
 
 
 class Router:
@@ -443,6 +461,9 @@ def driver(monkeypatch):
     for package in ("agents", "agents.navigation", "srunner", "srunner.tools", "srunner.scenariomanager"):
         module(package)
     module("srunner.scenariomanager.actorcontrols")
+    module("srunner.autoagents")
+    module("srunner.autoagents.agent_wrapper", AgentWrapper=Wrapper)
+    module("srunner.tools.route_manipulation", interpolate_trajectory=lambda way: ([len(way)], way))
     module("agents.navigation.behavior_agent", BehaviorAgent=Agent)
     module("agents.navigation.local_planner", RoadOption=SimpleNamespace(LANEFOLLOW="follow"))
     module("srunner.scenariomanager.actorcontrols.npc_vehicle_control", NpcVehicleControl=Control)
@@ -500,6 +521,25 @@ def test_without_a_behaviour_the_storyboard_sets_the_speed(driver):
     assert vehicle.did == ["storyboard"]
     assert len(made._local_planner.plan) > 2
     assert driver(Vehicle())._local_planner.plan is None
+
+
+def test_an_agent_of_ones_own_gets_the_route_and_is_closed(driver, tmp_path, monkeypatch):
+    (tmp_path / "my_own_agent.py").write_text(
+        "class MyOwnAgent:\n"
+        "    def __init__(self, config): self.said = [config]\n"
+        "    def set_global_plan(self, gps, world): self.said.append((gps, world))\n"
+        "    def destroy(self): self.said.append('destroyed')\n"
+    )
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    vehicle = Vehicle()
+    made = driver(vehicle, {"agent": str(tmp_path / "my_own_agent.py"), "agent_config": "c.json", "route": ROUTE})
+    agent = made._agent._agent
+    made.run_step()
+    assert vehicle.did == [("speed", 8.0), "own control"]
+    made.reset()
+    config, (gps, world), *rest = agent.said
+    assert (config, gps, rest) == ("c.json", [3], ["sensors", "cleanup", "destroyed"])
+    assert [round(one.x) for one in world] == [-60, -60, -20]
 
 
 def test_a_log_of_carlas_recorder_tells_collisions(tmp_path):

@@ -17,8 +17,6 @@ parser = argparse.ArgumentParser()
 for name in ("host", "port", "timeout", "frameRate", "openscenario", "trafficManagerPort", "trafficManagerSeed"):
     parser.add_argument(f"--{name}", required=True)
 parser.add_argument("--record", default="")
-parser.add_argument("--agent")
-parser.add_argument("--agentConfig")
 parser.add_argument("--sync", action="store_true", required=True)
 options = parser.parse_args()
 wrong = os.environ.get("FAKE_RUNNER", "")

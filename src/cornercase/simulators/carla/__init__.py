@@ -239,7 +239,8 @@ class CarlaSimulator:
         write_scenario_runner(
             scenario, concrete.values, file, ego=self._ego,
             adapt=partial(
-                adapt, source=scenario.path, ego=self._ego, behaviors=behaviors, with_agent=self._agent is not None
+                adapt, source=scenario.path, ego=self._ego, behaviors=behaviors, agent=self._agent,
+                config=self._agent_config,
             ),
         )  # fmt: skip
         shutil.copyfile(DRIVER, folder / DRIVER.name)
@@ -329,10 +330,6 @@ class CarlaSimulator:
         if self._record == "recorder":
             # Relative to SCENARIO_RUNNER_ROOT.
             options["--record"] = "."
-        if self._agent is not None:
-            options["--agent"] = self._agent
-        if self._agent_config is not None:
-            options["--agentConfig"] = self._agent_config
         flat = [str(part) for pair in options.items() for part in pair]
         return [self._python, str(self._runner / "scenario_runner.py"), "--sync", *flat]
 

@@ -5,15 +5,20 @@ ScenarioRunner loads this file by its name, in its own environment and an older 
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
 import xml.etree.ElementTree as ElementTree
 from typing import Any, Dict, List, Optional, Tuple
 
 import carla
 from agents.navigation.behavior_agent import BehaviorAgent
 from agents.navigation.local_planner import RoadOption
+from srunner.autoagents.agent_wrapper import AgentWrapper
 from srunner.scenariomanager.actorcontrols.npc_vehicle_control import NpcVehicleControl
 from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
 from srunner.tools.openscenario_parser import OpenScenarioParser
+from srunner.tools.route_manipulation import interpolate_trajectory
 
 # A vehicle that has arrived drives on along its lane, in m, rather than stand in the way of the others.
 _BEYOND = 200.0
@@ -23,14 +28,15 @@ _AHEAD = 15.0
 
 
 class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
-    """Follows a route as CARLA's behaviour agent, or as ScenarioRunner's own control at the storyboard's speed.
+    """Follows a route as CARLA's behaviour agent, as an agent of the user's, or at the storyboard's speed.
 
     Parameters
     ----------
     actor : carla.Vehicle
     args : dict
-        ``behavior`` is "cautious", "normal" or "aggressive", or missing; ``route`` an XML element whose children are
-        the positions of an OpenSCENARIO route.
+        ``behavior`` is "cautious", "normal" or "aggressive", or missing; ``agent`` the file of an ``AutonomousAgent``
+        and ``agent_config`` its configuration, or missing; ``route`` an XML element whose children are the positions
+        of an OpenSCENARIO route.
     """
 
     _init_speed: bool
@@ -38,13 +44,18 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
     def __init__(self, actor: Any, args: Optional[Dict[str, str]] = None) -> None:
         super().__init__(actor)
         args = args or {}
-        plan = _plan(actor, args.get("route", "<route/>"))
+        targets = [
+            OpenScenarioParser.convert_position_to_transform(position).location
+            for position in ElementTree.fromstring(args.get("route", "<route/>"))
+        ]
         self._agent: Any = None
-        if args.get("behavior"):
+        if args.get("agent"):
+            self._agent = _OwnAgent(actor, args["agent"], args.get("agent_config", ""), targets)
+        elif args.get("behavior"):
             self._agent = BehaviorAgent(actor, behavior=args["behavior"])
-            self._agent.set_global_plan(plan)
-        elif plan:
-            self._local_planner.set_global_plan(plan)
+            self._agent.set_global_plan(_plan(actor, targets))
+        elif targets:
+            self._local_planner.set_global_plan(_plan(actor, targets))
 
     def run_step(self) -> None:
         """Control the vehicle in one tick."""
@@ -64,14 +75,44 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
         else:
             self._actor.apply_control(self._agent.run_step())
 
+    def reset(self) -> None:
+        """Give back what the agent holds."""
+        if isinstance(self._agent, _OwnAgent):
+            self._agent.close()
+        self._agent = None
+        super().reset()
 
-def _plan(actor: Any, route: str) -> List[Tuple[Any, Any]]:
-    """Waypoints and road options from where the actor is along the positions of a route, and beyond."""
+
+class _OwnAgent:
+    """An agent of the user's, as ScenarioRunner would run it; it does so in route scenarios only."""
+
+    def __init__(self, actor: Any, file: str, config: str, targets: List[Any]) -> None:
+        sys.path.insert(0, os.path.dirname(file))
+        module = importlib.import_module(os.path.splitext(os.path.basename(file))[0])
+        # Named as ScenarioRunner would have it: my_agent.py holds MyAgent.
+        self._agent = getattr(module, module.__name__.title().replace("_", ""))(config)
+        if targets:
+            self._agent.set_global_plan(*interpolate_trajectory([actor.get_location(), *targets]))
+        self._wrapper = AgentWrapper(self._agent)
+        self._wrapper.setup_sensors(actor)
+
+    def done(self) -> bool:
+        return False
+
+    def run_step(self) -> Any:
+        return self._wrapper()
+
+    def close(self) -> None:
+        self._wrapper.cleanup()
+        self._agent.destroy()
+
+
+def _plan(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
+    """Waypoints and road options from where the actor is along a route, and beyond."""
     planner = CarlaDataProvider.get_global_route_planner()
     at = CarlaDataProvider.get_location(actor) or actor.get_location()
     plan: List[Tuple[Any, Any]] = []
-    for position in ElementTree.fromstring(route):
-        target = OpenScenarioParser.convert_position_to_transform(position).location
+    for target in targets:
         # A route may begin where the actor is.
         if target.distance(at) > _STEP:
             plan.extend(planner.trace_route(at, target))

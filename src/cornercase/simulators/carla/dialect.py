@@ -23,7 +23,9 @@ _UNTOUCHED: Final = (
 )  # fmt: skip
 
 
-def adapt(root: etree._Element, source: Path, ego: str, behaviors: Mapping[str, str], with_agent: bool) -> None:
+def adapt(
+    root: etree._Element, source: Path, ego: str, behaviors: Mapping[str, str], agent: Path | None, config: Path | None
+) -> None:
     """Assign to each vehicle who drives it.
 
     ScenarioRunner 0.9.16 takes no routes (its waypoints need times since then), so a route of the initial actions is
@@ -38,8 +40,8 @@ def adapt(root: etree._Element, source: Path, ego: str, behaviors: Mapping[str, 
     ego : str
     behaviors : mapping of str to str
         Which of CARLA's behaviour agents drives an entity.
-    with_agent : bool
-        Whether the ego is driven by the user's own agent.
+    agent, config : Path or None
+        The user's own agent, which drives the ego, and its configuration.
 
     Raises
     ------
@@ -60,8 +62,8 @@ def adapt(root: etree._Element, source: Path, ego: str, behaviors: Mapping[str, 
         entity = private.get("entityRef", "")
         route = _taken_route(private)
         properties = {}
-        if entity == ego and with_agent:
-            properties = {"module": "external_control"}
+        if entity == ego and agent is not None:
+            properties = {"module": DRIVER.name, "agent": str(agent), "agent_config": str(config or "")}
         elif entity in behaviors:
             if not len(route):
                 raise InputError(
