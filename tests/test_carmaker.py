@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -17,6 +18,7 @@ from cornercase.errors import InputError, SimulationError, SimulatorError
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.simulators import CarMakerSimulator
 from cornercase.simulators.carmaker import CommandPort
+from cornercase.simulators.carmaker_api import CarMakerApi
 from cornercase.simulators.workers import WorkerSimulator
 from test_cli import cornercase
 
@@ -237,3 +239,67 @@ def test_refuses_in_one_sentence(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         CarMakerSimulator(**({"testrun": "a", "project": str(tmp_path)} | options))
     assert Path(tmp_path).is_dir()
+
+
+@pytest.fixture
+def cmapi(monkeypatch, project):
+    """IPG's module, as a stand-in that misbehaves as it is told."""
+    (project / "Data" / "TestRun").mkdir(parents=True)
+    (project / "Data" / "TestRun" / "Crossing").touch()
+    monkeypatch.syspath_prepend(str(Path(__file__).parent / "fake_cmapi"))
+
+    def wrong(what):
+        monkeypatch.setenv("FAKE_CMAPI", what)
+        monkeypatch.delitem(sys.modules, "cmapi", raising=False)
+
+    wrong("")
+    yield wrong
+    sys.modules.pop("cmapi", None)
+
+
+def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, project):
+    simulator = CarMakerSimulator(testrun="Crossing", project=str(project))
+    concretes = [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": speed}) for speed in (42.5, 50.0)]
+    for found in simulator.run(concretes):
+        assert found.names == ("Ego", "T00")
+        np.testing.assert_allclose(found.speed[0], foreign.SPEED, atol=1e-4)
+    said = (project / "said.txt").read_text().splitlines()
+    assert said == ["connected", '{"ego_speed": 42.5}', '{"ego_speed": 50.0}']
+    # The port can still be chosen.
+    port = Port()
+    assert run(project, port, via="port").names == ("Ego", "T00")
+    port.close()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "kind", "words"),
+    [
+        ("raise", SimulatorError, "CarMaker, by cmapi: RuntimeError: the application is gone"),
+        ("hang", SimulationError, "CarMaker did not end the TestRun within 0.5 s"),
+        ("no file", SimulationError, "CarMaker wrote 0 result files in SimOutput, where one was awaited"),
+    ],
+)
+def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, kind, words):
+    cmapi(wrong)
+    control = CarMakerApi(project, "Crossing", 0.5)
+    with pytest.raises(kind) as caught:
+        control.run({"ego_speed": 42.5})
+    assert words in str(caught.value)
+    assert ("stopped" in (project / "said.txt").read_text()) == (wrong == "hang")
+    control.close()
+
+
+def test_a_carmaker_that_does_not_start_by_ipgs_module_is_said(cmapi, project):
+    cmapi("start")
+    with pytest.raises(InputError, match=r"does not start by IPG's cmapi \(no licence\).*carmaker:via=port"):
+        CarMakerApi(project, "Crossing", 0.5)
+    cmapi("")
+    with pytest.raises(InputError, match="no TestRun Nowhere"):
+        CarMakerApi(project, "Nowhere", 0.5)
+
+
+def test_a_way_that_is_not_there_is_refused(project):
+    with pytest.raises(InputError, match=r"cmapi cannot be imported.*carmaker:via=port"):
+        CarMakerSimulator(testrun="Crossing", project=str(project), via="cmapi")
+    with pytest.raises(InputError, match="did you mean 'port'"):
+        CarMakerSimulator(testrun="Crossing", project=str(project), via="prot")

@@ -1,4 +1,4 @@
-"""IPG CarMaker, by the command port of a running CarMaker."""
+"""IPG CarMaker, by IPG's own Python module or by the command port of a running CarMaker."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import socket
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, Literal, Self
 
 from cornercase.drivers import Driver
-from cornercase.errors import InputError, SimulationError, SimulatorError
+from cornercase.errors import InputError, SimulationError, SimulatorError, suggestion
 from cornercase.readers.erg import read_erg
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.scenario.space import Value
 from cornercase.simulators.base import Availability
+from cornercase.simulators.carmaker_api import CarMakerApi, has_cmapi
 from cornercase.simulators.hosts import address
 
 _PORT: Final = 16660
@@ -25,7 +26,10 @@ _PATIENCE: Final = 60.0
 
 
 class CarMakerSimulator:
-    """Runs a TestRun of a CarMaker that listens on its command port, with a named value for each parameter.
+    """Runs a TestRun of CarMaker, with a named value for each parameter.
+
+    Where IPG's Python module ``cmapi`` can be imported, it starts a CarMaker; else there has to be one that listens on
+    its command port.
 
     The scenario file only tells which parameters and entities there are: ``Ego`` and the traffic objects ``T00``,
     ``T01``, …. What happens is the TestRun's business; its file uses the named values. Motion is read from the result
@@ -51,6 +55,8 @@ class CarMakerSimulator:
         Of the first worker; the next one on a host uses the next port, so that each has a CarMaker of its own.
     worker : int, default 0
         Which worker this is.
+    via : {"auto", "cmapi", "port"}, default "auto"
+        How CarMaker is controlled.
     speedup : float, default 1
         How many times faster than real time CarMaker runs at least; the patience with it is measured by this.
 
@@ -75,6 +81,7 @@ class CarMakerSimulator:
         hosts: str = "localhost",
         port: int = _PORT,
         worker: int = 0,
+        via: Literal["auto", "cmapi", "port"] = "auto",
         speedup: float = 1.0,
     ) -> None:
         if drivers:
@@ -85,6 +92,13 @@ class CarMakerSimulator:
             raise InputError("CarMaker needs a TestRun: --simulator carmaker:testrun=NAME,project=FOLDER.")
         if not Path(project).is_dir():
             raise InputError(f"{project}: there is no such folder; project is that of the CarMaker project.")
+        if via not in ("auto", "cmapi", "port"):
+            raise InputError(f"via={via}: {suggestion(str(via), ('auto', 'cmapi', 'port'))}")
+        if via == "cmapi" and not has_cmapi():
+            raise InputError(
+                "IPG's Python module cmapi cannot be imported; add the folder Python/python3.X of CarMaker's"
+                " installation to PYTHONPATH, or use carmaker:via=port."
+            )
         if any(sign in testrun for sign in '"$[]{}\\;\r\n'):
             raise InputError(f"The TestRun '{testrun}' has a sign in its name that Tcl would take for its own.")
         if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
@@ -92,6 +106,8 @@ class CarMakerSimulator:
         self._testrun, self._project = testrun, Path(project)
         self._host, self._port = address(hosts, port, worker)
         self._duration, self._patience = duration, duration / speedup + _PATIENCE
+        self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
+        self._api: CarMakerApi | None = None
         self._line: CommandPort | None = None
         self.settings: dict[str, object] = {"testrun": testrun, "duration": duration}
 
@@ -99,7 +115,14 @@ class CarMakerSimulator:
     def availability(cls) -> Availability:
         """Say what it takes; whether a CarMaker listens is known when it is asked."""
         return Availability(
-            "", "", ("vehicle dynamics", "traffic objects", "collisions go on", "needs a running CarMaker (-cmdport)")
+            "",
+            "",
+            (
+                "vehicle dynamics",
+                "traffic objects",
+                "collisions go on",
+                "needs IPG's cmapi, or a running CarMaker (-cmdport)",
+            ),
         )
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -111,6 +134,9 @@ class CarMakerSimulator:
             Nobody listens on the port, or CarMaker has lost its licence.
         """
         for concrete in concretes:
+            if self._api_wanted:
+                yield self._run_by_api(concrete.values)
+                continue
             if self._line is None:
                 self._line = CommandPort(self._host, self._port)
             try:
@@ -120,6 +146,14 @@ class CarMakerSimulator:
                 self._line.close()
                 self._line = None
                 yield error
+
+    def _run_by_api(self, values: Mapping[str, Value]) -> Recording | SimulationError:
+        if self._api is None:
+            self._api = CarMakerApi(self._project, self._testrun, self._patience)
+        try:
+            return _recording(self._api.run(values))
+        except SimulationError as error:
+            return error
 
     def _run(self, line: CommandPort, values: Mapping[str, Value]) -> Recording:
         line.ask(f'LoadTestRun "{self._testrun}"', self._patience)
@@ -137,11 +171,7 @@ class CarMakerSimulator:
         file = line.ask("GetLastResultFName", self._patience)
         if not file:
             raise SimulationError("CarMaker stored no result file; let the TestRun store its results")
-        path = self._project / file
-        try:
-            return read_erg(path)
-        except InputError as error:
-            raise SimulationError(str(error)) from error
+        return _recording(self._project / file)
 
     def _require_running(self, line: CommandPort) -> None:
         """Refuse to go on without a licence, and leave a scenario that CarMaker cannot start."""
@@ -157,6 +187,13 @@ class CarMakerSimulator:
         if status == _LICENCE:
             raise InputError("CarMaker has lost its licence; see to the licence server, the same command goes on then.")
         return status
+
+
+def _recording(path: Path) -> Recording:
+    try:
+        return read_erg(path)
+    except InputError as error:
+        raise SimulationError(str(error)) from error
 
 
 class CommandPort:
