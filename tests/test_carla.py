@@ -387,6 +387,13 @@ def test_a_behaviour_agent_without_a_route_and_other_drivers_are_refused(tmp_pat
         list(simulator.run([ConcreteScenario(T, {})]))
 
 
+def test_a_vehicle_that_carla_does_not_have_is_refused(scenario):
+    scenario.write_text(scenario.read_text().replace('vehicleCategory="car"', 'vehicleCategory="tram"', 1))
+    simulator = CarlaSimulator(scenario_runner=str(RUNNER), port=free_port())
+    with pytest.raises(InputError, match=r"'Ego' is a tram, which CARLA does not have"):
+        list(simulator.run([ConcreteScenario(scenario, {})]))
+
+
 # What drives on ScenarioRunner's side, with all that it would find there replaced
 
 

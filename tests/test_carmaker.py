@@ -22,6 +22,7 @@ from cornercase.simulators.carmaker_api import CarMakerApi
 from cornercase.simulators.workers import WorkerSimulator
 from test_cli import cornercase
 
+SAMPLE = Path(__file__).parents[2] / "shared" / "reference" / "simulators" / "carmaker" / "example.erg"
 SCENARIO = """<?xml version="1.0"?>
 <OpenSCENARIO>
   <FileHeader revMajor="1" revMinor="2" date="2026-11-21T00:00:00" author="a" description="parameters of a TestRun"/>
@@ -239,6 +240,25 @@ def test_refuses_in_one_sentence(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         CarMakerSimulator(**({"testrun": "a", "project": str(tmp_path)} | options))
     assert Path(tmp_path).is_dir()
+
+
+@pytest.mark.skipif(not SAMPLE.is_file(), reason="the real sample is not beside the checkout")
+def test_a_real_result_without_positions_says_what_to_store(project):
+    for ending in ("", ".info"):
+        target = project / "SimOutput" / "pc" / f"run.erg{ending}"
+        target.write_bytes(SAMPLE.with_name(SAMPLE.name + ending).read_bytes())
+    port = Port()
+    found = run(project, port)
+    assert isinstance(found, SimulationError)
+    assert "has no Car.tx, Car.ty, Car.Yaw, Car.v; add it to the quantities that CarMaker stores." in str(found)
+    port.close()
+
+
+def test_entities_that_carmaker_does_not_have_are_refused(project):
+    path = project.parent / "s.xosc"
+    path.write_text(SCENARIO.replace('"T00"', '"Pedestrian"'))
+    with pytest.raises(InputError, match=r"'Pedestrian' is no entity of CarMaker; .* Ego, T00, T01"):
+        run(project, Port())
 
 
 @pytest.fixture

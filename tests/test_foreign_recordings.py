@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from cornercase.recording import read_recording
 from foreign_recordings import HEADING, SPEED, TIME, way
 from test_cli import cornercase
 
+SAMPLES = Path(__file__).parents[2] / "shared" / "reference" / "simulators"
+beside = pytest.mark.skipif(not SAMPLES.is_dir(), reason="the real samples are not beside the checkout")
 # How far a box centre is ahead of what the file tells, boxes, and names.
 FILES = {
     "a.csv": (foreign.esmini, (1.4, 1.4), ((5.0, 2.0), (5.0, 2.0)), ("Ego", "Other"), ("car", "car")),
@@ -41,6 +44,31 @@ def test_motion_and_boxes(tmp_path, name):
         np.testing.assert_allclose(found.speed[k], SPEED, atol=2e-3)
         assert (found.length[k], found.width[k]) == pytest.approx(boxes[k], abs=1e-6)
     assert not found.center_x.any()
+
+
+@beside
+def test_a_real_result_of_carmaker():
+    columns = read_erg_columns(SAMPLES / "carmaker" / "example.erg")
+    assert (len(columns), columns["Time"].size, columns["Time"][-1]) == (29, 5000, pytest.approx(4.999))
+    # What CarMaker stores of the same thing twice agrees: acceleration and speed, and the wheels roll.
+    moves = columns["Vhcl.v"] > 2.0
+    gained = np.gradient(columns["Vhcl.v"].astype(float), columns["Time"])
+    np.testing.assert_allclose(gained[moves], columns["Car.ax"][moves], atol=0.35)
+    radius = columns["Vhcl.v"][moves] / columns["Car.WheelSpd_RL"][moves]
+    assert 0.28 < radius.min() <= radius.max() < 0.36
+    with pytest.raises(InputError, match=r"has no Car.tx, Car.ty, Car.Yaw, Car.v; add it to the quantities"):
+        read_recording(SAMPLES / "carmaker" / "example.erg")
+
+
+@beside
+def test_a_real_recording_of_carla():
+    found = read_recording(SAMPLES / "carla" / "DistanceToLaneCenter.log")
+    assert (found.names, found.kinds, found.time.size) == (("hero",), ("car",), 431)
+    # A Lincoln MKZ of 2017, by CARLA's catalogue of vehicles.
+    assert (found.length[0], found.width[0]) == pytest.approx((4.9017, 2.1283), abs=1e-3)
+    way = np.hypot(np.diff(found.x[0]), np.diff(found.y[0]))
+    assert way.sum() == pytest.approx((found.speed[0][1:] * np.diff(found.time)).sum(), rel=0.01)
+    assert found.collisions == ()
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,6 +14,7 @@ from cornercase.errors import InputError, SimulationError, SimulatorError, sugge
 from cornercase.readers.erg import read_erg
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
+from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.space import Value
 from cornercase.simulators.base import Availability
 from cornercase.simulators.carmaker_api import CarMakerApi, has_cmapi
@@ -131,9 +133,15 @@ class CarMakerSimulator:
         Raises
         ------
         InputError
-            Nobody listens on the port, or CarMaker has lost its licence.
+            Nobody listens on the port, CarMaker has lost its licence, or the scenario has entities that it has not.
         """
         for concrete in concretes:
+            for name in Scenario.read(concrete.path).entities:
+                if not re.fullmatch(r"Ego|T\d{2,}", name):
+                    raise InputError(
+                        f"{concrete.path}: '{name}' is no entity of CarMaker; call the ego and the TestRun's traffic"
+                        " objects Ego, T00, T01, …, as its result files do."
+                    )
             if self._api_wanted:
                 yield self._run_by_api(concrete.values)
                 continue

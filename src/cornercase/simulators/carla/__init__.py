@@ -46,6 +46,8 @@ _ENDING, _LOADING, _POLL = 2.0, 120.0, 0.02
 # What it says when a scenario has ended, whatever came out; its exit code does not tell.
 _ENDED: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
 _ERROR: Final = re.compile(r"^\w*(Error|Exception)\b")
+# Categories for which ScenarioRunner would take any vehicle.
+_UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
 # How many times its patience with an answer.
 _SILENCE: Final = 3
 _MESH: Final = {"vertex_distance": 2.0, "wall_height": 1.0, "additional_width": 0.6}
@@ -212,6 +214,11 @@ class CarlaSimulator:
         found = {}
         for element in scenario.root.iterfind("Entities/ScenarioObject"):
             name = element.get("name", "")
+            vehicle = element.find("Vehicle")
+            if vehicle is not None and vehicle.get("vehicleCategory") in _UNKNOWN:
+                raise InputError(
+                    f"{scenario.path}: '{name}' is a {vehicle.get('vehicleCategory')}, which CARLA does not have."
+                )
             driver = self._drivers.get(name, driver_property(element) or "")
             if driver in BEHAVIORS:
                 found[name] = driver
