@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from scipy.linalg import lstsq
@@ -11,20 +11,8 @@ from sklearn.decomposition import KernelPCA
 
 from cornercase.typing import BoolArray, FloatArray, IntArray
 
-
-class Clustered(Protocol):
-    """What is known of scenarios that were clustered; see `cornercase.clustering.Clustering`."""
-
-    @property
-    def labels(self) -> IntArray: ...  # noqa: D102
-    @property
-    def embedding(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def eps(self) -> float: ...  # noqa: D102
-    @property
-    def min_samples(self) -> int: ...  # noqa: D102
-    @property
-    def method(self) -> str: ...  # noqa: D102
+if TYPE_CHECKING:
+    from cornercase.clustering import Clustering
 
 
 class KernelSpace:
@@ -102,14 +90,14 @@ class KernelSpace:
         return np.asarray(np.exp(-self._gamma * distances**2))
 
 
-def assigned(placed: FloatArray, known: Clustered) -> IntArray:
+def assigned(placed: FloatArray, known: Clustering) -> IntArray:
     """Clusters that others join: that of the nearest dense scenario within the neighbourhood, as DBSCAN would.
 
     Parameters
     ----------
     placed : ndarray of float64, shape (m, n_components)
         The others, in the same kernel space.
-    known : Clustered
+    known : Clustering
 
     Returns
     -------
@@ -125,7 +113,7 @@ def assigned(placed: FloatArray, known: Clustered) -> IntArray:
     return np.where(near, known.labels[dense[nearest]], -1).astype(np.int64)
 
 
-def _dense(known: Clustered) -> BoolArray:
+def _dense(known: Clustering) -> BoolArray:
     """Scenarios with enough neighbours; with HDBSCAN all that are in a cluster."""
     if known.method == "hdbscan":
         return np.asarray(known.labels >= 0)
@@ -133,7 +121,7 @@ def _dense(known: Clustered) -> BoolArray:
     return np.asarray((between <= known.eps).sum(axis=1) >= known.min_samples)
 
 
-def _reach(known: Clustered) -> float:
+def _reach(known: Clustering) -> float:
     """Radius within which another scenario belongs to a cluster."""
     if known.method == "dbscan":
         return known.eps

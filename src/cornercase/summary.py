@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -101,37 +101,33 @@ def summarize(study: Study) -> dict[str, Any]:
             # Studies that were reduced by earlier versions have none.
             for one in reduction.get("shapes", ())
         }
-        summary["coverage"] = {name: _left_out(one) for name, one in reduction["coverage"].items() if one}
+        summary["coverage"] = {name: _told(one, _LEFT_OUT) for name, one in reduction["coverage"].items() if one}
         for name, one in reduction.get("critical", {}).items():
-            summary["coverage"].setdefault(name, {})["critical scenarios"] = _of_critical(one)
+            summary["coverage"].setdefault(name, {})["critical scenarios"] = _told(one, _OF_CRITICAL)
     return summary
 
 
-def _left_out(found: dict[str, Any]) -> dict[str, Any]:
-    """What the kept scenarios leave, in the words of a summary."""
-    words = {
-        "largest": "largest distance to a kept one",
-        "mean": "mean distance",
-        "better_largest": "random subsets with a larger largest one",
-        "better_mean": "random subsets with a larger mean",
-        "medoids_largest": "largest one of k-medoids",
-        "medoids_mean": "mean of k-medoids",
-    }
-    return {text: found[key] for key, text in words.items() if key in found}
+_LEFT_OUT: Final = {
+    "largest": "largest distance to a kept one",
+    "mean": "mean distance",
+    "better_largest": "random subsets with a larger largest one",
+    "better_mean": "random subsets with a larger mean",
+    "medoids_largest": "largest one of k-medoids",
+    "medoids_mean": "mean of k-medoids",
+}
+_OF_CRITICAL: Final = {
+    "within": "alike up to a distance of",
+    "critical": "like a kept one",
+    "random": "like one of a random subset",
+    "medoids": "like one of k-medoids",
+    "boundary": "on the boundary, like a kept one",
+    "unlike": "one of the space is unlike all kept",
+}
 
 
-def _of_critical(found: dict[str, Any]) -> dict[str, Any]:
-    words = {
-        "within": "alike up to a distance of",
-        "critical": "like a kept one",
-        "random": "like one of a random subset",
-        "medoids": "like one of k-medoids",
-        "boundary": "on the boundary, like a kept one",
-    }
-    told: dict[str, Any] = {text: found[key] for key, text in words.items() if found[key] is not None}
-    if found["unlike"]:
-        told["one of the space is unlike all kept"] = found["unlike"]
-    return told
+def _told(found: dict[str, Any], words: dict[str, str]) -> dict[str, Any]:
+    """What is known of the kept scenarios, in the words of a summary."""
+    return {text: found[key] for key, text in words.items() if found.get(key) is not None}
 
 
 def knowledge(study: Study, objective: Objective) -> dict[str, Any]:

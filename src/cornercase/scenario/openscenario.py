@@ -70,6 +70,12 @@ class Scenario:
         """Names of all declared parameters."""
         return tuple(e.get("name", "") for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration"))
 
+    @cached_property
+    def drivers(self) -> dict[str, str]:
+        """Driver that a controller property asks for, by entity."""
+        asked = {e.get("name", ""): driver_property(e) for e in self.root.iterfind("Entities/ScenarioObject")}
+        return {name: driver for name, driver in asked.items() if driver is not None}
+
     def require_entity(self, name: str, role: str) -> None:
         """Raise an `InputError` when there is no entity called `name`, which is to be the `role`."""
         if name not in self.entities:

@@ -14,10 +14,10 @@ from cornercase.drivers import Driver
 from cornercase.errors import InputError, SimulationError
 from cornercase.recording import Collision, Recording
 from cornercase.scenario.logical import ConcreteScenario
-from cornercase.scenario.openscenario import Scenario, driver_property
+from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.space import Value
 from cornercase.simulators.base import Availability
-from cornercase.simulators.builtin import checked_settings
+from cornercase.simulators.builtin import checked_seed, checked_settings
 
 VARIABLE: Final = "CORNERCASE_ESMINI"
 _MISSING: Final = (
@@ -90,14 +90,13 @@ class EsminiSimulator:
         if drivers:
             raise InputError("--driver: esmini has no drivers of cornercase; its own stand in the scenario file.")
         self._path = _library(library)
-        if not (isinstance(seed, int) and 0 <= seed < 2**31):
-            raise InputError(f"The seed of esmini is {seed}; give a whole number from 0 to 2147483647.")
         self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
         self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)
         self._loaded: ctypes.CDLL | None = None
+        self._fits = False
         self.settings: dict[str, object] = {
             **checked_settings(time_step, duration, on_collision, None),
-            "seed": seed,
+            "seed": checked_seed(seed, "esmini"),
             "controllers": self._controllers,
             "library": self._path.name,
             "library size": self._path.stat().st_size,
@@ -132,12 +131,11 @@ class EsminiSimulator:
                 self._loaded.SE_Close()
 
     def _require_means(self, scenario: Scenario) -> None:
-        for element in scenario.root.iterfind("Entities/ScenarioObject"):
-            driver = driver_property(element)
-            if driver is not None and not self._undriven:
+        for name, driver in scenario.drivers.items():
+            if not self._undriven:
                 raise InputError(
-                    f"{scenario.path}: '{element.get('name')}' asks for the driver '{driver}', which esmini does not"
-                    " have; --simulator esmini:undriven=true runs it by the storyboard alone."
+                    f"{scenario.path}: '{name}' asks for the driver '{driver}', which esmini does not have;"
+                    " --simulator esmini:undriven=true runs it by the storyboard alone."
                 )
 
     def _run(self, lib: ctypes.CDLL, scenario: Scenario, values: Mapping[str, Value]) -> Recording | SimulationError:
@@ -161,6 +159,9 @@ class EsminiSimulator:
             return SimulationError("esmini cannot load the scenario; run it with esmini to see why")
         if refused:
             return SimulationError(f"esmini does not take the parameter {refused[0]}")
+        if not self._fits and lib.SE_GetNumberOfObjects() > 0:
+            _require_layout(lib, lib.SE_GetId(0))
+            self._fits = True
         log = _Log(lib)
         steps = round(self._duration / self._time_step)
         for step in range(steps + 1):
@@ -277,7 +278,14 @@ def _load(path: Path) -> ctypes.CDLL:
 
 
 def _state(lib: ctypes.CDLL, one: int) -> _State:
-    """State of an object; refuses a library that writes more or less than is expected."""
+    state = _State()
+    if lib.SE_GetObjectState(one, ctypes.addressof(state)) != 0:
+        raise InputError("esmini does not tell the state of one of its objects; take another version of it.")
+    return state
+
+
+def _require_layout(lib: ctypes.CDLL, one: int) -> None:
+    """Refuse a library that writes more or less of a state than is expected."""
     size = ctypes.sizeof(_State)
     buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL]) * (2 * size))
     if lib.SE_GetObjectState(one, ctypes.addressof(buffer)) != 0:
@@ -288,10 +296,8 @@ def _state(lib: ctypes.CDLL, one: int) -> _State:
         raise InputError(
             "esmini's library has another layout than that of esmini 3.6, which this cornercase knows; take that one."
         )
-    state = _State.from_buffer_copy(written[:size])
-    if state.id != one:
+    if _State.from_buffer_copy(written[:size]).id != one:
         raise InputError("esmini's library has another layout than that of esmini 3.6; take that one.")
-    return state
 
 
 def _kind(state: _State) -> str:

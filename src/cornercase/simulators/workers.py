@@ -206,6 +206,7 @@ class _Worker:
 def _serve(connection: Connection, name: str, options: dict[str, Any]) -> None:
     # Ctrl-C is for the process that the user sees, which lets this one finish its scenario or stops it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Of a group of its own, so that it is stopped with all that it starts.
     os.setsid()
     try:
         simulator = SIMULATORS.create(name, **options)

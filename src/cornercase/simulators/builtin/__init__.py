@@ -128,6 +128,19 @@ class BuiltinSimulator:
         return list(groups.values())
 
 
+def checked_seed(seed: int, whose: str) -> int:
+    """Return a seed that a simulator takes.
+
+    Raises
+    ------
+    InputError
+        It is not a whole number from 0 to 2147483647.
+    """
+    if not (isinstance(seed, int) and 0 <= seed < 2**31):
+        raise InputError(f"The seed of {whose} is {seed}; give a whole number from 0 to 2147483647.")
+    return seed
+
+
 def checked_settings(
     time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver] | None
 ) -> dict[str, object]:

@@ -12,7 +12,7 @@ from cornercase.drivers import Driver
 from cornercase.errors import InputError, SimulationError
 from cornercase.recording import Collision, Recording
 from cornercase.scenario.opendrive import RoadNetwork
-from cornercase.scenario.openscenario import Scenario, driver_property
+from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.scope import Scope
 from cornercase.scenario.space import Value
 from cornercase.simulators.builtin.driving import Driving, registered_driver
@@ -89,15 +89,14 @@ class Batch:
             self._world.fail(broken, f"the value of {name} breaks a constraint of its declaration")
         self._time_step, self._duration = time_step, duration
         self._stop_at_collision, self._coupling = stop_at_collision, coupling
-        asked = {e.get("name", ""): driver_property(e) for e in objects}
-        chosen = {name: drivers.get(name, own) for name, own in asked.items()}
-        for name, driver in chosen.items():
-            if driver is not None:
-                e = self._world.names.index(name)
-                built = registered_driver(driver, str(scenario.path)) if isinstance(driver, str) else driver
-                number = Driving(self._world, e, built).number
-                self._world.kept[e] = name in drivers
-                self._world.control(e, np.ones(len(values), dtype=np.bool_), number, True)
+        chosen = {**scenario.drivers, **drivers}
+        # In the order of the entities, whoever asked.
+        for name in filter(chosen.__contains__, self._world.names):
+            driver, e = chosen[name], self._world.names.index(name)
+            built = registered_driver(driver, str(scenario.path)) if isinstance(driver, str) else driver
+            number = Driving(self._world, e, built).number
+            self._world.kept[e] = name in drivers
+            self._world.control(e, np.ones(len(values), dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
         self._world.fail(scope.without_value(), "an expression has no finite value")
         self._history = History((5, len(objects), len(values)))

@@ -24,10 +24,10 @@ from cornercase.errors import InputError, SimulationError, SimulatorError, sugge
 from cornercase.readers.carla_log import read_carla_log
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
-from cornercase.scenario.openscenario import Scenario, driver_property
+from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.scenario_runner import write_scenario_runner
 from cornercase.simulators.base import Availability
-from cornercase.simulators.builtin import checked_settings
+from cornercase.simulators.builtin import checked_seed, checked_settings
 from cornercase.simulators.carla.dialect import BEHAVIORS, DRIVER, adapt
 from cornercase.simulators.carla.tracker import Tracker
 from cornercase.simulators.hosts import address
@@ -156,7 +156,7 @@ class CarlaSimulator:
             "drivers": self._drivers,
             "ego": ego,
             "record": record,
-            "seed": seed,
+            "seed": checked_seed(seed, "CARLA's traffic manager"),
             "carla": version("carla"),
             # What drives is part of what came out.
             "agent": _fingerprint(self._agent),
@@ -219,7 +219,7 @@ class CarlaSimulator:
                 raise InputError(
                     f"{scenario.path}: '{name}' is a {vehicle.get('vehicleCategory')}, which CARLA does not have."
                 )
-            driver = self._drivers.get(name, driver_property(element) or "")
+            driver = self._drivers.get(name, scenario.drivers.get(name, ""))
             if driver in BEHAVIORS:
                 found[name] = driver
             elif driver and not self._undriven and not (name == self._ego and self._agent):

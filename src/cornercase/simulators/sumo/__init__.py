@@ -12,9 +12,9 @@ from cornercase.drivers import DRIVERS, Driver
 from cornercase.errors import InputError, SimulationError, suggestion
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
-from cornercase.scenario.openscenario import Scenario, driver_property
+from cornercase.scenario.openscenario import Scenario
 from cornercase.simulators.base import Availability
-from cornercase.simulators.builtin import checked_settings
+from cornercase.simulators.builtin import checked_seed, checked_settings
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.sumo.coupling import TYPES, SumoCoupling
 from cornercase.simulators.sumo.network import sumo_network
@@ -64,16 +64,14 @@ class SumoSimulator:
         seed: int = 0,
         network: str | None = None,
     ) -> None:
-        self._settings = checked_settings(time_step, duration, on_collision, drivers)
+        settings = checked_settings(time_step, duration, on_collision, drivers)
         if find_spec("libsumo") is None:
             raise InputError(_MISSING)
-        if not (isinstance(seed, int) and 0 <= seed < 2**31):
-            raise InputError(f"The seed of SUMO is {seed}; give a whole number from 0 to 2147483647.")
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
         self._drivers, self._seed, self._network = dict(drivers or {}), seed, network
         self.settings: dict[str, object] = {
-            **self._settings,
-            "seed": seed,
+            **settings,
+            "seed": checked_seed(seed, "SUMO"),
             "network": network,
             "sumo": version("libsumo"),
         }
@@ -127,8 +125,7 @@ class SumoSimulator:
 
     def _types(self, scenario: Scenario) -> dict[str, str]:
         """Vehicle type of each entity that SUMO drives."""
-        asked = {e.get("name", ""): driver_property(e) for e in scenario.root.iterfind("Entities/ScenarioObject")}
-        chosen = {name: self._drivers.get(name, own) for name, own in asked.items()}
+        chosen = {**scenario.drivers, **self._drivers}
         for name, driver in chosen.items():
             if isinstance(driver, str) and driver not in TYPES and driver not in DRIVERS.names():
                 known = (*TYPES, *DRIVERS.names())

@@ -44,7 +44,10 @@ def sumo_network(scenario: Scenario, given: str | None = None) -> Path:
         raise InputError(f"{scenario.path}: has no road network in <RoadNetwork><LogicFile>, which SUMO needs.")
     roads = scenario.beside(name, "road file")
     if roads.name.endswith(".net.xml"):
-        return roads
+        raise InputError(
+            f"{scenario.path}: names SUMO's network {name} as its roads, where positions on roads need OpenDRIVE; name"
+            " an OpenDRIVE file there, and give the network by --simulator sumo:network=FILE."
+        )
     key = hashlib.sha256(roads.read_bytes()).hexdigest()[:32]
     cached = _cache() / f"{key}.net.xml"
     if not cached.exists():

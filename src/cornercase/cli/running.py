@@ -1,4 +1,4 @@
-"""The command line: parses, calls the API, prints."""
+"""Commands that run scenarios, measure recordings, and say what can do either."""
 
 from __future__ import annotations
 
@@ -9,63 +9,29 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from cornercase import __version__, option_values
-from cornercase.errors import InputError
-
-app = typer.Typer(
-    name="cornercase",
-    help="Find, cluster and reduce the critical concrete scenarios of a logical scenario.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
+from cornercase import option_values
+from cornercase.cli.options import (
+    Drivers,
+    Duration,
+    Ego,
+    Metrics,
+    OnCollision,
+    Other,
+    Retries,
+    ScenarioFile,
+    Seed,
+    SimulatorName,
+    Timeout,
+    TimeStep,
+    Workers,
+    app,
+    err,
+    explored,
+    out,
 )
-
-_out = Console(soft_wrap=True, highlight=False)
-_err = Console(stderr=True, soft_wrap=True, highlight=False)
-
-ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
-StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
-Ego = Annotated[str, typer.Option(help="Entity under test.")]
-Other = Annotated[str, typer.Option(help="Entity it is measured against.")]
-Metrics = Annotated[
-    list[str],
-    typer.Option("--metric", metavar="NAME", help="Criticality metric, all are stored; the first is searched."),
-]
-Seed = Annotated[int, typer.Option(help="Same seed, same result.", min=0)]
-TimeStep = Annotated[float, typer.Option(metavar="S", help="Time step in s.")]
-Duration = Annotated[float, typer.Option(metavar="S", help="Longest duration of a scenario in s.")]
-OnCollision = Annotated[str, typer.Option(metavar="stop|continue", help="What a collision does to the run.")]
-Drivers = Annotated[
-    list[str] | None,
-    typer.Option("--driver", metavar="ENTITY=NAME", help="Driver preset, or package.module:Class of your own."),
-]
-By = Annotated[
-    list[str] | None,
-    typer.Option("--by", metavar="ego-trajectory|METRIC", help="What to cluster by; default: all there is."),
-]
-Gamma = Annotated[str, typer.Option(metavar="X|auto", help="Kernel width parameter.")]
-Eps = Annotated[str, typer.Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
-MinSamples = Annotated[str, typer.Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
-SimulatorName = Annotated[str, typer.Option("--simulator", metavar="NAME", help="What runs the scenarios.")]
-Timeout = Annotated[float | None, typer.Option(metavar="S", help="Give a scenario up after this time in s.")]
-Retries = Annotated[
-    int, typer.Option(metavar="N", help="Run a scenario again so often after the simulator died or hung.", min=0)
-]
-Workers = Annotated[int, typer.Option(metavar="N", help="Simulators that run side by side.", min=1)]
-
-
-@app.callback(invoke_without_command=True)
-def _main(
-    version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False,
-) -> None:
-    if version:
-        _out.print(f"cornercase {__version__}")
-        raise typer.Exit
+from cornercase.errors import InputError
 
 
 @app.command()
@@ -149,7 +115,7 @@ def explore(
     logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
     if simulator.partition(":")[0] in ("builtin", "sumo"):
         _notice(Scenario.read(logical.path))
-    _explore(
+    explored(
         explore_scenario,
         Exploration(
             logical,
@@ -197,23 +163,23 @@ def check(
 
     found = check_scenario(scenario, space)
     for key, count in found.contents.items():
-        _out.print(f"{key}: {count}")
-    _out.print(f"parameters: {', '.join(found.parameters) or 'none'}", markup=False)
+        out.print(f"{key}: {count}")
+    out.print(f"parameters: {', '.join(found.parameters) or 'none'}", markup=False)
     if found.variables:
-        _out.print(f"variables: {', '.join(found.variables)}", markup=False)
+        out.print(f"variables: {', '.join(found.variables)}", markup=False)
     if found.ignored:
-        _out.print("without effect: " + ", ".join(f"{tag} ({count})" for tag, count in found.ignored.items()))
+        out.print("without effect: " + ", ".join(f"{tag} ({count})" for tag, count in found.ignored.items()))
     if found.schema is None:
-        _out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'", markup=False)
+        out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'", markup=False)
     else:
-        _out.print(f"schema {found.schema}: {'valid' if not found.invalid else 'not valid'}")
+        out.print(f"schema {found.schema}: {'valid' if not found.invalid else 'not valid'}")
     for line in (*found.invalid, *found.trouble):
-        _out.print(f"  {line}", markup=False)
+        out.print(f"  {line}", markup=False)
     for line in found.space:
-        _out.print(f"varied: {line}", markup=False)
+        out.print(f"varied: {line}", markup=False)
     if found.space:
-        _out.print(f"concrete scenarios: {'infinitely many' if found.size is None else found.size}")
-    _out.print("can be run" if not found.trouble else "cannot be run")
+        out.print(f"concrete scenarios: {'infinitely many' if found.size is None else found.size}")
+    out.print("can be run" if not found.trouble else "cannot be run")
     if not found.good:
         raise typer.Exit(1)
 
@@ -243,8 +209,8 @@ def convert(
     for note in write_scenario_runner(
         Scenario.read(scenario), dict(option_values.pairs(values or (), "--set")), output, ego=ego
     ):
-        _err.print(note, markup=False)
-    _out.print(f"Written to {output}")
+        err.print(note, markup=False)
+    out.print(f"Written to {output}")
 
 
 @app.command()
@@ -286,9 +252,9 @@ def simulate(
     if isinstance(recording, Exception):
         raise InputError(f"{scenario}: {recording}.")
     recording.to_csv(output)
-    _out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
+    out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
     for collision in recording.collisions:
-        _out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
+        out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
 
 
 @app.command()
@@ -327,8 +293,8 @@ def measure(
     for one in metrics:
         critical = "low" if one.lower_is_critical else "high"
         table.add_row(one.name, f"{one.score(courses[one.name]):.4g}", one.unit, critical)
-    _out.print(table)
-    _out.print(f"{read.time.size} instants written to {output}")
+    out.print(table)
+    out.print(f"{read.time.size} instants written to {output}")
 
 
 @app.command(name="import")
@@ -362,7 +328,7 @@ def import_(
     count = import_recordings(
         folder, output, ego=ego, other=other, metrics=metric, table=table, critical=critical, progress=True
     )
-    _out.print(f"{count} scenarios in {output}")
+    out.print(f"{count} scenarios in {output}")
 
 
 @app.command()
@@ -393,7 +359,7 @@ def metrics(
     for one in known:
         what = (inspect.getdoc(one) or "").partition("\n")[0]
         table.add_row(one.name, one.unit, "low" if one.lower_is_critical else "high", what, one.source)
-    _out.print(table)
+    out.print(table)
 
 
 @app.command()
@@ -420,225 +386,7 @@ def simulators(
         table.add_row(
             name, "no" if one.missing else "yes", one.version or "-", ", ".join(one.abilities), one.missing or "-"
         )
-    _out.print(table)
-
-
-@app.command()
-def analyze(
-    study: StudyFile,
-    *,
-    by: By = None,
-    gamma: Gamma = "auto",
-    eps: Eps = "auto",
-    min_samples: MinSamples = "auto",
-    method: Annotated[str, typer.Option(metavar="dbscan|hdbscan", help="What finds the clusters.")] = "dbscan",
-    keep: Annotated[
-        bool, typer.Option("--keep", help="Keep the clusters that are there; new scenarios join them.")
-    ] = False,
-) -> None:
-    """Cluster what was run, by behaviour and by criticality.
-
-    \b
-    Example:
-      cornercase analyze study.db --by ego-trajectory --by wttc
-    """
-    from cornercase.analysis import analyze_study
-    from cornercase.study import Study
-
-    with Study.open(study) as opened:
-        results = analyze_study(
-            opened,
-            by,
-            gamma=option_values.number_or_auto(gamma, "--gamma"),
-            eps=option_values.number_or_auto(eps, "--eps"),
-            min_samples=option_values.count_or_auto(min_samples, "--min-samples"),
-            method=option_values.one_of(method, ("dbscan", "hdbscan"), "--method"),
-            keep=keep,
-            progress=True,
-        )
-    table = Table("by", "clusters", "sizes", "noise", "stability", "gamma", "eps", "min samples", box=None)
-    for name, one in results.items():
-        found = one.clustering
-        sizes = " ".join(map(str, one.sizes))
-        noise = str(int((found.labels < 0).sum()))
-        table.add_row(
-            name,
-            str(len(one.sizes)),
-            sizes,
-            noise,
-            "-" if found.stability is None else f"{found.stability:.2f}",
-            f"{found.gamma:.4g}",
-            f"{found.eps:.4g}",
-            str(found.min_samples),
-        )
-    _out.print(table)
-
-
-@app.command()
-def reduce(
-    study: StudyFile,
-    *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
-    by: Annotated[
-        str | None,
-        typer.Option("--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."),
-    ] = None,
-    archetypes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N|auto", help="Keep nothing but prototypes and so many archetypes a cluster, as the paper."
-        ),
-    ] = None,
-    archetypes_by: Annotated[
-        str,
-        typer.Option(
-            metavar="auto|hull|pcha|parts|kernel",
-            help="How archetypes are found; auto goes by each cluster's convexity.",
-        ),
-    ] = "auto",
-    size: Annotated[int | None, typer.Option(metavar="N", help="Keep so many in all.", min=1)] = None,
-    share: Annotated[float | None, typer.Option(metavar="X", help="Keep such a share of all; default 0.1.")] = None,
-    cover: Annotated[
-        float | None,
-        typer.Option(
-            metavar="X", help="Keep as few as leave nothing more unlike than this share of the largest distance."
-        ),
-    ] = None,
-    within: Annotated[
-        float,
-        typer.Option(metavar="X", help="Scenarios are alike up to this share of the median distance within clusters."),
-    ] = 0.5,
-) -> None:
-    """Keep the few concrete scenarios that matter, as files that run by themselves.
-
-    \b
-    Example:
-      cornercase reduce study.db --size 32 -o reduced
-    """
-    from cornercase.reduction import reduce_study
-    from cornercase.study import Study
-
-    if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
-        raise InputError("--size, --share, --cover, --archetypes: give one of them.")
-    with Study.open(study) as opened:
-        if share is not None:
-            size = option_values.of_all(share, len(opened.done()))
-        manifest = reduce_study(
-            opened,
-            output,
-            by=by,
-            archetypes=None if archetypes is None else option_values.count_or_auto(archetypes, "--archetypes"),
-            size=size,
-            cover=cover,
-            method=option_values.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
-            within=within,
-        )
-    _out.print(f"{manifest['kept']} of {manifest['run']} scenarios kept, in {output}")
-
-
-@app.command()
-def report(
-    study: StudyFile,
-    *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write.")],
-) -> None:
-    """Write one self-contained page, and its figures as PNG beside it.
-
-    \b
-    Example:
-      cornercase report study.db -o report.html
-    """
-    from cornercase.report import write_report
-    from cornercase.study import Study
-
-    with Study.open(study, readonly=True) as opened:
-        write_report(opened, output)
-    _out.print(f"The report is {output.resolve()}")
-
-
-@app.command()
-def demo(
-    name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")],
-    *,
-    budget: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Concrete scenarios to run; default: as in the paper.", min=1),
-    ] = None,
-    seed: Seed = 0,
-    driver: Annotated[str | None, typer.Option(metavar="NAME", help="Who drives the ego.")] = None,
-    simulator: SimulatorName = "builtin",
-    workers: Workers = 1,
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
-) -> None:
-    """Explore, cluster, reduce and report one of the examples.
-
-    \b
-    Example:
-      cornercase demo x-intersection --budget 100 -o demo
-    """
-    from cornercase.pipeline import demonstration, explore_scenario, finish
-
-    folder = output or Path("demo") / name
-    exploration = demonstration(name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers)
-    study = folder / "study.db"
-    _explore(explore_scenario, exploration, study)
-    finish(study, folder)
-    _out.print(f"The report is {(folder / 'report.html').resolve()}")
-
-
-@app.command()
-def show(
-    study: StudyFile,
-    *,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
-) -> None:
-    """Tell what was run and what was found.
-
-    \b
-    Example:
-      cornercase show study.db
-    """
-    from cornercase.study import Study
-    from cornercase.summary import summarize
-
-    with Study.open(study, readonly=True) as opened:
-        summary = summarize(opened)
-    if as_json:
-        sys.stdout.write(json.dumps(summary, indent=2) + "\n")
-        return
-    for key, value in summary.items():
-        _show(key, value)
-
-
-@app.command()
-def export(
-    study: StudyFile,
-    *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the tables.")],
-    parquet: Annotated[bool, typer.Option("--parquet", help="Write the table of scenarios as Parquet too.")] = False,
-) -> None:
-    """Write everything in a study as tables.
-
-    \b
-    Example:
-      cornercase export study.db -o tables
-    """
-    from cornercase.study import Study
-
-    with Study.open(study, readonly=True) as opened:
-        opened.export(output, parquet=parquet)
-    _out.print(f"Written to {output}")
-
-
-def main() -> None:
-    """Run the command line; what a user can mend becomes one sentence and exit code 2."""
-    try:
-        app(standalone_mode=True)
-    except InputError as error:
-        Console(stderr=True, soft_wrap=True, highlight=False).print(f"cornercase: {error}", markup=False)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    out.print(table)
 
 
 def _notice(scenario: Any) -> None:
@@ -647,23 +395,4 @@ def _notice(scenario: Any) -> None:
 
     ignored = without_effect(scenario)
     if ignored:
-        _err.print(f"Without effect here: {', '.join(ignored)}.", markup=False)
-
-
-def _explore(run: Any, exploration: Any, study: Path) -> None:
-    result = run(exploration, study, progress=True)
-    if result.interrupted:
-        _out.print(f"Interrupted; the same command goes on from the {result.done} scenarios in {study}.")
-        raise typer.Exit(130)
-    _out.print(f"{result.done} scenarios in {study}; ended because {result.reason}.")
-
-
-def _show(key: str, value: Any, indent: str = "") -> None:
-    if isinstance(value, dict):
-        _out.print(f"{indent}{key}", markup=False)
-        for inner, one in value.items():
-            _show(inner, one, indent + "  ")
-    else:
-        text = ", ".join(map(str, value)) if isinstance(value, list) else value
-        text = f"{text:.6g}" if isinstance(text, float) else text
-        _out.print(f"{indent}{key}: {text}", markup=False)
+        err.print(f"Without effect here: {', '.join(ignored)}.", markup=False)

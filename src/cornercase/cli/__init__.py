@@ -1,0 +1,23 @@
+"""The command line: parses, calls the API, prints."""
+
+from __future__ import annotations
+
+import sys
+
+# Their order is that of the commands in the help.
+from cornercase.cli import running, studies
+from cornercase.cli.options import app, err
+from cornercase.errors import InputError
+
+__all__ = ["app", "main", "running", "studies"]
+
+
+def main() -> None:
+    """Run the command line; what a user can mend becomes one sentence and exit code 2."""
+    try:
+        app(standalone_mode=True)
+    except InputError as error:
+        err.print(f"cornercase: {error}", markup=False)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,0 +1,72 @@
+"""The application, and options that several commands have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from cornercase import __version__
+
+app = typer.Typer(
+    name="cornercase",
+    help="Find, cluster and reduce the critical concrete scenarios of a logical scenario.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+out = Console(soft_wrap=True, highlight=False)
+err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
+Ego = Annotated[str, typer.Option(help="Entity under test.")]
+Other = Annotated[str, typer.Option(help="Entity it is measured against.")]
+Metrics = Annotated[
+    list[str],
+    typer.Option("--metric", metavar="NAME", help="Criticality metric, all are stored; the first is searched."),
+]
+Seed = Annotated[int, typer.Option(help="Same seed, same result.", min=0)]
+TimeStep = Annotated[float, typer.Option(metavar="S", help="Time step in s.")]
+Duration = Annotated[float, typer.Option(metavar="S", help="Longest duration of a scenario in s.")]
+OnCollision = Annotated[str, typer.Option(metavar="stop|continue", help="What a collision does to the run.")]
+Drivers = Annotated[
+    list[str] | None,
+    typer.Option("--driver", metavar="ENTITY=NAME", help="Driver preset, or package.module:Class of your own."),
+]
+By = Annotated[
+    list[str] | None,
+    typer.Option("--by", metavar="ego-trajectory|METRIC", help="What to cluster by; default: all there is."),
+]
+Gamma = Annotated[str, typer.Option(metavar="X|auto", help="Kernel width parameter.")]
+Eps = Annotated[str, typer.Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
+MinSamples = Annotated[str, typer.Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
+SimulatorName = Annotated[str, typer.Option("--simulator", metavar="NAME", help="What runs the scenarios.")]
+Timeout = Annotated[float | None, typer.Option(metavar="S", help="Give a scenario up after this time in s.")]
+Retries = Annotated[
+    int, typer.Option(metavar="N", help="Run a scenario again so often after the simulator died or hung.", min=0)
+]
+Workers = Annotated[int, typer.Option(metavar="N", help="Simulators that run side by side.", min=1)]
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False,
+) -> None:
+    if version:
+        out.print(f"cornercase {__version__}")
+        raise typer.Exit
+
+
+def explored(run: Any, exploration: Any, study: Path) -> None:
+    """Explore, and say how it ended."""
+    result = run(exploration, study, progress=True)
+    if result.interrupted:
+        out.print(f"Interrupted; the same command goes on from the {result.done} scenarios in {study}.")
+        raise typer.Exit(130)
+    out.print(f"{result.done} scenarios in {study}; ended because {result.reason}.")

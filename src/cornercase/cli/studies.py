@@ -1,0 +1,245 @@
+"""Commands that make something of a study."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from cornercase import option_values
+from cornercase.cli.options import (
+    By,
+    Eps,
+    Gamma,
+    MinSamples,
+    Seed,
+    SimulatorName,
+    StudyFile,
+    Workers,
+    app,
+    explored,
+    out,
+)
+from cornercase.errors import InputError
+
+
+@app.command()
+def analyze(
+    study: StudyFile,
+    *,
+    by: By = None,
+    gamma: Gamma = "auto",
+    eps: Eps = "auto",
+    min_samples: MinSamples = "auto",
+    method: Annotated[str, typer.Option(metavar="dbscan|hdbscan", help="What finds the clusters.")] = "dbscan",
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep the clusters that are there; new scenarios join them.")
+    ] = False,
+) -> None:
+    """Cluster what was run, by behaviour and by criticality.
+
+    \b
+    Example:
+      cornercase analyze study.db --by ego-trajectory --by wttc
+    """
+    from cornercase.analysis import analyze_study
+    from cornercase.study import Study
+
+    with Study.open(study) as opened:
+        results = analyze_study(
+            opened,
+            by,
+            gamma=option_values.number_or_auto(gamma, "--gamma"),
+            eps=option_values.number_or_auto(eps, "--eps"),
+            min_samples=option_values.count_or_auto(min_samples, "--min-samples"),
+            method=option_values.one_of(method, ("dbscan", "hdbscan"), "--method"),
+            keep=keep,
+            progress=True,
+        )
+    table = Table("by", "clusters", "sizes", "noise", "stability", "gamma", "eps", "min samples", box=None)
+    for name, one in results.items():
+        found = one.clustering
+        sizes = " ".join(map(str, one.sizes))
+        noise = str(int((found.labels < 0).sum()))
+        table.add_row(
+            name,
+            str(len(one.sizes)),
+            sizes,
+            noise,
+            "-" if found.stability is None else f"{found.stability:.2f}",
+            f"{found.gamma:.4g}",
+            f"{found.eps:.4g}",
+            str(found.min_samples),
+        )
+    out.print(table)
+
+
+@app.command()
+def reduce(
+    study: StudyFile,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
+    by: Annotated[
+        str | None,
+        typer.Option("--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."),
+    ] = None,
+    archetypes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|auto", help="Keep nothing but prototypes and so many archetypes a cluster, as the paper."
+        ),
+    ] = None,
+    archetypes_by: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|hull|pcha|parts|kernel",
+            help="How archetypes are found; auto goes by each cluster's convexity.",
+        ),
+    ] = "auto",
+    size: Annotated[int | None, typer.Option(metavar="N", help="Keep so many in all.", min=1)] = None,
+    share: Annotated[float | None, typer.Option(metavar="X", help="Keep such a share of all; default 0.1.")] = None,
+    cover: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X", help="Keep as few as leave nothing more unlike than this share of the largest distance."
+        ),
+    ] = None,
+    within: Annotated[
+        float,
+        typer.Option(metavar="X", help="Scenarios are alike up to this share of the median distance within clusters."),
+    ] = 0.5,
+) -> None:
+    """Keep the few concrete scenarios that matter, as files that run by themselves.
+
+    \b
+    Example:
+      cornercase reduce study.db --size 32 -o reduced
+    """
+    from cornercase.reduction import reduce_study
+    from cornercase.study import Study
+
+    if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
+        raise InputError("--size, --share, --cover, --archetypes: give one of them.")
+    with Study.open(study) as opened:
+        if share is not None:
+            size = option_values.of_all(share, len(opened.done()))
+        manifest = reduce_study(
+            opened,
+            output,
+            by=by,
+            archetypes=None if archetypes is None else option_values.count_or_auto(archetypes, "--archetypes"),
+            size=size,
+            cover=cover,
+            method=option_values.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
+            within=within,
+        )
+    out.print(f"{manifest['kept']} of {manifest['run']} scenarios kept, in {output}")
+
+
+@app.command()
+def report(
+    study: StudyFile,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write.")],
+) -> None:
+    """Write one self-contained page, and its figures as PNG beside it.
+
+    \b
+    Example:
+      cornercase report study.db -o report.html
+    """
+    from cornercase.report import write_report
+    from cornercase.study import Study
+
+    with Study.open(study, readonly=True) as opened:
+        write_report(opened, output)
+    out.print(f"The report is {output.resolve()}")
+
+
+@app.command()
+def demo(
+    name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")],
+    *,
+    budget: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Concrete scenarios to run; default: as in the paper.", min=1),
+    ] = None,
+    seed: Seed = 0,
+    driver: Annotated[str | None, typer.Option(metavar="NAME", help="Who drives the ego.")] = None,
+    simulator: SimulatorName = "builtin",
+    workers: Workers = 1,
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
+) -> None:
+    """Explore, cluster, reduce and report one of the examples.
+
+    \b
+    Example:
+      cornercase demo x-intersection --budget 100 -o demo
+    """
+    from cornercase.pipeline import demonstration, explore_scenario, finish
+
+    folder = output or Path("demo") / name
+    exploration = demonstration(name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers)
+    study = folder / "study.db"
+    explored(explore_scenario, exploration, study)
+    finish(study, folder)
+    out.print(f"The report is {(folder / 'report.html').resolve()}")
+
+
+@app.command()
+def show(
+    study: StudyFile,
+    *,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Tell what was run and what was found.
+
+    \b
+    Example:
+      cornercase show study.db
+    """
+    from cornercase.study import Study
+    from cornercase.summary import summarize
+
+    with Study.open(study, readonly=True) as opened:
+        summary = summarize(opened)
+    if as_json:
+        sys.stdout.write(json.dumps(summary, indent=2) + "\n")
+        return
+    for key, value in summary.items():
+        _show(key, value)
+
+
+@app.command()
+def export(
+    study: StudyFile,
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the tables.")],
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write the table of scenarios as Parquet too.")] = False,
+) -> None:
+    """Write everything in a study as tables.
+
+    \b
+    Example:
+      cornercase export study.db -o tables
+    """
+    from cornercase.study import Study
+
+    with Study.open(study, readonly=True) as opened:
+        opened.export(output, parquet=parquet)
+    out.print(f"Written to {output}")
+
+
+def _show(key: str, value: Any, indent: str = "") -> None:
+    if isinstance(value, dict):
+        out.print(f"{indent}{key}", markup=False)
+        for inner, one in value.items():
+            _show(inner, one, indent + "  ")
+    else:
+        text = ", ".join(map(str, value)) if isinstance(value, list) else value
+        text = f"{text:.6g}" if isinstance(text, float) else text
+        out.print(f"{indent}{key}: {text}", markup=False)
