@@ -301,6 +301,16 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
         assert study.meta["settings"]["carla"] == carla.Client("localhost", 1).get_client_version()
 
 
+def test_what_carla_cannot_do_is_refused_before_there_is_a_study(tmp_path):
+    done = cornercase(
+        "explore", T, "--range", "c_start_time=0:5", "--ego", "Ego", "--other", "C", "--metric", "ttc",
+        "--simulator", f"carla:scenario_runner={RUNNER}", "-o", tmp_path / "study.db",
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "'C' asks for the driver 'simple', which CARLA does not have" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_it_is_listed_with_what_it_needs(monkeypatch):
     monkeypatch.delenv("SCENARIO_RUNNER_ROOT", raising=False)
     assert "set SCENARIO_RUNNER_ROOT to its folder" in CarlaSimulator.availability().missing

@@ -20,7 +20,7 @@ def test_options_stand_behind_a_colon():
     assert METRICS.create("tet:threshold=3,rule=samples").threshold == 3.0
     assert METRICS.create("traffic-quality-macro").name == "traffic-quality-macro"
     for name, sentence in (
-        ("ttc:fast=true", "does not take the options 'fast=true'"),
+        ("ttc:fast=true", "has no option 'fast'"),
         ("ttc:accelerating", "as in 'ttc:name=value'"),
         ("wtc:accelerating=true", "did you mean 'wttc'"),
         ("drac:x=1", "drac"),

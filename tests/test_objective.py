@@ -139,7 +139,7 @@ def test_options_of_a_search_stand_behind_a_colon():
     assert optimizer.name == "evolutionary:population=12"
     for name, words in (
         ("evolutionary:population=1", "2 or more"),
-        ("bayes:fill=0", "does not take the options 'fill=0'"),
+        ("bayes:fill=0", "has no option 'fill'; did you mean 'filling'?"),
         ("optuna:sampler=tpa", "no sampler 'tpa'"),
         ("bayes:filling", "give options as in"),
     ):

@@ -113,6 +113,8 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
     if one.pareto and not getattr(optimizer, "takes_several", False):
         raise InputError(f"--pareto: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     simulator = _simulator(one)
+    # Before there is a study, as nothing of the scenario could be run.
+    getattr(simulator, "require_means", lambda _: None)(file)
     meta = {
         "scenario": str(one.logical.path.resolve()),
         "fingerprint": one.logical.fingerprint,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib.metadata import entry_points
+from inspect import signature
 from typing import Any, Generic, TypeVar, cast
 
 from cornercase.errors import InputError, suggestion
@@ -51,12 +52,17 @@ class Registry(Generic[T]):
         factory = self.factory(base)
         if not text:
             return factory(**options)
+        given = set(options)
         for option in text.split(","):
             key, equals, value = (part.strip() for part in option.partition("="))
             if not (key.isidentifier() and equals):
                 raise InputError(
                     f"The {self._kind} '{name}' has the option '{option}'; give options as in '{base}:name=value'."
                 )
+            taken = signature(factory).parameters
+            if key not in taken and not any(one.kind is one.VAR_KEYWORD for one in taken.values()):
+                own = [name for name in taken if name not in given]
+                raise InputError(f"The {self._kind} '{base}' has no option '{key}'; {suggestion(key, own)}")
             options[key] = _value(value)
         try:
             made: Any = factory(**options)

@@ -15,6 +15,9 @@ from cornercase.scenario.logical import ConcreteScenario
 class Simulator(Protocol):
     """Runs concrete scenarios.
 
+    One that cannot run every scenario that the builtin one can may have a method ``require_means(scenario)``, which
+    raises an `InputError` for what it cannot; it is asked before anything is run.
+
     Attributes
     ----------
     name : str

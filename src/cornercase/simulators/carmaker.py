@@ -136,12 +136,7 @@ class CarMakerSimulator:
             Nobody listens on the port, CarMaker has lost its licence, or the scenario has entities that it has not.
         """
         for concrete in concretes:
-            for name in Scenario.read(concrete.path).entities:
-                if not re.fullmatch(r"Ego|T\d{2,}", name):
-                    raise InputError(
-                        f"{concrete.path}: '{name}' is no entity of CarMaker; call the ego and the TestRun's traffic"
-                        " objects Ego, T00, T01, …, as its result files do."
-                    )
+            self.require_means(Scenario.read(concrete.path))
             if self._api_wanted:
                 yield self._run_by_api(concrete.values)
                 continue
@@ -154,6 +149,15 @@ class CarMakerSimulator:
                 self._line.close()
                 self._line = None
                 yield error
+
+    def require_means(self, scenario: Scenario) -> None:
+        """Refuse a scenario with entities that CarMaker does not have."""
+        for name in scenario.entities:
+            if not re.fullmatch(r"Ego|T\d{2,}", name):
+                raise InputError(
+                    f"{scenario.path}: '{name}' is no entity of CarMaker; call the ego and the TestRun's traffic"
+                    " objects Ego, T00, T01, …, as its result files do."
+                )
 
     def _run_by_api(self, values: Mapping[str, Value]) -> Recording | SimulationError:
         if self._api is None:

@@ -124,13 +124,14 @@ class EsminiSimulator:
             self._loaded = _load(self._path)
         for concrete in concretes:
             scenario = Scenario.read(concrete.path)
-            self._require_means(scenario)
+            self.require_means(scenario)
             try:
                 yield self._run(self._loaded, scenario, concrete.values)
             finally:
                 self._loaded.SE_Close()
 
-    def _require_means(self, scenario: Scenario) -> None:
+    def require_means(self, scenario: Scenario) -> None:
+        """Refuse a scenario that asks for what esmini does not have."""
         for name, driver in scenario.drivers.items():
             if not self._undriven:
                 raise InputError(

@@ -15,6 +15,7 @@ from typing import Any, Final
 from cornercase.errors import InputError, SimulationError, SimulatorError
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
+from cornercase.scenario.openscenario import Scenario
 from cornercase.simulators.base import SIMULATORS, told
 
 # So many scenarios in a row that end without a result say that the simulator is at fault, not they.
@@ -55,12 +56,17 @@ class WorkerSimulator:
         retries: int = 1,
     ) -> None:
         self.name = name
-        self.settings = SIMULATORS.create(name, **options).settings
+        self._first = SIMULATORS.create(name, **options)
+        self.settings = self._first.settings
         self._name, self._options, self._timeout, self._retries = name, options, timeout, retries
         # A simulator that has something of its own for each worker, as a port, is told which one it is.
         numbered = "worker" in told(name)
         self._workers = [_Worker(name, options | ({"worker": k} if numbered else {})) for k in range(workers)]
         self._lost = 0
+
+    def require_means(self, scenario: Scenario) -> None:
+        """Let the simulator refuse a scenario for which it has not the means, before anything is run."""
+        getattr(self._first, "require_means", lambda _: None)(scenario)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
         """Give one recording or one error per concrete scenario, in order.

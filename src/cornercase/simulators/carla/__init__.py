@@ -206,6 +206,10 @@ class CarlaSimulator:
                 self._client = None
                 yield SimulatorError(f"CARLA on {self._host}:{self._port}: {error}")
 
+    def require_means(self, scenario: Scenario) -> None:
+        """Refuse a scenario with entities or drivers that CARLA does not have."""
+        self._behaviors(scenario)
+
     def _behaviors(self, scenario: Scenario) -> dict[str, str]:
         """Behaviour agent of each entity that has one."""
         scenario.require_entity(self._ego, "ego")

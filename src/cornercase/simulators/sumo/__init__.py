@@ -123,6 +123,10 @@ class SumoSimulator:
                 batch.run()
             yield coupling.error or batch.result(0)
 
+    def require_means(self, scenario: Scenario) -> None:
+        """Refuse a scenario that asks for a driver that nobody knows."""
+        self._types(scenario)
+
     def _types(self, scenario: Scenario) -> dict[str, str]:
         """Vehicle type of each entity that SUMO drives."""
         chosen = {**scenario.drivers, **self._drivers}
