@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
@@ -530,6 +530,8 @@ SYMMETRIC = ("clearance", "dce", "ttce", "gap-time", "spret", "tet", "tit")
 @quick
 @given(scenes, st.floats(-3, 3), st.floats(-500, 500), st.floats(-500, 500))
 def test_turning_and_moving_the_scene_changes_no_metric(scene, angle, east, north):
+    # Of two tracks that are one, any point is the crossing.
+    assume(max(np.abs(scene.x[0] - scene.x[1]).max(), np.abs(scene.y[0] - scene.y[1]).max()) > 1e-6)
     cos, sin = math.cos(angle), math.sin(angle)
     moved = replace(
         scene,
