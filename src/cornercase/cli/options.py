@@ -39,6 +39,7 @@ Drivers = Annotated[
     list[str] | None,
     typer.Option("--driver", metavar="ENTITY=NAME", help="Driver preset, or package.module:Class of your own."),
 ]
+Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
 By = Annotated[
     list[str] | None,
     typer.Option("--by", metavar="ego-trajectory|METRIC", help="What to cluster by; default: all there is."),

@@ -25,6 +25,7 @@ from cornercase.cli.options import (
     SimulatorName,
     Timeout,
     TimeStep,
+    Values,
     Workers,
     app,
     err,
@@ -190,9 +191,7 @@ def convert(
     *,
     ego: Ego,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.xosc", help="File to write.")],
-    values: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")
-    ] = None,
+    values: Values = None,
 ) -> None:
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 
@@ -218,9 +217,7 @@ def simulate(
     scenario: ScenarioFile,
     *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.csv", help="Recording to write.")],
-    values: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")
-    ] = None,
+    values: Values = None,
     time_step: TimeStep = 0.05,
     duration: Duration = 60.0,
     on_collision: OnCollision = "continue",

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import re
 import shutil
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from cornercase.drivers import Driver
 from cornercase.errors import InputError, SimulationError, SimulatorError, suggestion
@@ -29,28 +23,18 @@ from cornercase.scenario.scenario_runner import write_scenario_runner
 from cornercase.simulators.base import Availability
 from cornercase.simulators.builtin import checked_seed, checked_settings
 from cornercase.simulators.carla.dialect import BEHAVIORS, DRIVER, adapt
+from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
+from cornercase.simulators.carla.server import Server
 from cornercase.simulators.carla.tracker import Tracker
 from cornercase.simulators.hosts import address
 
-RUNNER: Final = "SCENARIO_RUNNER_ROOT"
-PYTHON: Final = "CORNERCASE_CARLA_PYTHON"
-ROOT: Final = "CARLA_ROOT"
 _MISSING: Final = "CARLA's client is not installed; pip install 'cornercase[carla]' with a Python of 3.10 to 3.12."
-_NO_RUNNER: Final = (
-    "ScenarioRunner is not known; get it from github.com/carla-simulator/scenario_runner and set SCENARIO_RUNNER_ROOT"
-    " to its folder."
-)
 # A server takes its port and the two after it.
 _PORTS_EACH: Final = 4
-_ENDING, _LOADING, _POLL = 2.0, 120.0, 0.02
-# What it says when a scenario has ended, whatever came out; its exit code does not tell.
-_ENDED: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
-_ERROR: Final = re.compile(r"^\w*(Error|Exception)\b")
 # Categories for which ScenarioRunner would take any vehicle.
 _UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
 # How many times its patience with an answer.
 _SILENCE: Final = 3
-_MESH: Final = {"vertex_distance": 2.0, "wall_height": 1.0, "additional_width": 0.6}
 
 
 class CarlaSimulator:
@@ -144,14 +128,11 @@ class CarlaSimulator:
         self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
         self._drivers = {entity: str(driver) for entity, driver in (drivers or {}).items()}
         self._ego, self._record, self._seed, self._undriven = ego, record, seed, bool(undriven)
-        self._host, self._port = address(hosts, port, worker, _PORTS_EACH)
-        self._traffic_port, self._patience = 8000 + worker, patience
-        self._runner = _runner(scenario_runner)
-        self._python = python or os.environ.get(PYTHON, "") or sys.executable
-        self._carla_root, self._folder = carla_root or os.environ.get(ROOT, ""), folder
+        self._server = Server(*address(hosts, port, worker, _PORTS_EACH), patience)
+        self._runner = ScenarioRunner(scenario_runner, python, carla_root)
+        self._traffic_port, self._folder = 8000 + worker, folder
         self._agent = None if not agent else _file(agent, "agent")
         self._agent_config = None if not agent_config else _file(agent_config, "agent_config")
-        self._client: Any = None
         self.settings: dict[str, object] = settings | {
             "drivers": self._drivers,
             "ego": ego,
@@ -172,7 +153,7 @@ class CarlaSimulator:
             found, missing = "", _MISSING
         if not missing:
             try:
-                _runner("")
+                scenario_runner_folder("")
             except InputError as error:
                 missing = str(error)
         return Availability(
@@ -199,12 +180,12 @@ class CarlaSimulator:
                 yield self._run(scenario, concrete, behaviors)
             except SimulationError as error:
                 if isinstance(error, SimulatorError):
-                    self._client = None
+                    self._server.forget()
                 yield error
             except RuntimeError as error:
                 # CARLA's client says so when the server is gone, or does not answer in time.
-                self._client = None
-                yield SimulatorError(f"CARLA on {self._host}:{self._port}: {error}")
+                self._server.forget()
+                yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
 
     def require_means(self, scenario: Scenario) -> None:
         """Refuse a scenario with entities or drivers that CARLA does not have."""
@@ -255,131 +236,33 @@ class CarlaSimulator:
             ),
         )  # fmt: skip
         shutil.copyfile(DRIVER, folder / DRIVER.name)
-        client = self._connected()
-        self._prepare(client, scenario, folder)
-        with (
-            Tracker(client, scenario.entities, self._ego, self._time_step) as tracker,
-            open(folder / "scenario_runner.log", "wb") as log,
-        ):
-            process = subprocess.Popen(
-                self._command(file), cwd=folder, env=self._environment(folder), stdin=subprocess.DEVNULL,
-                stdout=log, stderr=subprocess.STDOUT,
-            )  # fmt: skip
+        server, road = self._server, scenario.road_file()
+        # The road lies beside the scenario now, a map's name nowhere.
+        server.prepare(None if road is None else folder / road.name)
+        with Tracker(server.client(), scenario.entities, self._ego, self._time_step) as tracker:
             try:
-                stopped = self._watch(process, tracker)
+                self._runner.run(
+                    file, self._options(), tracker, duration=self._duration, until_collision=self._stops,
+                    silence=_SILENCE * server.patience,
+                )  # fmt: skip
             finally:
-                _end(process)
-                self._calm(client)
-            said = (folder / "scenario_runner.log").read_text(encoding="utf-8", errors="replace")
-            if tracker.missing or not (stopped or any(words in said for words in _ENDED)):
-                words = _last_words(said)
-                # What the server did not answer it may answer the next time.
-                kind = SimulatorError if "time-out of" in words else SimulationError
-                raise kind(f"ScenarioRunner did not run it to the end: {words}")
+                server.calm()
             if self._record == "client":
                 return tracker.recording(file, self._duration, self._stops)
         return self._of_recorder(folder / "cornercase.log")
 
-    def _connected(self) -> Any:
-        if self._client is None:
-            import carla
-
-            client = carla.Client(self._host, self._port)
-            client.set_timeout(self._patience)
-            try:
-                ours, theirs = client.get_client_version(), client.get_server_version()
-            except RuntimeError as error:
-                raise InputError(
-                    f"No CARLA answers on {self._host}:{self._port} ({error}); start CarlaUE4.sh"
-                    f" -carla-rpc-port={self._port}."
-                ) from error
-            if ours != theirs:
-                raise InputError(
-                    f"CARLA on {self._host}:{self._port} is of version {theirs}, the client here of {ours}; pip install"
-                    f" carla=={theirs}."
-                )
-            self._client = client
-        return self._client
-
-    def _prepare(self, client: Any, scenario: Scenario, folder: Path) -> None:
-        """Load the scenario's map where another one is there, and clear away what an earlier run has left."""
-        import carla
-
-        world, road = client.get_world(), scenario.road_file()
-        if road is not None and road.suffix == ".xodr":
-            text = (folder / road.name).read_text(encoding="utf-8")
-            text = text[text.find("<OpenDRIVE") :]
-            there = world.get_map().to_opendrive()
-            if there[there.find("<OpenDRIVE") :] != text:
-                # As ScenarioRunner would make it, which so has not to do it again for each scenario.
-                mesh = carla.OpendriveGenerationParameters(**_MESH, smooth_junctions=True, enable_mesh_visibility=True)
-                client.set_timeout(_LOADING)
-                world = client.generate_opendrive_world(text, mesh)
-        elif road is not None and world.get_map().name.rpartition("/")[2] != road.name:
-            client.set_timeout(_LOADING)
-            world = client.load_world(road.name)
-        client.set_timeout(self._patience)
-        self._calm(client)
-        for actor in world.get_actors():
-            if actor.type_id.startswith(("vehicle.", "walker.", "sensor.", "controller.")):
-                actor.destroy()
-
-    def _calm(self, client: Any) -> None:
-        """Let the server run by itself again, which would wait for ticks of a ScenarioRunner that is no more."""
-        world = client.get_world()
-        settings = world.get_settings()
-        if settings.synchronous_mode:
-            settings.synchronous_mode, settings.fixed_delta_seconds = False, None
-            world.apply_settings(settings)
-
-    def _command(self, file: Path) -> list[str]:
-        options = {
-            "--host": self._host, "--port": self._port, "--timeout": self._patience,
-            "--frameRate": repr(1.0 / self._time_step), "--openscenario": file,
-            "--trafficManagerPort": self._traffic_port, "--trafficManagerSeed": self._seed,
+    def _options(self) -> dict[str, object]:
+        server = self._server
+        options: dict[str, object] = {
+            "--host": server.host, "--port": server.port, "--timeout": server.patience,
+            "--frameRate": repr(1.0 / self._time_step), "--trafficManagerPort": self._traffic_port,
+            "--trafficManagerSeed": self._seed,
         }  # fmt: skip
-        if self._record == "recorder":
-            # Relative to SCENARIO_RUNNER_ROOT.
-            options["--record"] = "."
-        flat = [str(part) for pair in options.items() for part in pair]
-        return [self._python, str(self._runner / "scenario_runner.py"), "--sync", *flat]
-
-    def _environment(self, folder: Path) -> dict[str, str]:
-        roots = [self._runner, folder]
-        if self._carla_root:
-            roots.append(Path(self._carla_root) / "PythonAPI" / "carla")
-        known = os.environ.get("PYTHONPATH", "")
-        return os.environ | {
-            "PYTHONPATH": os.pathsep.join([*map(str, roots), *filter(None, [known])]),
-            RUNNER: str(folder),
-            "PYTHONUNBUFFERED": "1",
-        }
-
-    def _watch(self, process: subprocess.Popen[bytes], tracker: Tracker) -> bool:
-        """Wait until the run has ended or who asked for it is gone; True where it has to be ended."""
-        parent, frames, heard = os.getppid(), 0, time.monotonic()
-        while process.poll() is None and os.getppid() == parent:
-            tracker.look()
-            if tracker.ended:
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(_ENDING)
-                return False
-            if tracker.frames > frames:
-                frames, heard = tracker.frames, time.monotonic()
-            elif time.monotonic() - heard > _SILENCE * self._patience:
-                # ScenarioRunner may hang on a server that is gone.
-                raise SimulatorError(f"no frame came from CARLA for {_SILENCE * self._patience:g} s")
-            if (self._stops and tracker.collided) or tracker.elapsed > self._duration:
-                return True
-            # The sensors of collisions should be there before the first step.
-            time.sleep(_POLL if not tracker.missing else _POLL / 10)
-        return False
+        # Relative to the folder of the run.
+        return options | ({"--record": "."} if self._record == "recorder" else {})
 
     def _of_recorder(self, path: Path) -> Recording:
-        client = self._connected()
-        client.stop_recorder()
-        # An answer to this comes when the file is whole.
-        client.get_world().get_settings()
+        self._server.end_recording()
         if not path.is_file():
             raise SimulationError(
                 f"CARLA left no recording {path}; the server has to see that folder, give one by carla:folder="
@@ -400,16 +283,6 @@ class CarlaSimulator:
         )
 
 
-def _runner(given: str) -> Path:
-    text = given or os.environ.get(RUNNER, "")
-    if not text:
-        raise InputError(_NO_RUNNER)
-    folder = Path(text)
-    if not (folder / "scenario_runner.py").is_file():
-        raise InputError(f"{folder}: holds no scenario_runner.py; {RUNNER} has to be the folder of ScenarioRunner.")
-    return folder.resolve()
-
-
 def _file(text: str, option: str) -> Path:
     path = Path(text)
     if not path.is_file():
@@ -419,21 +292,3 @@ def _file(text: str, option: str) -> Path:
 
 def _fingerprint(path: Path | None) -> str | None:
     return None if path is None else f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """Let ScenarioRunner clear up, or make it end."""
-    if process.poll() is None:
-        process.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(_ENDING)
-    if process.poll() is None:
-        process.kill()
-        process.wait()
-
-
-def _last_words(said: str) -> str:
-    """What ScenarioRunner said last of an error, or of anything."""
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
-    errors = [line for line in lines if _ERROR.match(line)]
-    return (errors or lines or ["it said nothing"])[-1][:300]

@@ -1,0 +1,169 @@
+"""ScenarioRunner, as a process in an environment of its own."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from cornercase.errors import InputError, SimulationError, SimulatorError
+from cornercase.simulators.carla.tracker import Tracker
+
+RUNNER: Final = "SCENARIO_RUNNER_ROOT"
+PYTHON: Final = "CORNERCASE_CARLA_PYTHON"
+ROOT: Final = "CARLA_ROOT"
+_UNKNOWN: Final = (
+    "ScenarioRunner is not known; get it from github.com/carla-simulator/scenario_runner and set SCENARIO_RUNNER_ROOT"
+    " to its folder."
+)
+_ENDING, _POLL = 2.0, 0.02
+# What it says when a scenario has ended, whatever came out; its exit code does not tell.
+_ENDED: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
+_ERROR: Final = re.compile(r"^\w*(Error|Exception)\b")
+
+
+class ScenarioRunner:
+    """Runs files of OpenSCENARIO 1.0, one process each.
+
+    Parameters
+    ----------
+    folder, python, carla_root : str
+        As of `cornercase.simulators.CarlaSimulator`; empty for those of the environment variables.
+
+    Raises
+    ------
+    InputError
+        Its folder is not known, or holds none.
+    """
+
+    def __init__(self, folder: str, python: str, carla_root: str) -> None:
+        self._folder = scenario_runner_folder(folder)
+        self._python = python or os.environ.get(PYTHON, "") or sys.executable
+        self._carla_root = carla_root or os.environ.get(ROOT, "")
+
+    def run(
+        self,
+        file: Path,
+        options: Mapping[str, object],
+        tracker: Tracker,
+        *,
+        duration: float,
+        until_collision: bool,
+        silence: float,
+    ) -> None:
+        """Run a scenario until it has ended, or has to.
+
+        Parameters
+        ----------
+        file : Path
+            What it says goes to ``scenario_runner.log`` beside it.
+        options : mapping of str to object
+            Further ones of its command line.
+        tracker : Tracker
+            Of the same run.
+        duration : float
+            s of simulated time after which it is ended.
+        until_collision : bool
+            Whether a collision of two entities ends it.
+        silence : float
+            s without a frame after which the server is taken for gone.
+
+        Raises
+        ------
+        SimulationError
+            It did not run the scenario to the end; as a `SimulatorError` where the server did not answer.
+        """
+        command = [self._python, str(self._folder / "scenario_runner.py"), "--sync", "--openscenario", str(file)]
+        command += [str(part) for pair in options.items() for part in pair]
+        log = file.with_name("scenario_runner.log")
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                command, cwd=file.parent, env=self._environment(file.parent), stdin=subprocess.DEVNULL, stdout=output,
+                stderr=subprocess.STDOUT,
+            )  # fmt: skip
+            try:
+                stopped = _watch(process, tracker, duration, until_collision, silence)
+            finally:
+                _end(process)
+        said = log.read_text(encoding="utf-8", errors="replace")
+        if tracker.missing or not (stopped or any(words in said for words in _ENDED)):
+            words = _last_words(said)
+            # What the server did not answer it may answer the next time.
+            kind = SimulatorError if "time-out of" in words else SimulationError
+            raise kind(f"ScenarioRunner did not run it to the end: {words}")
+
+    def _environment(self, folder: Path) -> dict[str, str]:
+        roots = [self._folder, folder]
+        if self._carla_root:
+            roots.append(Path(self._carla_root) / "PythonAPI" / "carla")
+        known = os.environ.get("PYTHONPATH", "")
+        return os.environ | {
+            "PYTHONPATH": os.pathsep.join([*map(str, roots), *filter(None, [known])]),
+            # Recordings are stored relative to it.
+            RUNNER: str(folder),
+            "PYTHONUNBUFFERED": "1",
+        }
+
+
+def scenario_runner_folder(given: str) -> Path:
+    """Folder of ScenarioRunner: the one that is given, or that of the environment variable.
+
+    Raises
+    ------
+    InputError
+        Neither is known, or there is none in it.
+    """
+    text = given or os.environ.get(RUNNER, "")
+    if not text:
+        raise InputError(_UNKNOWN)
+    folder = Path(text)
+    if not (folder / "scenario_runner.py").is_file():
+        raise InputError(f"{folder}: holds no scenario_runner.py; {RUNNER} has to be the folder of ScenarioRunner.")
+    return folder.resolve()
+
+
+def _watch(
+    process: subprocess.Popen[bytes], tracker: Tracker, duration: float, until_collision: bool, silence: float
+) -> bool:
+    """Wait until the run has ended or who asked for it is gone; True where it has to be ended."""
+    parent, frames, heard = os.getppid(), 0, time.monotonic()
+    while process.poll() is None and os.getppid() == parent:
+        tracker.look()
+        if tracker.ended:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(_ENDING)
+            return False
+        if tracker.frames > frames:
+            frames, heard = tracker.frames, time.monotonic()
+        elif time.monotonic() - heard > silence:
+            # ScenarioRunner may hang on a server that is gone.
+            raise SimulatorError(f"no frame came from CARLA for {silence:g} s")
+        if (until_collision and tracker.collided) or tracker.elapsed > duration:
+            return True
+        # The sensors of collisions should be there before the first step.
+        time.sleep(_POLL if not tracker.missing else _POLL / 10)
+    return False
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Let ScenarioRunner clear up, or make it end."""
+    if process.poll() is None:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_ENDING)
+    if process.poll() is None:
+        process.kill()
+        process.wait()
+
+
+def _last_words(said: str) -> str:
+    """What ScenarioRunner said last of an error, or of anything."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    errors = [line for line in lines if _ERROR.match(line)]
+    return (errors or lines or ["it said nothing"])[-1][:300]
