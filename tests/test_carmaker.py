@@ -285,6 +285,9 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
         np.testing.assert_allclose(found.speed[0], foreign.SPEED, atol=1e-4)
     said = (project / "said.txt").read_text().splitlines()
     assert said == ["connected", '{"ego_speed": 42.5}', '{"ego_speed": 50.0}']
+    with pytest.raises(InputError, match=r"each needs a CarMaker project of its own, and there are 1; give more as"):
+        CarMakerSimulator(testrun="Crossing", project=str(project), worker=1)
+    CarMakerSimulator(testrun="Crossing", project=f"{project}+{project.parent}", worker=1)
     # The port can still be chosen.
     port = Port()
     assert run(project, port, via="port").names == ("Ego", "T00")

@@ -50,7 +50,8 @@ class CarMakerSimulator:
     testrun : str
         Name of the TestRun, in the project's ``Data/TestRun``.
     project : str
-        Folder of the CarMaker project, in which the result files lie.
+        Folder of the CarMaker project, in which the result files lie; several, separated by ``+``, are taken in turn by
+        the workers. By ``cmapi`` each worker needs one of its own.
     hosts : str, default "localhost"
         Where ``CM.exe -cmdport`` runs, as of `cornercase.simulators.hosts.address`.
     port : int, default 16660
@@ -92,8 +93,10 @@ class CarMakerSimulator:
             raise InputError("--on-collision stop: in CarMaker a collision ends a run only where the TestRun says so.")
         if not testrun or not project:
             raise InputError("CarMaker needs a TestRun: --simulator carmaker:testrun=NAME,project=FOLDER.")
-        if not Path(project).is_dir():
-            raise InputError(f"{project}: there is no such folder; project is that of the CarMaker project.")
+        projects = project.split("+")
+        for folder in projects:
+            if not Path(folder).is_dir():
+                raise InputError(f"{folder}: there is no such folder; project is that of the CarMaker project.")
         if via not in ("auto", "cmapi", "port"):
             raise InputError(f"via={via}: {suggestion(str(via), ('auto', 'cmapi', 'port'))}")
         if via == "cmapi" and not has_cmapi():
@@ -105,10 +108,15 @@ class CarMakerSimulator:
             raise InputError(f"The TestRun '{testrun}' has a sign in its name that Tcl would take for its own.")
         if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
             raise InputError(f"A duration of {duration:g} s at a speed-up of {speedup:g} cannot be; give both above 0.")
-        self._testrun, self._project = testrun, Path(project)
+        self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
         self._host, self._port = address(hosts, port, worker)
         self._duration, self._patience = duration, duration / speedup + _PATIENCE
         self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
+        if self._api_wanted and worker >= len(projects):
+            raise InputError(
+                f"--workers: by cmapi each needs a CarMaker project of its own, and there are {len(projects)}; give more"
+                " as project=A+B, or use carmaker:via=port."
+            )
         self._api: CarMakerApi | None = None
         self._line: CommandPort | None = None
         self.settings: dict[str, object] = {"testrun": testrun, "duration": duration}
