@@ -114,8 +114,8 @@ class CarMakerSimulator:
         self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
         if self._api_wanted and worker >= len(projects):
             raise InputError(
-                f"--workers: by cmapi each needs a CarMaker project of its own, and there are {len(projects)}; give more"
-                " as project=A+B, or use carmaker:via=port."
+                f"--workers: by cmapi each needs a CarMaker project of its own, and there are {len(projects)}; give"
+                " more as project=A+B, or use carmaker:via=port."
             )
         self._api: CarMakerApi | None = None
         self._line: CommandPort | None = None
