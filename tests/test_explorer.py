@@ -423,3 +423,20 @@ def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
     with Study.open(tmp_path / "s.db") as study:
         # The builtin simulator gives the same each time.
         np.testing.assert_array_equal(*study.spread("ttc").T)
+
+
+def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path, monkeypatch):
+    one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol")
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cornercase.pipeline.ScenarioExplorer", interrupted)
+    result = explore_scenario(one, tmp_path / "s.db")
+    assert (result.done, result.interrupted) == (0, True)
+    monkeypatch.undo()
+    assert explore_scenario(one, tmp_path / "s.db").done == 2
+    # Before there is a study there is nothing to go on with.
+    monkeypatch.setattr("cornercase.pipeline.Study.create", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        explore_scenario(one, tmp_path / "other.db")

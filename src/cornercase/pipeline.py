@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -93,7 +94,16 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
     InputError
         Something about the exploration cannot be used, or the study is of another one; it is left as it is.
     """
-    one = exploration
+    try:
+        return _explore(exploration, path, progress)
+    except KeyboardInterrupt:
+        # While the explorer does not listen, at its very beginning or end.
+        with suppress(InputError), Study.open(path, readonly=True) as study:
+            return ExplorationResult(len(study.done()) + len(study.failed()), "it was interrupted", interrupted=True)
+        raise
+
+
+def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
     file = Scenario.read(one.logical.path)
     file.require_entity(one.ego, "ego")
     file.require_entity(one.other, "other")
