@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from cornercase import option_values
 from cornercase.cli.options import (
@@ -378,7 +378,9 @@ def simulators(
     if as_json:
         sys.stdout.write(json.dumps({name: asdict(one) for name, one in found.items()}, indent=2) + "\n")
         return
-    table = Table("simulator", "here", "version", "what it can do", "what is missing", box=None)
+    # Addresses are whole however narrow the terminal is.
+    missing = Column("what is missing", overflow="fold")
+    table = Table("simulator", "here", "version", "what it can do", missing, box=None)
     for name, one in found.items():
         table.add_row(
             name, "no" if one.missing else "yes", one.version or "-", ", ".join(one.abilities), one.missing or "-"
