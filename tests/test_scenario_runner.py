@@ -79,6 +79,17 @@ def test_values_are_those_of_the_concrete_scenario_and_others_move_the_same(tmp_
         assert gap.max() <= 0.07 * max(before.speed[k].max(), 1.0) + 1e-6
 
 
+def test_a_road_that_a_parameter_names_is_that_of_the_concrete_scenario(tmp_path):
+    path = tmp_path / "road.xosc"
+    declared = '<ParameterDeclaration name="Road" parameterType="string" value="nowhere.xodr"/>'
+    text = T.read_text().replace('filepath="t_intersection.xodr"', 'filepath="$Road"')
+    path.write_text(text.replace("<ParameterDeclarations>", f"<ParameterDeclarations>{declared}", 1))
+    (tmp_path / "other.xodr").write_bytes(T.with_suffix(".xodr").read_bytes())
+    write_scenario_runner(Scenario.read(path), {"Road": "other.xodr"}, tmp_path / "out" / "one.xosc", ego="Ego")
+    assert read_xml(tmp_path / "out" / "one.xosc").find("RoadNetwork/LogicFile").get("filepath") == "other.xodr"
+    assert (tmp_path / "out" / "other.xodr").exists()
+
+
 def test_what_is_not_the_same_is_said(tmp_path):
     notes = write_scenario_runner(Scenario.read(T), {"c_speed": 9.0}, tmp_path / "t.xosc", ego="Ego")
     assert any("C is driven by the storyboard alone, not by cornercase's driver 'simple'" in one for one in notes)

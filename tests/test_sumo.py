@@ -110,6 +110,13 @@ def test_a_crash_ends_the_run_or_does_not():
     assert ended.time[-1] == pytest.approx(ended.collisions[0].time, abs=0.051)
 
 
+def test_a_road_file_that_is_not_there_is_said(tmp_path):
+    path = tmp_path / "t.xosc"
+    path.write_text(T.read_text())
+    with pytest.raises(InputError, match=r"t_intersection.xodr: cannot be read \(No such file or directory\)"):
+        sumo_network(Scenario.read(path))
+
+
 def test_the_network_is_the_scenarios(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     first = sumo_network(Scenario.read(T))

@@ -139,9 +139,9 @@ class Scenario:
         file = self.root.find("RoadNetwork/LogicFile")
         return "" if file is None else file.get("filepath", "")
 
-    def road_file(self) -> Path | None:
-        """Return the road file; where a parameter names it, that of its default value."""
-        reference = self._parameter_text(self.logic_file())
+    def road_file(self, values: Mapping[str, Value] | None = None) -> Path | None:
+        """Return the road file; where a parameter names it, that of its value, which is the default if not given."""
+        reference = self._parameter_text(self.logic_file(), values or {})
         return self.beside(reference, "road file") if reference else None
 
     def fingerprint(self) -> str:
@@ -156,8 +156,10 @@ class Scenario:
                 digest.update(hashlib.sha256(file.read_bytes()).digest())
         return digest.hexdigest()
 
-    def _parameter_text(self, text: str) -> str:
+    def _parameter_text(self, text: str, values: Mapping[str, Value]) -> str:
         for name in names_in(text):
+            if name in values:
+                return str(values[name])
             for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration"):
                 if e.get("name") == name:
                     return e.get("value", "")

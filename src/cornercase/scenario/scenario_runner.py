@@ -101,7 +101,7 @@ def write_scenario_runner(
         for element in root.iter(tag):
             for name in names:
                 element.attrib.pop(name, "")
-    road = scenario.road_file()
+    road = scenario.road_file(values)
     file = root.find("RoadNetwork/LogicFile")
     target = Path(target)
     # What is no file is the name of one of CARLA's maps.

@@ -13,8 +13,7 @@ from cornercase.errors import InputError, SimulationError, suggestion
 from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.scenario.openscenario import Scenario
-from cornercase.simulators.base import Availability
-from cornercase.simulators.builtin import checked_seed, checked_settings
+from cornercase.simulators.base import Availability, checked_seed, checked_settings
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.sumo.coupling import TYPES, SumoCoupling
 from cornercase.simulators.sumo.network import sumo_network
@@ -108,7 +107,7 @@ class SumoSimulator:
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
             types = self._types(scenario)
-            network = sumo_network(scenario, self._network)
+            network = sumo_network(scenario, self._network, concrete.values)
             with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
                 drivers = {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}
                 batch = Batch(

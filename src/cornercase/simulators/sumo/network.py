@@ -6,6 +6,7 @@ import hashlib
 import os
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
@@ -14,11 +15,12 @@ from typing import Final
 from cornercase.errors import InputError
 from cornercase.files import written_whole
 from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.space import Value
 
 _PATIENCE: Final = 120.0
 
 
-def sumo_network(scenario: Scenario, given: str | None = None) -> Path:
+def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[str, Value] | None = None) -> Path:
     """Network file for a scenario: the one that is given, or netconvert's of the OpenDRIVE file.
 
     What was converted is kept in the user's cache, under the hash of the OpenDRIVE file.
@@ -28,6 +30,8 @@ def sumo_network(scenario: Scenario, given: str | None = None) -> Path:
     scenario : Scenario
     given : str, optional
         A ``.net.xml`` in the coordinates of the scenario.
+    values : mapping of str to float or str, optional
+        Of its parameters, one of which may name the roads.
 
     Raises
     ------
@@ -38,17 +42,18 @@ def sumo_network(scenario: Scenario, given: str | None = None) -> Path:
         if not Path(given).is_file():
             raise InputError(f"{given}: there is no such network file; give a .net.xml.")
         return Path(given)
-    element = scenario.root.find("RoadNetwork/LogicFile")
-    name = "" if element is None else element.get("filepath", "")
-    if not name:
+    roads = scenario.road_file(values)
+    if roads is None:
         raise InputError(f"{scenario.path}: has no road network in <RoadNetwork><LogicFile>, which SUMO needs.")
-    roads = scenario.beside(name, "road file")
     if roads.name.endswith(".net.xml"):
         raise InputError(
-            f"{scenario.path}: names SUMO's network {name} as its roads, where positions on roads need OpenDRIVE; name"
-            " an OpenDRIVE file there, and give the network by --simulator sumo:network=FILE."
+            f"{scenario.path}: names SUMO's network {roads.name} as its roads, where positions on roads need OpenDRIVE;"
+            " name an OpenDRIVE file there, and give the network by --simulator sumo:network=FILE."
         )
-    key = hashlib.sha256(roads.read_bytes()).hexdigest()[:32]
+    try:
+        key = hashlib.sha256(roads.read_bytes()).hexdigest()[:32]
+    except OSError as error:
+        raise InputError(f"{roads}: cannot be read ({error.strerror}).") from error
     cached = _cache() / f"{key}.net.xml"
     if not cached.exists():
         with written_whole(cached) as temporary:
