@@ -18,15 +18,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from cornercase.critical_set import CriticalSet
 from cornercase.errors import InputError, SimulationError
 from cornercase.interrupts import noted_interrupts
-from cornercase.metrics.base import Metric
+from cornercase.metrics.base import Metric, measured
 from cornercase.objective import Best, Objective
 from cornercase.optimizers.base import Optimizer
-from cornercase.recording import Recording
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.simulators.base import Simulator
 from cornercase.stopping import Criterion
 from cornercase.study import Row, Study
-from cornercase.typing import FloatArray
 
 # With fewer scenarios nothing is said about a critical set.
 _LEAST = 40
@@ -193,34 +191,30 @@ class ScenarioExplorer:
         nothing = SimulationError("the simulator ended without a result")
         for row in rows:
             with self._clock("simulate"):
-                results_of_row = [next(results, nothing) for _ in range(self._repeats)]
+                outcomes = [next(results, nothing) for _ in range(self._repeats)]
             with self._clock("measure"):
-                runs = [self._measured(one) for one in results_of_row if not isinstance(one, SimulationError)]
+                runs = [
+                    (one, measured(self._metrics, one, self._ego, self._other))
+                    for one in outcomes
+                    if not isinstance(one, SimulationError)
+                ]
             if not runs:
-                self._study.fail(row.id, next(one for one in results_of_row if isinstance(one, SimulationError)))
+                self._study.fail(row.id, next(one for one in outcomes if isinstance(one, SimulationError)))
                 continue
-            told = [self._objective.told(np.array([[score for _, score in run[1].values()]]))[0] for run in runs]
+            told = [self._objective.told(np.array([[score for _, score in one.values()]]))[0] for _, one in runs]
             # Of several objectives the first says which run is in the middle.
             order = sorted(range(len(runs)), key=lambda k: float(np.atleast_1d(told[k])[0]))
             middle = order[(len(order) - 1) // 2]
             recording, courses = runs[middle]
             repeats = None
             if self._repeats > 1:
-                repeats = {metric.name: [run[1][metric.name][1] for run in runs] for metric in self._metrics}
+                repeats = {metric.name: [one[metric.name][1] for _, one in runs] for metric in self._metrics}
             self._study.finish(row.id, recording, courses, repeats)
             scores[row.id] = told[middle]
             best.add(scores[row.id][None])
             if bar is not None:
                 bar.update(row.id, best.text)
         return scores
-
-    def _measured(self, recording: Recording) -> tuple[Recording, dict[str, tuple[FloatArray, float]]]:
-        """A recording, with the course and the score of each metric."""
-        courses = {}
-        for metric in self._metrics:
-            course = metric.course(recording, self._ego, self._other)
-            courses[metric.name] = (course, metric.score(course))
-        return recording, courses
 
     def _tell(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> None:
         failed = np.full_like(self._objective.uncritical, np.nan)

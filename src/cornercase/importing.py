@@ -10,14 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from rich.console import Console
 from rich.progress import track
 
 from cornercase import __version__
 from cornercase.errors import InputError, SimulationError
 from cornercase.metrics import METRICS
-from cornercase.metrics.base import Metric
+from cornercase.metrics.base import Metric, measured
 from cornercase.objective import Objective
 from cornercase.recording import read_recording
 from cornercase.scenario.space import Parameter, ParameterSpace, Value
@@ -77,12 +76,7 @@ def import_recordings(
     space = _space(values)
     built = [METRICS.create(name) for name in dict.fromkeys(metrics)]
     objective = Objective(built)
-    try:
-        limit = objective.flip(objective.limit(critical))
-    except InputError:
-        if critical is not None:
-            raise
-        limit = None
+    limit = objective.limit_where_known(critical)
     meta = {
         "scenario": str(folder.resolve()),
         "fingerprint": _fingerprint(table, folder, files),
@@ -91,7 +85,7 @@ def import_recordings(
         "other": other,
         "metrics": [metric.name for metric in built],
         "optimizer": "none",
-        "critical": limit,
+        "critical": None if limit is None else objective.flip(limit),
         "weights": None,
         "pareto": None,
         "seed": 0,
@@ -121,10 +115,7 @@ def import_recordings(
 def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> None:
     try:
         recording = read_recording(file)
-        courses = {}
-        for metric in metrics:
-            course = metric.course(recording, study.meta["ego"], study.meta["other"])
-            courses[metric.name] = (course, metric.score(course))
+        courses = measured(metrics, recording, study.meta["ego"], study.meta["other"])
     except InputError as error:
         study.fail(row.id, SimulationError(str(error)))
         return
@@ -180,10 +171,7 @@ def _space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
     for name in values[0]:
         found = [one[name] for one in values]
         if isinstance(found[0], float):
-            low, high = (
-                float(np.min(np.array(found, dtype=np.float64))),
-                float(np.max(np.array(found, dtype=np.float64))),
-            )
+            low, high = min(map(float, found)), max(map(float, found))
             # What is the same in all is a range of one value.
             parameters.append(Parameter(name, low, high, None if low < high else 1.0))
             continue

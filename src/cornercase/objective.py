@@ -115,6 +115,15 @@ class Objective:
             return float(given)
         return self.flip(threshold(self.metrics[0], given))
 
+    def limit_where_known(self, given: float | None) -> float | None:
+        """As `limit`; but None where none is given and nothing else says it."""
+        try:
+            return self.limit(given)
+        except InputError:
+            if given is not None:
+                raise
+            return None
+
     def flip(self, value: float) -> float:
         """Turn a score of the one metric that is searched into what is told of it, or back."""
         return value if self.weights or self.metrics[0].lower_is_critical else -value

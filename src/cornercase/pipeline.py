@@ -113,7 +113,8 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
     objective = Objective(metrics, one.weights, one.pareto)
     criteria = [Criterion.parse(text) for text in one.stop_when]
     kind = one.optimizer.partition(":")[0]
-    limit = _limit(objective, one.critical, required=kind == "level-set" or bool(criteria))
+    required = kind == "level-set" or bool(criteria)
+    limit = objective.limit(one.critical) if required else objective.limit_where_known(one.critical)
     options: dict[str, Any] = {}
     if kind == "grid":
         options["budget"] = one.budget
@@ -160,16 +161,6 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
         finally:
             # Simulators in processes of their own have something to end.
             getattr(simulator, "close", lambda: None)()
-
-
-def _limit(objective: Objective, given: float | None, required: bool) -> float | None:
-    """Score up to which, as a search is told of it, a scenario is critical; None where nothing says it."""
-    try:
-        return objective.limit(given)
-    except InputError:
-        if required or given is not None:
-            raise
-        return None
 
 
 def finish(path: Path, folder: Path) -> None:

@@ -161,9 +161,9 @@ def read_recording(path: Path | str) -> Recording:
         from cornercase.readers.sumo_fcd import read_sumo_fcd
 
         return read_sumo_fcd(path) if _begins(path, "<fcd-export") else read_commonroad(path)
-    if _begins(path, "esmini GIT"):
-        from cornercase.readers.esmini import read_esmini
+    from cornercase.readers.esmini import FIRST_WORDS, read_esmini
 
+    if _begins(path, FIRST_WORDS):
         return read_esmini(path)
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:

@@ -57,12 +57,11 @@ def summarize(study: Study) -> dict[str, Any]:
             "median": float(np.median(scores)),
             "at": done[worst].values,
         }
-        if (spread := study.spread(name)) is not None:
-            width = spread[:, 1] - spread[:, 0]
+        if (width := run_spread(study, name)) is not None:
             summary["metrics"][name] |= {
                 "runs of each": meta["repeats"],
-                "spread of the runs, median": float(np.median(width)),
-                "spread of the runs, largest": float(width.max()),
+                "spread of the runs, median": width[0],
+                "spread of the runs, largest": width[1],
             }
     objective = Objective.of_study(meta)
     summary["searched"] = objective.text
@@ -168,6 +167,15 @@ def knowledge(study: Study, objective: Objective) -> dict[str, Any]:
     with suppress(ValueError):
         known["sensitivity"] = sensitivity(study.space, points, told, meta["seed"]).to_json()
     return known
+
+
+def run_spread(study: Study, metric: str) -> tuple[float, float] | None:
+    """By how much the runs of a scenario differ, in the median scenario and at most; None if each ran once."""
+    spread = study.spread(metric)
+    if spread is None:
+        return None
+    width = spread[:, 1] - spread[:, 0]
+    return float(np.median(width)), float(width.max())
 
 
 def collisions(study: Study) -> int:

@@ -24,6 +24,12 @@ out = Console(soft_wrap=True, highlight=False)
 err = Console(stderr=True, soft_wrap=True, highlight=False)
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
+SpaceFile = Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")]
+StudyOutput = Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")]
+Critical = Annotated[
+    float | None,
+    typer.Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own."),
+]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
 Ego = Annotated[str, typer.Option(help="Entity under test.")]
 Other = Annotated[str, typer.Option(help="Entity it is measured against.")]

@@ -13,6 +13,7 @@ from rich.table import Column, Table
 
 from cornercase import option_values
 from cornercase.cli.options import (
+    Critical,
     Drivers,
     Duration,
     Ego,
@@ -23,6 +24,8 @@ from cornercase.cli.options import (
     ScenarioFile,
     Seed,
     SimulatorName,
+    SpaceFile,
+    StudyOutput,
     Timeout,
     TimeStep,
     Values,
@@ -45,8 +48,8 @@ def explore(
     ego: Ego,
     other: Other,
     metric: Metrics,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")],
-    space: Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")] = None,
+    output: StudyOutput,
+    space: SpaceFile = None,
     ranges: Annotated[
         list[str] | None,
         typer.Option("--range", metavar="NAME=LOW:HIGH[:STEP]", help="Adds or replaces a parameter."),
@@ -62,10 +65,7 @@ def explore(
             " bayes:filling=0.",
         ),
     ] = "bayes",
-    critical: Annotated[
-        float | None,
-        typer.Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own."),
-    ] = None,
+    critical: Critical = None,
     weight: Annotated[
         list[str] | None,
         typer.Option("--weight", metavar="METRIC=W", help="Search the weighted sum of these metrics."),
@@ -151,7 +151,7 @@ def explore(
 def check(
     scenario: ScenarioFile,
     *,
-    space: Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")] = None,
+    space: SpaceFile = None,
 ) -> None:
     """Tell what a scenario file holds, what of it has no effect here, and whether it is valid and can be run.
 
@@ -206,7 +206,7 @@ def convert(
     from cornercase.scenario.scenario_runner import write_scenario_runner
 
     for note in write_scenario_runner(
-        Scenario.read(scenario), dict(option_values.pairs(values or (), "--set")), output, ego=ego
+        Scenario.read(scenario), option_values.pairs(values or (), "--set"), output, ego=ego
     ):
         err.print(note, markup=False)
     out.print(f"Written to {output}")
@@ -301,15 +301,12 @@ def import_(
     ego: Ego,
     other: Other,
     metric: Metrics,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")],
+    output: StudyOutput,
     table: Annotated[
         Path | None,
         typer.Option("--parameters", metavar="FILE.csv", help="Column 'file', and one for each parameter."),
     ] = None,
-    critical: Annotated[
-        float | None,
-        typer.Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own."),
-    ] = None,
+    critical: Critical = None,
 ) -> None:
     """Make a study of recordings that were made elsewhere, to cluster and reduce them.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from typing import Any, Protocol
 
 import numpy as np
@@ -142,6 +143,17 @@ def threshold(metric: Metric, given: float | None = None) -> float:
     if not np.isfinite(value):
         raise InputError(f"--critical {value}: give a finite number.")
     return float(value)
+
+
+def measured(
+    metrics: Iterable[Metric], recording: Recording, ego: str, other: str
+) -> dict[str, tuple[FloatArray, float]]:
+    """Course, shape (T,), and score of each metric, by its name."""
+    courses = {}
+    for metric in metrics:
+        course = metric.course(recording, ego, other)
+        courses[metric.name] = (course, metric.score(course))
+    return courses
 
 
 def boxes(recording: Recording, name: str) -> FloatArray:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase.errors import InputError
-from cornercase.readers.tracks import Track, recording_of
+from cornercase.readers.tracks import Track, box_center, recording_of
 from cornercase.recording import Collision, Recording
 
 _FRAME, _ADDED, _REMOVED, _COLLISIONS, _POSITIONS, _BOXES = 0, 2, 3, 5, 6, 13
@@ -69,9 +69,7 @@ def read_carla_log(path: Path | str) -> Recording:
         ahead, right, length, width = one.box
         track = Track(one.kind, 2.0 * length, 2.0 * width)
         for time, x, y, heading in one.places:
-            cos, sin = math.cos(heading), math.sin(heading)
-            place = (x + ahead * cos + right * sin, y + ahead * sin - right * cos)
-            track.samples[time] = (*place, heading, math.nan, math.nan)
+            track.samples[time] = (*box_center(x, y, heading, ahead, -right), heading, math.nan, math.nan)
         tracks[names[one.name]] = track
     collisions: dict[frozenset[str], Collision] = {}
     for time, a, b in touched:

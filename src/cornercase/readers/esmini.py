@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from cornercase.errors import InputError
-from cornercase.readers.tracks import Track, recording_of
+from cornercase.readers.tracks import Track, box_center, recording_of
 from cornercase.recording import Recording
 
 FIRST_WORDS = "esmini GIT"
@@ -78,6 +78,4 @@ def _add(
             raise InputError(f"{path}, line {line}: has no number where one has to be.") from None
         name = row[place].strip()
         track = tracks.setdefault(name, Track("car", length, width))
-        x += ahead * math.cos(heading) - left * math.sin(heading)
-        y += ahead * math.sin(heading) + left * math.cos(heading)
-        track.samples[time] = (x, y, heading, speed, math.nan)
+        track.samples[time] = (*box_center(x, y, heading, ahead, left), heading, speed, math.nan)

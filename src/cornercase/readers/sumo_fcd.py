@@ -9,7 +9,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase.errors import InputError
-from cornercase.readers.tracks import Track, recording_of
+from cornercase.readers.tracks import Track, box_center, recording_of
 from cornercase.recording import Recording
 from cornercase.scenario.xml import read_xml
 
@@ -55,13 +55,8 @@ def read_sumo_fcd(path: Path | str) -> Recording:
             heading = math.remainder(heading, 2 * math.pi)
             # A vehicle's position is the middle of its front, a person's the middle of the body.
             behind = 0.0 if element.tag == "person" else 0.5 * track.length
-            track.samples[time] = (
-                _number(path, element, "x") - behind * math.cos(heading),
-                _number(path, element, "y") - behind * math.sin(heading),
-                heading,
-                _number(path, element, "speed"),
-                math.nan,
-            )
+            place = box_center(_number(path, element, "x"), _number(path, element, "y"), heading, -behind)
+            track.samples[time] = (*place, heading, _number(path, element, "speed"), math.nan)
     return recording_of(path, tracks)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +33,12 @@ class Track:
     length: float
     width: float
     samples: dict[float, tuple[float, float, float, float, float]] = field(default_factory=dict)
+
+
+def box_center(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:
+    """Where a box's centre is that lies so far ahead of and to the left of a point, in m."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    return x + ahead * cos - left * sin, y + ahead * sin + left * cos
 
 
 def recording_of(path: Path, tracks: dict[str, Track], collisions: Sequence[Collision] = ()) -> Recording:

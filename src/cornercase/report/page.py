@@ -20,7 +20,7 @@ from cornercase.objective import Objective
 from cornercase.profiles import agreements
 from cornercase.report import figures, tables
 from cornercase.study import Row, Study
-from cornercase.summary import knowledge
+from cornercase.summary import knowledge, run_spread
 from cornercase.typing import FloatArray
 
 _MOST_NAMED: Final = 12
@@ -139,12 +139,11 @@ class _Page:
             figure = figures.criticality(self._values, self._study.space.parameters, scores, metric)
             worst = int(scores.argmin() if metric.lower_is_critical else scores.argmax())
             at = ", ".join(f"{k} = {_number(v)}" for k, v in self._rows[worst].values.items())
-            spread, of_runs = self._study.spread(metric.name), ""
-            if spread is not None:
-                width = spread[:, 1] - spread[:, 0]
+            width, of_runs = run_spread(self._study, metric.name), ""
+            if width is not None:
                 of_runs = (
                     f" Each was run {self._study.meta['repeats']} times; between its runs the score differs by"
-                    f" {np.median(width):.3g}{_unit(metric)} in the median scenario, {width.max():.3g}{_unit(metric)}"
+                    f" {width[0]:.3g}{_unit(metric)} in the median scenario, {width[1]:.3g}{_unit(metric)}"
                     " at most."
                 )
             yield self._figure(

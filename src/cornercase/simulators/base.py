@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from cornercase.errors import SimulationError
+from cornercase.drivers import Driver
+from cornercase.errors import InputError, SimulationError
 from cornercase.recording import Recording
 from cornercase.registry import Registry
 from cornercase.scenario.logical import ConcreteScenario
@@ -67,6 +68,46 @@ def told(name: str) -> tuple[str, ...]:
     """
     wanted: tuple[str, ...] = getattr(SIMULATORS.factory(name.partition(":")[0]), "told", ())
     return wanted
+
+
+def checked_seed(seed: int, whose: str) -> int:
+    """Return a seed that a simulator takes.
+
+    Raises
+    ------
+    InputError
+        It is not a whole number from 0 to 2147483647.
+    """
+    if not (isinstance(seed, int) and 0 <= seed < 2**31):
+        raise InputError(f"The seed of {whose} is {seed}; give a whole number from 0 to 2147483647.")
+    return seed
+
+
+def checked_settings(
+    time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver] | None
+) -> dict[str, object]:
+    """Settings that all simulators with a storyboard have, as plain values.
+
+    Raises
+    ------
+    InputError
+        One is out of range.
+    """
+    if not 0.001 <= time_step <= 1.0:
+        raise InputError(f"The time step is {time_step} s; choose one from 0.001 s to 1 s.")
+    if not time_step <= duration <= 3600.0:
+        raise InputError(f"The duration is {duration} s; choose one from one time step to 3600 s.")
+    if on_collision not in ("continue", "stop"):
+        raise InputError(f"on_collision is '{on_collision}'; it is continue or stop.")
+    return {
+        "time_step": time_step,
+        "duration": duration,
+        "on_collision": on_collision,
+        "drivers": {
+            entity: driver if isinstance(driver, str) else driver.settings
+            for entity, driver in sorted((drivers or {}).items())
+        },
+    }
 
 
 SIMULATORS: Registry[Simulator] = Registry("simulator", "cornercase.simulators")

@@ -110,7 +110,7 @@ class CarMakerSimulator:
             raise InputError(f"A duration of {duration:g} s at a speed-up of {speedup:g} cannot be; give both above 0.")
         self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
         self._host, self._port = address(hosts, port, worker)
-        self._duration, self._patience = duration, duration / speedup + _PATIENCE
+        self._patience = duration / speedup + _PATIENCE
         self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
         if self._api_wanted and worker >= len(projects):
             raise InputError(

@@ -16,8 +16,7 @@ from cornercase.recording import Collision, Recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.space import Value
-from cornercase.simulators.base import Availability
-from cornercase.simulators.builtin import checked_seed, checked_settings
+from cornercase.simulators.base import Availability, checked_seed, checked_settings
 
 VARIABLE: Final = "CORNERCASE_ESMINI"
 _MISSING: Final = (
@@ -132,12 +131,13 @@ class EsminiSimulator:
 
     def require_means(self, scenario: Scenario) -> None:
         """Refuse a scenario that asks for what esmini does not have."""
-        for name, driver in scenario.drivers.items():
-            if not self._undriven:
-                raise InputError(
-                    f"{scenario.path}: '{name}' asks for the driver '{driver}', which esmini does not have;"
-                    " --simulator esmini:undriven=true runs it by the storyboard alone."
-                )
+        if self._undriven or not scenario.drivers:
+            return
+        name, driver = next(iter(scenario.drivers.items()))
+        raise InputError(
+            f"{scenario.path}: '{name}' asks for the driver '{driver}', which esmini does not have; --simulator"
+            " esmini:undriven=true runs it by the storyboard alone."
+        )
 
     def _run(self, lib: ctypes.CDLL, scenario: Scenario, values: Mapping[str, Value]) -> Recording | SimulationError:
         kinds = {
@@ -196,14 +196,14 @@ class _Log:
             row[name] = (state.x, state.y, state.h, state.speed)
             self._about.setdefault(name, (_kind(state), state.length, state.width, state.center_x))
         self._rows.append(row)
-        touching = {
-            tuple(sorted((names[one], names[other]), key=list(self._about).index))
-            for one in ids
-            for k in range(max(lib.SE_GetObjectNumberOfCollisions(one), 0))
-            if (other := lib.SE_GetObjectCollision(one, k)) in names
-        }
-        begun = {(a, b) for a, b in touching} - self._touching
-        self._touching = {(a, b) for a, b in touching}
+        touching = set()
+        for one in ids:
+            for k in range(max(lib.SE_GetObjectNumberOfCollisions(one), 0)):
+                if (other := lib.SE_GetObjectCollision(one, k)) in names:
+                    first, second = sorted((names[one], names[other]), key=list(self._about).index)
+                    touching.add((first, second))
+        begun = touching - self._touching
+        self._touching = touching
         for pair in sorted(begun):
             self._collisions.setdefault(pair, time)
         return bool(begun)

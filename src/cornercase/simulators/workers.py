@@ -58,10 +58,10 @@ class WorkerSimulator:
         self.name = name
         self._first = SIMULATORS.create(name, **options)
         self.settings = self._first.settings
-        self._name, self._options, self._timeout, self._retries = name, options, timeout, retries
+        self._retries = retries
         # A simulator that has something of its own for each worker, as a port, is told which one it is.
         numbered = "worker" in told(name)
-        self._workers = [_Worker(name, options | ({"worker": k} if numbered else {})) for k in range(workers)]
+        self._workers = [_Worker(name, options | ({"worker": k} if numbered else {}), timeout) for k in range(workers)]
         self._lost = 0
 
     def require_means(self, scenario: Scenario) -> None:
@@ -83,7 +83,8 @@ class WorkerSimulator:
             while given < len(concretes):
                 for worker in self._workers:
                     if worker.task is None and waiting:
-                        worker.give(waiting.popleft(), concretes, self._timeout)
+                        task = waiting.popleft()
+                        worker.give(task, concretes[task[0]])
                 for worker in self._ready():
                     self._take(worker, waiting, done)
                 while given in done:
@@ -140,18 +141,17 @@ class WorkerSimulator:
 class _Worker:
     """One process, started when it is first needed and anew after it died."""
 
-    def __init__(self, name: str, options: dict[str, Any]) -> None:
-        self._name, self._options = name, options
+    def __init__(self, name: str, options: dict[str, Any], timeout: float | None) -> None:
+        self._name, self._options, self._timeout = name, options, timeout
         self._process: Any = None
         self._code: int | None = None
         self._started = False
         self.connection: Connection
         self.task: tuple[int, int] | None = None
         self.deadline = float("inf")
-        self._timeout: float | None = None
 
-    def give(self, task: tuple[int, int], concretes: Sequence[ConcreteScenario], timeout: float | None) -> None:
-        """Let it run a scenario: (which, how often it was tried before)."""
+    def give(self, task: tuple[int, int], concrete: ConcreteScenario) -> None:
+        """Let it run a scenario; the task says which it is, and how often it was tried before."""
         if self._process is None or not self._process.is_alive():
             self.stop()
             # Started anew rather than forked: threads of numerical libraries do not survive a fork.
@@ -160,14 +160,14 @@ class _Worker:
             self._process = context.Process(target=_serve, args=(theirs, self._name, self._options), daemon=True)
             self._process.start()
             theirs.close()
-        self.task, self._timeout = task, timeout
+        self.task = task
         if self._started:
             self.begin()
         else:
             self.deadline = time.monotonic() + _STARTED
         # Where it has died just now, its end is noticed by who waits for the answer.
         with suppress(OSError):
-            self.connection.send(concretes[task[0]])
+            self.connection.send(concrete)
 
     def begin(self) -> None:
         """Note that it is at its scenario from now on."""

@@ -90,9 +90,10 @@ class Batch:
         self._time_step, self._duration = time_step, duration
         self._stop_at_collision, self._coupling = stop_at_collision, coupling
         chosen = {**scenario.drivers, **drivers}
-        # In the order of the entities, whoever asked.
-        for name in filter(chosen.__contains__, self._world.names):
-            driver, e = chosen[name], self._world.names.index(name)
+        for e, name in enumerate(self._world.names):
+            driver = chosen.get(name)
+            if driver is None:
+                continue
             built = registered_driver(driver, str(scenario.path)) if isinstance(driver, str) else driver
             number = Driving(self._world, e, built).number
             self._world.kept[e] = name in drivers

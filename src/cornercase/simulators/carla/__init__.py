@@ -20,8 +20,7 @@ from cornercase.recording import Recording
 from cornercase.scenario.logical import ConcreteScenario
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.scenario_runner import write_scenario_runner
-from cornercase.simulators.base import Availability
-from cornercase.simulators.builtin import checked_seed, checked_settings
+from cornercase.simulators.base import Availability, checked_seed, checked_settings
 from cornercase.simulators.carla.dialect import BEHAVIORS, DRIVER, adapt
 from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
 from cornercase.simulators.carla.server import Server
@@ -236,7 +235,7 @@ class CarlaSimulator:
             ),
         )  # fmt: skip
         shutil.copyfile(DRIVER, folder / DRIVER.name)
-        server, road = self._server, scenario.road_file()
+        server, road = self._server, scenario.road_file(concrete.values)
         # The road lies beside the scenario now, a map's name nowhere.
         server.prepare(None if road is None else folder / road.name)
         with Tracker(server.client(), scenario.entities, self._ego, self._time_step) as tracker:

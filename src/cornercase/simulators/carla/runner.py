@@ -135,7 +135,8 @@ def _watch(
     parent, frames, heard = os.getppid(), 0, time.monotonic()
     while process.poll() is None and os.getppid() == parent:
         tracker.look()
-        if tracker.ended:
+        elapsed, ended = tracker.progress()
+        if ended:
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_ENDING)
             return False
@@ -144,7 +145,7 @@ def _watch(
         elif time.monotonic() - heard > silence:
             # ScenarioRunner may hang on a server that is gone.
             raise SimulatorError(f"no frame came from CARLA for {silence:g} s")
-        if (until_collision and tracker.collided) or tracker.elapsed > duration:
+        if (until_collision and tracker.collided) or elapsed > duration:
             return True
         # The sensors of collisions should be there before the first step.
         time.sleep(_POLL if not tracker.missing else _POLL / 10)

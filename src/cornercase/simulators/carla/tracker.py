@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
 from cornercase.errors import SimulationError, SimulatorError
-from cornercase.readers.tracks import Track, recording_of
+from cornercase.readers.tracks import Track, box_center, recording_of
 from cornercase.recording import Collision, Recording
 
 _KINDS: Final = {"motorcycle": "motorbike", "Bus": "bus"}
@@ -53,7 +53,8 @@ class Tracker:
         self.missing = self._names
         self._world = client.get_world()
         self._before = {actor.id for actor in self._world.get_actors()}
-        self._actors: dict[str, Any] = {}
+        self._ids: dict[str, int] = {}
+        self._wanted: frozenset[int] = frozenset()
         self._bodies: dict[str, tuple[str, float, float, float, float]] = {}
         self._sensors: list[Any] = []
         self._frames: list[_Frame] = []
@@ -74,11 +75,10 @@ class Tracker:
 
     def _note(self, snapshot: Any) -> None:
         """Store a frame; called from a thread of CARLA's client."""
-        ids = {actor.id for actor in self._actors.values()}
-        places = {}
+        wanted, places = self._wanted, {}
         for actor in snapshot:
             # While it is not known which are the entities, all are noted that have come since.
-            if actor.id in self._before or (ids and actor.id not in ids):
+            if actor.id in self._before or (wanted and actor.id not in wanted):
                 continue
             transform, velocity = actor.get_transform(), actor.get_velocity()
             heading = -math.radians(transform.rotation.yaw)
@@ -88,7 +88,7 @@ class Tracker:
 
     def look(self) -> None:
         """Find the entities, until all are there."""
-        if self._actors:
+        if self._ids:
             return
         world = self._client.get_world()
         found = {}
@@ -106,7 +106,8 @@ class Tracker:
             sensor = world.spawn_actor(blueprint, self._carla.Transform(), attach_to=actor)
             sensor.listen(self._collide)
             self._sensors.append(sensor)
-        self._actors = {name: found[name] for name in self._names}
+        self._ids = {name: found[name].id for name in self._names}
+        self._wanted = frozenset(self._ids.values())
 
     def _collide(self, event: Any) -> None:
         if event.other_actor is not None:
@@ -115,23 +116,19 @@ class Tracker:
     @property
     def collided(self) -> bool:
         """Whether two entities have collided."""
-        ids = {actor.id for actor in self._actors.values()}
-        return any({a, b} <= ids for _, a, b in self._touched)
+        return any({a, b} <= self._wanted for _, a, b in self._touched)
 
     @property
     def frames(self) -> int:
         """How many frames have come, of the run or before."""
         return len(self._frames)
 
-    @property
-    def ended(self) -> bool:
-        """Whether the ego was there and is no more."""
-        return bool(self._run()) and self._actors[self._ego].id not in self._frames[-1].places
-
-    @property
-    def elapsed(self) -> float:
-        """Time of the run so far, in s."""
-        return max(len(self._run()) - 1, 0) * self._time_step
+    def progress(self) -> tuple[float, bool]:
+        """Time of the run so far, in s, and whether the ego was there and is no more."""
+        run = self._run()
+        if not run:
+            return 0.0, False
+        return (len(run) - 1) * self._time_step, self._ids[self._ego] not in self._frames[-1].places
 
     def recording(self, source: Path, duration: float, until_collision: bool) -> Recording:
         """How the entities moved.
@@ -152,36 +149,34 @@ class Tracker:
         SimulatorError
             Frames are missing.
         """
-        ids = {name: actor.id for name, actor in self._actors.items()}
         frames = self._run()
         if len(frames) < 2:
             raise SimulationError(f"CARLA showed no two frames with all of {', '.join(self._names)}")
         first = frames[0].number
-        collisions = self._collisions(ids, {frame.number for frame in frames})
+        collisions = self._collisions({frame.number for frame in frames})
         last = first + round(duration / self._time_step)
         if until_collision and collisions:
             last = min(last, collisions[0][0])
         tracks = {}
-        for name, number in ids.items():
+        for name, number in self._ids.items():
             kind, length, width, ahead, right = self._bodies[name]
             tracks[name] = track = Track(kind, length, width)
             for frame in frames:
                 if frame.number <= last and number in frame.places:
                     x, y, heading, speed = frame.places[number]
-                    cos, sin = math.cos(heading), math.sin(heading)
                     # The box's offset is to the right in CARLA's axes, and so still is after they are turned.
-                    place = (x + ahead * cos + right * sin, y + ahead * sin - right * cos)
+                    place = box_center(x, y, heading, ahead, -right)
                     track.samples[(frame.number - first) * self._time_step] = (*place, heading, speed, math.nan)
         ended = [Collision((number - first) * self._time_step, pair) for number, pair in collisions if number <= last]
         return recording_of(source, tracks, ended)
 
     def _run(self) -> list[_Frame]:
         """Frames of the scenario: from all entities' being there on, while the ego is, in even steps."""
-        if not self._actors:
+        if not self._ids:
             return []
-        ids, ego = {actor.id for actor in self._actors.values()}, self._actors[self._ego].id
+        ego = self._ids[self._ego]
         frames = sorted({frame.number: frame for frame in self._frames}.values(), key=lambda frame: frame.number)
-        begun = next((k for k, frame in enumerate(frames) if ids <= frame.places.keys()), len(frames))
+        begun = next((k for k, frame in enumerate(frames) if self._wanted <= frame.places.keys()), len(frames))
         run: list[_Frame] = []
         for frame in frames[begun:]:
             # When ScenarioRunner has ended, it removes the entities, and lets the server run at its own pace.
@@ -192,9 +187,9 @@ class Tracker:
             run.append(frame)
         return run
 
-    def _collisions(self, ids: dict[str, int], frames: set[int]) -> list[tuple[int, tuple[str, str]]]:
+    def _collisions(self, frames: set[int]) -> list[tuple[int, tuple[str, str]]]:
         """First frame in which each pair of entities touches, in order."""
-        names = {number: name for name, number in ids.items()}
+        names = {number: name for name, number in self._ids.items()}
         first: dict[tuple[str, str], int] = {}
         for frame, a, b in sorted(self._touched):
             if frame in frames and a in names and b in names and a != b:

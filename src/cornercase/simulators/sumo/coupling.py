@@ -104,7 +104,7 @@ class SumoCoupling:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        return
+        self._folder.cleanup()
 
     def step(self, world: World, dt: float) -> None:
         """Show SUMO the others as they will be at the end of the step, let it step, and take over whom it drives."""
