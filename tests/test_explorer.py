@@ -13,6 +13,7 @@ import pytest
 
 from cornercase.errors import InputError, SimulationError
 from cornercase.explorer import ScenarioExplorer
+from cornercase.interrupts import noted_interrupts
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.pipeline import demonstration, explore_scenario
@@ -440,3 +441,17 @@ def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path,
     monkeypatch.setattr("cornercase.pipeline.Study.create", interrupted)
     with pytest.raises(KeyboardInterrupt):
         explore_scenario(one, tmp_path / "other.db")
+
+
+def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
+    def compare():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+        except KeyboardInterrupt:
+            raise TypeError("cannot compare") from None
+
+    with pytest.raises(KeyboardInterrupt), noted_interrupts():
+        compare()
+    with pytest.raises(TypeError, match="of its own"), noted_interrupts():
+        raise TypeError("of its own")

@@ -38,6 +38,11 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
         signal.signal(signal.SIGINT, note)
     try:
         yield check
+    except Exception as error:
+        # Compiled code may put an error of its own in the place of the interrupt.
+        if noted:
+            raise KeyboardInterrupt from error
+        raise
     finally:
         if alone:
             signal.signal(signal.SIGINT, usual)
