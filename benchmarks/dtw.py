@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cornercase._common.threads import available_cpus
 from cornercase.dtw import disk, distance_matrix
-from cornercase.dtw.cpu import available_cpus
 
 Series = list[npt.NDArray[np.float64]]
 Call = Callable[[Series], npt.NDArray[Any]]

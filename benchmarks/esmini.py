@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from cornercase import ConcreteScenario, InputError
-from cornercase.recording import Recording
-from cornercase.simulators.builtin import BuiltinSimulator
+from cornercase.recordings import Recording
+from cornercase.simulators import BuiltinSimulator
 
 LIMITS = {"position": 0.25, "heading": 0.05, "speed": 0.25, "end": 0.15}
 UNITS = {"position": "m", "heading": "rad", "speed": "m/s", "end": "s"}

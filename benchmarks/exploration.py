@@ -34,7 +34,7 @@ from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from cornercase import BuiltinSimulator, LogicalScenario
-from cornercase.critical_set import CriticalSet
+from cornercase.evidence import CriticalSet
 from cornercase.metrics import METRICS
 from cornercase.optimizers import (
     BayesOptimizer,
@@ -44,7 +44,7 @@ from cornercase.optimizers import (
     OptunaOptimizer,
     SequenceOptimizer,
 )
-from cornercase.scenario.space import Parameter, ParameterSpace
+from cornercase.scenario import Parameter, ParameterSpace
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SIZES = (50, 100, 200, 300, 400)

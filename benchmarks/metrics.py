@@ -51,7 +51,7 @@ from cornercase.metrics import (
     Wttc,
 )
 from cornercase.metrics.wttc import worst_contact
-from cornercase.recording import Recording
+from cornercase.recordings import Recording
 
 STEP = 0.1
 A_MAX = 11.5
@@ -297,7 +297,7 @@ def _their_delta_v(recording: Recording) -> float:
 
 def _area_steps(recording: Recording, name: str) -> tuple[float, float]:
     """Entering a step early and leaving a step late."""
-    from cornercase.geometry import box_corners, boxes_overlap
+    from cornercase._common.geometry import box_corners, boxes_overlap
     from cornercase.metrics.base import boxes
 
     inside = np.flatnonzero(boxes_overlap(boxes(recording, name), box_corners(*AREA)))

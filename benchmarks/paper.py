@@ -23,24 +23,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from cornercase.clustering.analyze import series_of
 from scipy.spatial import Delaunay
 from scipy.stats import spearmanr
 from sklearn.metrics import adjusted_rand_score, silhouette_score
 
-from cornercase.analysis import EGO_TRAJECTORY, analyze_study, series_of
-from cornercase.clustering import cluster
-from cornercase.coverage import medoids
+from cornercase.clustering import EGO_TRAJECTORY, analyze_study, cluster
+from cornercase.clustering.profiles import outcome
 from cornercase.drivers import named_driver
 from cornercase.dtw import distances_to
-from cornercase.metrics import METRICS
-from cornercase.metrics.base import capped
-from cornercase.objective import Objective
-from cornercase.pipeline import demonstration, explore_scenario
-from cornercase.profiles import outcome
-from cornercase.reduction import critical_clusters, reduce_study
-from cornercase.scenario.logical import ConcreteScenario
-from cornercase.sensitivity import sensitivity
-from cornercase.simulators.builtin import BuiltinSimulator
+from cornercase.evidence import estimate_sensitivity
+from cornercase.exploration import Objective, demonstration, explore_scenario
+from cornercase.metrics import METRICS, capped
+from cornercase.reduction import reduce_study
+from cornercase.reduction.coverage import medoids
+from cornercase.reduction.write import critical_clusters
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
 
 Floats = npt.NDArray[np.float64]
@@ -66,7 +65,7 @@ class Experiment:
             self.values = {n: np.array([float(row.values[n]) for row in rows]) for n in self.names}
             self.scores = {m: study.scores(m) for m in meta["metrics"]}
             told = Objective.of_study(meta).told(np.stack(list(self.scores.values()), axis=1))
-            self.influence = sensitivity(study.space, self.points, told, seed)
+            self.influence = estimate_sensitivity(study.space, self.points, told, seed)
             self.ends = [outcome(study.recording(row.id), meta["ego"], meta["other"]) for row in rows]
             self.seconds = study.elapsed()["compare"] / len(self.found)
         self.crash = np.array(["collide" in end for end in self.ends])

@@ -19,9 +19,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from cornercase.critical_set import CriticalSet
-from cornercase.objective import Objective
-from cornercase.pipeline import demonstration, explore_scenario
+from cornercase.evidence import CriticalSet
+from cornercase.exploration import Objective, demonstration, explore_scenario
 from cornercase.study import Study
 
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cornercase._common.geometry import box_corners, boxes_overlap
 from cornercase.drivers import (
     AGGRESSIVE,
     CAUTIOUS,
     NORMAL,
-    Path,
+    DrivenPath,
     Situation,
 )
-from cornercase.geometry import box_corners, boxes_overlap
 
 DT = 0.05
 PRESETS = {"cautious": CAUTIOUS, "normal": NORMAL, "aggressive": AGGRESSIVE}
@@ -29,12 +29,12 @@ BOXES = {
 }
 
 
-def straight(length=200.0, step=0.25) -> Path:
+def straight(length=200.0, step=0.25) -> DrivenPath:
     s = np.arange(0.0, length + step / 2, step)
-    return Path(s, s.copy(), np.zeros_like(s), np.zeros_like(s), np.zeros_like(s))
+    return DrivenPath(s, s.copy(), np.zeros_like(s), np.zeros_like(s), np.zeros_like(s))
 
 
-def right_turn(before=60.0, radius=7.5, after=60.0, step=0.1) -> Path:
+def right_turn(before=60.0, radius=7.5, after=60.0, step=0.1) -> DrivenPath:
     """North along x = 0, then right, ending eastwards along y = before + radius."""
     arc = radius * math.pi / 2
     s = np.linspace(0.0, before + arc + after, int((before + arc + after) / step) + 1)
@@ -43,7 +43,7 @@ def right_turn(before=60.0, radius=7.5, after=60.0, step=0.1) -> Path:
     x = radius * (1 - np.cos(turned)) + beyond
     y = np.minimum(s, before) + radius * np.sin(turned)
     curvature = np.where((s >= before) & (s <= before + arc), -1.0 / radius, 0.0)
-    return Path(s, x, y, math.pi / 2 - turned, curvature)
+    return DrivenPath(s, x, y, math.pi / 2 - turned, curvature)
 
 
 @dataclass

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cornercase.scenario.logical import LogicalScenario
-from cornercase.simulators.builtin import BuiltinSimulator
+from cornercase.scenario import LogicalScenario
+from cornercase.simulators import BuiltinSimulator
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

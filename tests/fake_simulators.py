@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cornercase.errors import InputError, SimulationError
-from cornercase.recording import Recording
-from cornercase.simulators.base import SIMULATORS
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.recordings import Recording
+from cornercase.simulators import SIMULATORS
 
 
 class Unsendable:

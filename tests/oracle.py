@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cornercase.recording import Recording
+from cornercase.recordings import Recording
 
 ORACLE = Path(__file__).parent / "data" / "metrics.json"
 CASES = {case["id"]: case for case in json.loads(ORACLE.read_text(encoding="utf-8"))["cases"]}

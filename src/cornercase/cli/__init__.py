@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 
+from cornercase._common.errors import InputError
+
 # Their order is that of the commands in the help.
 from cornercase.cli import running, studies
 from cornercase.cli.options import app, err
-from cornercase.errors import InputError
 
 __all__ = ["app", "main", "running", "studies"]
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from cornercase import __version__
+from cornercase._common.version import __version__
 
 app = typer.Typer(
     name="cornercase",

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import typer
 from rich.table import Column, Table
 
-from cornercase import option_values
+from cornercase._common.errors import InputError
+from cornercase.cli import parsing
 from cornercase.cli.options import (
     Critical,
     Drivers,
@@ -35,7 +36,6 @@ from cornercase.cli.options import (
     explored,
     out,
 )
-from cornercase.errors import InputError
 
 
 @app.command()
@@ -109,9 +109,8 @@ def explore(
           --space examples/x_intersection/x_intersection.space.xosc \\
           --ego Ego --other Pedestrian --metric wttc --budget 100 -o study.db
     """
-    from cornercase.pipeline import Exploration, explore_scenario
-    from cornercase.scenario.logical import LogicalScenario
-    from cornercase.scenario.openscenario import Scenario
+    from cornercase.exploration import Exploration, explore_scenario
+    from cornercase.scenario import LogicalScenario, Scenario
 
     logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
     if simulator.partition(":")[0] in ("builtin", "sumo"):
@@ -125,7 +124,7 @@ def explore(
             metrics=tuple(metric),
             optimizer=optimizer,
             critical=critical,
-            weights=option_values.weights(weight or ()),
+            weights=parsing.weights(weight or ()),
             pareto=pareto,
             stop_when=tuple(stop_when or ()),
             budget=budget,
@@ -141,7 +140,7 @@ def explore(
             time_step=time_step,
             duration=duration,
             on_collision=on_collision,
-            drivers=option_values.pairs(driver or (), "--driver"),
+            drivers=parsing.pairs(driver or (), "--driver"),
         ),
         output,
     )
@@ -160,7 +159,7 @@ def check(
       cornercase check examples/x_intersection/x_intersection.xosc \\
           --space examples/x_intersection/x_intersection.space.xosc
     """
-    from cornercase.scenario.check import check_scenario
+    from cornercase.simulators import check_scenario
 
     found = check_scenario(scenario, space)
     for key, count in found.contents.items():
@@ -202,12 +201,10 @@ def convert(
       cornercase convert examples/t_intersection/t_intersection.xosc \\
           --set c_start_time=1 --ego Ego -o t10.xosc
     """
-    from cornercase.scenario.openscenario import Scenario
-    from cornercase.scenario.scenario_runner import write_scenario_runner
+    from cornercase.scenario import Scenario
+    from cornercase.simulators import write_scenario_runner
 
-    for note in write_scenario_runner(
-        Scenario.read(scenario), option_values.pairs(values or (), "--set"), output, ego=ego
-    ):
+    for note in write_scenario_runner(Scenario.read(scenario), parsing.pairs(values or (), "--set"), output, ego=ego):
         err.print(note, markup=False)
     out.print(f"Written to {output}")
 
@@ -231,11 +228,10 @@ def simulate(
           --set ego_start=40 -o recording.csv
     """
     from cornercase.drivers import named_driver
-    from cornercase.scenario.logical import ConcreteScenario
-    from cornercase.scenario.openscenario import Scenario
-    from cornercase.simulators.builtin import BuiltinSimulator
+    from cornercase.scenario import ConcreteScenario, Scenario
+    from cornercase.simulators import BuiltinSimulator
 
-    pairs = option_values.pairs(values or (), "--set")
+    pairs = parsing.pairs(values or (), "--set")
     read = Scenario.read(scenario)
     read.require_parameters(list(pairs))
     _notice(read)
@@ -243,7 +239,7 @@ def simulate(
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,
-        drivers={entity: named_driver(name) for entity, name in option_values.pairs(driver or (), "--driver").items()},
+        drivers={entity: named_driver(name) for entity, name in parsing.pairs(driver or (), "--driver").items()},
     )
     (recording,) = simulator.run([ConcreteScenario(scenario, pairs)])
     if isinstance(recording, Exception):
@@ -279,8 +275,7 @@ def measure(
       cornercase measure recording.csv --ego Ego --other Pedestrian --metric wttc -o courses.csv
     """
     from cornercase.metrics import METRICS
-    from cornercase.metrics.courses import write_courses
-    from cornercase.recording import read_recording
+    from cornercase.recordings import read_recording, write_courses
 
     read = read_recording(recording)
     metrics = [METRICS.create(name) for name in metric or METRICS.names()]
@@ -317,7 +312,7 @@ def import_(
     Example:
       cornercase import runs --ego hero --other adversary --metric ttc -o study.db
     """
-    from cornercase.importing import import_recordings
+    from cornercase.study import import_recordings
 
     count = import_recordings(
         folder, output, ego=ego, other=other, metrics=metric, table=table, critical=critical, progress=True
@@ -387,7 +382,7 @@ def simulators(
 
 def _notice(scenario: Any) -> None:
     """Say once which actions and conditions of a file have no effect here."""
-    from cornercase.scenario.check import without_effect
+    from cornercase.simulators import without_effect
 
     ignored = without_effect(scenario)
     if ignored:

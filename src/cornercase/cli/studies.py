@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from cornercase import option_values
+from cornercase._common.errors import InputError
+from cornercase.cli import parsing
 from cornercase.cli.options import (
     By,
     Eps,
@@ -24,7 +25,6 @@ from cornercase.cli.options import (
     explored,
     out,
 )
-from cornercase.errors import InputError
 
 
 @app.command()
@@ -46,17 +46,17 @@ def analyze(
     Example:
       cornercase analyze study.db --by ego-trajectory --by wttc
     """
-    from cornercase.analysis import analyze_study
+    from cornercase.clustering import analyze_study
     from cornercase.study import Study
 
     with Study.open(study) as opened:
         results = analyze_study(
             opened,
             by,
-            gamma=option_values.number_or_auto(gamma, "--gamma"),
-            eps=option_values.number_or_auto(eps, "--eps"),
-            min_samples=option_values.count_or_auto(min_samples, "--min-samples"),
-            method=option_values.one_of(method, ("dbscan", "hdbscan"), "--method"),
+            gamma=parsing.number_or_auto(gamma, "--gamma"),
+            eps=parsing.number_or_auto(eps, "--eps"),
+            min_samples=parsing.count_or_auto(min_samples, "--min-samples"),
+            method=parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
             keep=keep,
             progress=True,
         )
@@ -126,15 +126,15 @@ def reduce(
         raise InputError("--size, --share, --cover, --archetypes: give one of them.")
     with Study.open(study) as opened:
         if share is not None:
-            size = option_values.of_all(share, len(opened.done()))
+            size = parsing.of_all(share, len(opened.done()))
         manifest = reduce_study(
             opened,
             output,
             by=by,
-            archetypes=None if archetypes is None else option_values.count_or_auto(archetypes, "--archetypes"),
+            archetypes=None if archetypes is None else parsing.count_or_auto(archetypes, "--archetypes"),
             size=size,
             cover=cover,
-            method=option_values.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
+            method=parsing.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
             within=within,
         )
     out.print(f"{manifest['kept']} of {manifest['run']} scenarios kept, in {output}")
@@ -180,13 +180,20 @@ def demo(
     Example:
       cornercase demo x-intersection --budget 100 -o demo
     """
-    from cornercase.pipeline import demonstration, explore_scenario, finish
+    from cornercase.clustering import analyze_study
+    from cornercase.exploration import demonstration, explore_scenario
+    from cornercase.reduction import reduce_study
+    from cornercase.report import write_report
+    from cornercase.study import Study
 
     folder = output or Path("demo") / name
     exploration = demonstration(name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers)
     study = folder / "study.db"
     explored(explore_scenario, exploration, study)
-    finish(study, folder)
+    with Study.open(study) as opened:
+        analyze_study(opened, progress=True)
+        reduce_study(opened, folder / "reduced")
+        write_report(opened, folder / "report.html")
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
 
@@ -202,8 +209,8 @@ def show(
     Example:
       cornercase show study.db
     """
+    from cornercase.report import summarize
     from cornercase.study import Study
-    from cornercase.summary import summarize
 
     with Study.open(study, readonly=True) as opened:
         summary = summarize(opened)

@@ -7,12 +7,11 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from cornercase.registry import Registry
-from cornercase.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class DrivenPath:
     """What the reference point of the driven entity will follow.
 
     A lane is the same for all scenarios of a batch and has arrays of shape (P,). A trajectory may run otherwise in
@@ -61,7 +60,7 @@ class Situation:
     ----------
     time, time_step : float
         s.
-    path : Path
+    path : DrivenPath
     distance : ndarray of float64, shape (N,)
         Place of the driven entity along the path, in m.
     x, y, heading, speed, acceleration : ndarray of float64, shape (N,)
@@ -82,7 +81,7 @@ class Situation:
 
     time: float
     time_step: float
-    path: Path
+    path: DrivenPath
     distance: FloatArray
     x: FloatArray
     y: FloatArray
@@ -130,6 +129,3 @@ class Driver(Protocol):
         is returned for scenarios that are not active is not used, and their state must not change.
         """
         ...
-
-
-DRIVERS: Registry[Driver] = Registry("driver", "cornercase.drivers")

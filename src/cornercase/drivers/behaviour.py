@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from cornercase.drivers.base import Path, Situation
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers.base import DrivenPath, Situation
 from cornercase.drivers.route import Route, plan_route
 from cornercase.drivers.visibility import Perception, in_sight
 from cornercase.drivers.yielding import decide
-from cornercase.errors import InputError
-from cornercase.typing import BoolArray, FloatArray
 
 _VULNERABLE = ("pedestrian", "bicycle")
 
@@ -150,7 +150,7 @@ class BehaviourDriver:
         self._conflict_since = np.full((scenarios, others), np.inf)
         self._yielding = np.zeros((scenarios, others), dtype=np.bool_)
         # The path is kept beside its route, so that its identity is not given to another one.
-        self._routes: dict[int, tuple[Path, Route]] = {}
+        self._routes: dict[int, tuple[DrivenPath, Route]] = {}
 
     @property
     def known(self) -> BoolArray:
@@ -179,7 +179,7 @@ class BehaviourDriver:
         )  # fmt: skip
         return result
 
-    def _route(self, path: Path) -> Route:
+    def _route(self, path: DrivenPath) -> Route:
         if id(path) not in self._routes:
             route = plan_route(
                 path,
@@ -202,3 +202,8 @@ def _check(behaviour: Behaviour) -> None:
     for name, value in behaviour._asdict().items():
         if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name not in may_be_zero):
             raise InputError(f"The driver's {name} is {value}; it has to be a finite number above zero.")
+
+
+def preset(name: Literal["cautious", "normal", "aggressive"]) -> BehaviourDriver:
+    """Return a driver with the behaviour of a name."""
+    return BehaviourDriver({"cautious": CAUTIOUS, "normal": NORMAL, "aggressive": AGGRESSIVE}[name])

@@ -6,8 +6,9 @@ import importlib
 import sys
 from pathlib import Path
 
-from cornercase.drivers.base import DRIVERS, Driver
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
+from cornercase.drivers.base import Driver
+from cornercase.drivers.registry import DRIVERS
 
 
 def load_driver(name: str) -> Driver:

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cornercase.drivers.base import Path
-from cornercase.typing import FloatArray
+from cornercase._common.typing import FloatArray
+from cornercase.drivers.base import DrivenPath
 
 # Spacing of the places at which boxes are tested, in m; contacts are refined between them.
 _STEP = 0.5
@@ -36,7 +36,7 @@ class Route(NamedTuple):
     squared_speed: FloatArray
 
 
-def plan_route(path: Path, *, lateral_acceleration: float, deceleration: float) -> Route:
+def plan_route(path: DrivenPath, *, lateral_acceleration: float, deceleration: float) -> Route:
     """Resample a path and find how fast its curves can be taken.
 
     At each place the speed v satisfies v² |κ| ≤ a_lat, and v² ≤ v_c² + 2 b d for each place at a distance d
@@ -44,7 +44,7 @@ def plan_route(path: Path, *, lateral_acceleration: float, deceleration: float) 
 
     Parameters
     ----------
-    path : Path
+    path : DrivenPath
     lateral_acceleration, deceleration : float
         a_lat and b in m/s².
 
@@ -60,7 +60,7 @@ def plan_route(path: Path, *, lateral_acceleration: float, deceleration: float) 
     return Route(step, *curves)
 
 
-def _samples(path: Path) -> int:
+def _samples(path: DrivenPath) -> int:
     return max(2, int(np.ceil(path.distance.max() / _STEP)) + 1)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from cornercase._common.typing import FloatArray
 from cornercase.drivers.base import Situation
-from cornercase.typing import FloatArray
 
 
 class SimpleDriver:

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from cornercase.compiling import kernel
+from cornercase._common.compiling import kernel
+from cornercase._common.typing import BoolArray
 from cornercase.drivers.base import Situation
-from cornercase.typing import BoolArray
 
 # The eye is behind the windscreen: this part of the box's length ahead of the box's centre.
 EYE_AHEAD = 0.25

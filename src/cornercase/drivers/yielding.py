@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase.compiling import kernel
+from cornercase._common.compiling import kernel
 
 STANDING: Final = 0.2
 """Below this speed in m/s an entity stands."""

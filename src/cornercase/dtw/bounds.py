@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cornercase.compiling import kernel
-from cornercase.typing import BoolArray
+from cornercase._common.compiling import kernel
+from cornercase._common.typing import BoolArray
 
 # What rounding may add to a bound, relatively.
 _ROUNDING = 1e-9

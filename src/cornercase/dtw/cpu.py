@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -27,7 +26,9 @@ import numpy.typing as npt
 from numba import njit
 from numba.core.event import Listener, install_listener
 
-from cornercase import compiling
+from cornercase._common import compiling
+from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.typing import BoolArray, IntArray
 from cornercase.dtw import simd
 from cornercase.dtw.simd import (
     absolute,
@@ -42,8 +43,6 @@ from cornercase.dtw.simd import (
     sum_of_squares,
     within,
 )
-from cornercase.interrupts import noted_interrupts
-from cornercase.typing import BoolArray, IntArray
 
 # Cells of one tile: some milliseconds of work, so that threads end together and Ctrl-C is heard soon.
 TILE_CELLS = 20_000_000
@@ -203,13 +202,6 @@ def _run_all(
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 advance(sum(future.result() for future in done))
         advance(sum(future.result() for future in waiting))
-
-
-def available_cpus() -> int:
-    """Return the number of CPUs that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 # The kernel is assembled from the functions below; `dims`, `squared`, `banded` and `lanes` are constants in

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import cuda
 
-from cornercase.typing import IntArray
+from cornercase._common.typing import IntArray
 
 # Threads of a block: column series side by side.
 THREADS = 128

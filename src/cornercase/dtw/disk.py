@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cornercase._common.errors import InputError
 from cornercase.dtw import pairs
 from cornercase.dtw.pairs import Settings
-from cornercase.errors import InputError
 
 # Series along one side of a square: some seconds of work, and 16 MB of the file with its mirror image.
 SIDE = 1024

@@ -11,9 +11,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from cornercase._common.errors import InputError
+from cornercase._common.typing import IntArray
 from cornercase.dtw import cpu
-from cornercase.errors import InputError
-from cornercase.typing import IntArray
 
 Floats = npt.NDArray[np.floating[Any]]
 

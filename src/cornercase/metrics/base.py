@@ -9,11 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from cornercase.errors import InputError
-from cornercase.geometry import box_corners
-from cornercase.recording import Recording
-from cornercase.registry import Registry
-from cornercase.typing import FloatArray
+from cornercase._common.errors import InputError
+from cornercase._common.geometry import box_corners
+from cornercase._common.typing import FloatArray
+from cornercase.recordings import Recording
 
 _ALIKE = 1e-9
 """Relative speeds in m/s that are rounding: they take 30 years for a metre."""
@@ -93,9 +92,6 @@ class PairMetric(ABC):
 
     @abstractmethod
     def _course(self, recording: Recording, ego: str, other: str) -> FloatArray: ...
-
-
-METRICS: Registry[Metric] = Registry("metric", "cornercase.metrics")
 
 
 def capped(metric: Metric, course: FloatArray) -> FloatArray:

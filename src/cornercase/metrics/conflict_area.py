@@ -8,11 +8,11 @@ import numpy as np
 from scipy.ndimage import label
 from scipy.optimize import brentq
 
-from cornercase.errors import InputError
-from cornercase.geometry import box_corners, separation, sweep_axes
+from cornercase._common.errors import InputError
+from cornercase._common.geometry import box_corners, separation, sweep_axes
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.metrics.base import boxes
-from cornercase.recording import Recording
-from cornercase.typing import BoolArray, FloatArray, IntArray
+from cornercase.recordings import Recording
 
 Area = tuple[float, float, float, float, float]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase.geometry import box_distance
+from cornercase._common.geometry import box_distance
+from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import PairMetric, boxes
-from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.recordings import Recording
 
 
 class Distance(PairMetric):

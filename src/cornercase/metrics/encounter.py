@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase.geometry import box_distance, first_contact
+from cornercase._common.geometry import box_distance, first_contact
+from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import PairMetric, boxes, relative_velocity
-from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.recordings import Recording
 
 _TIE = 1e-9
 """Gaps in m that are the same but for rounding."""

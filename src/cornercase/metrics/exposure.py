@@ -7,11 +7,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from cornercase.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics.base import PairMetric, checked
 from cornercase.metrics.ttc import Ttc
-from cornercase.recording import Recording
-from cornercase.typing import BoolArray, FloatArray
+from cornercase.recordings import Recording
 
 Rule = Literal["linear", "samples"]
 

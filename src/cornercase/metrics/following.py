@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cornercase.geometry import first_contact
+from cornercase._common.geometry import first_contact
+from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import PairMetric, boxes
-from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.recordings import Recording
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import PairMetric
 from cornercase.metrics.conflict_area import TOUCH, Area, Stay, checked_area, visits
-from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.recordings import Recording
 
 
 class Pet(PairMetric):

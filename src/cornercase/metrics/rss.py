@@ -7,10 +7,10 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from cornercase.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import PairMetric, boxes, checked, velocity
-from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.recordings import Recording
 
 Term = Literal["both", "longitudinal", "lateral"]
 

@@ -7,12 +7,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cornercase.errors import InputError
-from cornercase.geometry import boxes_overlap
+from cornercase._common.errors import InputError
+from cornercase._common.geometry import boxes_overlap
+from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import PairMetric, boxes, checked, relative_velocity
 from cornercase.metrics.ttc import Ttc
-from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.recordings import Recording
 
 MASSES: Mapping[str, float] = MappingProxyType(
     {

@@ -6,11 +6,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from cornercase.errors import InputError, suggestion
-from cornercase.geometry import box_distance
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.geometry import box_distance
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.metrics.base import PairMetric, boxes
-from cornercase.recording import Recording
-from cornercase.typing import BoolArray, FloatArray, IntArray
+from cornercase.recordings import Recording
 
 Term = Literal["all", "macro", "micro", "nano", "individual", "penalty"]
 

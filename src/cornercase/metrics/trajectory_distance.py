@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import PairMetric
-from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.recordings import Recording
 
 _REACH = 1e-6
 """How far in m a track may end short of the other and still meet it: rounding opens no gap at a vertex."""

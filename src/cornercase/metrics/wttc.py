@@ -10,11 +10,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
 from cornercase.metrics import wttc_kernel
 from cornercase.metrics.base import PairMetric
-from cornercase.recording import Recording
-from cornercase.typing import FloatArray
+from cornercase.recordings import Recording
 
 _VULNERABLE = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
 

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from cornercase.compiling import kernel
+from cornercase._common.compiling import kernel
 
 # Loops over so many instants have no branches, so that the compiler fills vectors with them.
 _BLOCK = 64

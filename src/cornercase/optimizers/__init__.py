@@ -1,28 +1,5 @@
-"""Optimizers by name."""
+"""Where to look next: optimizers by name, and the interface of one's own."""
 
-from cornercase.optimizers.base import OPTIMIZERS, Optimizer
-from cornercase.optimizers.bayes import BayesOptimizer
-from cornercase.optimizers.evolutionary import EvolutionaryOptimizer
-from cornercase.optimizers.grid import GridOptimizer
-from cornercase.optimizers.level_set import LevelSetOptimizer
-from cornercase.optimizers.optuna_sampler import OptunaOptimizer
-from cornercase.optimizers.sobol import SequenceOptimizer, random, sobol
+import lazy_loader as lazy
 
-OPTIMIZERS.register("bayes", BayesOptimizer)
-OPTIMIZERS.register("evolutionary", EvolutionaryOptimizer)
-OPTIMIZERS.register("grid", GridOptimizer)
-OPTIMIZERS.register("level-set", LevelSetOptimizer)
-OPTIMIZERS.register("optuna", OptunaOptimizer)
-OPTIMIZERS.register("random", random)
-OPTIMIZERS.register("sobol", sobol)
-
-__all__ = [
-    "OPTIMIZERS",
-    "BayesOptimizer",
-    "EvolutionaryOptimizer",
-    "GridOptimizer",
-    "LevelSetOptimizer",
-    "Optimizer",
-    "OptunaOptimizer",
-    "SequenceOptimizer",
-]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

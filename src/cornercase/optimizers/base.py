@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from cornercase.registry import Registry
-from cornercase.scenario.space import ParameterSpace
-from cornercase.typing import FloatArray
+from cornercase._common.typing import FloatArray
 
 
 class Optimizer(Protocol):
@@ -36,9 +34,3 @@ class Optimizer(Protocol):
         Of several scores for each the shape is (m, k).
         """
         ...
-
-
-# A factory takes ``space`` (ParameterSpace) and ``seed`` (int).
-OPTIMIZERS: Registry[Optimizer] = Registry("optimizer", "cornercase.optimizers")
-
-__all__ = ["OPTIMIZERS", "Optimizer", "ParameterSpace"]

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cornercase._common.typing import FloatArray, IntArray
 from cornercase.optimizers.candidates import CandidateOptimizer
-from cornercase.scenario.space import ParameterSpace
-from cornercase.typing import FloatArray, IntArray
+from cornercase.scenario import ParameterSpace
 
 _INITIAL = 20
 

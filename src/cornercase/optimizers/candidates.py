@@ -7,9 +7,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from cornercase.optimizers.sobol import SequenceOptimizer
-from cornercase.scenario.space import ParameterSpace
-from cornercase.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.optimizers.sequences import SequenceOptimizer
+from cornercase.scenario import ParameterSpace
 
 
 class CandidateOptimizer(ABC):

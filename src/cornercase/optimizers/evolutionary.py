@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from cornercase.errors import InputError
-from cornercase.optimizers.sobol import SequenceOptimizer
-from cornercase.scenario.space import ParameterSpace
-from cornercase.typing import FloatArray
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.optimizers.sequences import SequenceOptimizer
+from cornercase.scenario import ParameterSpace
 
 _TRIES = 50
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
-from cornercase.scenario.space import ParameterSpace
-from cornercase.typing import FloatArray, IntArray
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.scenario import ParameterSpace
 
 
 class GridOptimizer:

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.evidence import GaussianProcess, boundary_process, encoded
 from cornercase.optimizers.candidates import CandidateOptimizer
-from cornercase.scenario.space import ParameterSpace
-from cornercase.surrogate import GaussianProcess, boundary_process, encoded
-from cornercase.typing import FloatArray, IntArray
+from cornercase.scenario import ParameterSpace
 
 # Points before anything is learned; and candidates of greatest gain that are looked at more closely at first.
 _INITIAL, _LOOKED_AT = 24, 4096

@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase.errors import InputError, suggestion
-from cornercase.optimizers.sobol import SequenceOptimizer
-from cornercase.scenario.space import ParameterSpace
-from cornercase.typing import FloatArray
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import FloatArray
+from cornercase.optimizers.sequences import SequenceOptimizer
+from cornercase.scenario import ParameterSpace
 
 _SAMPLERS: Final = ("tpe", "nsga2", "cmaes", "gp", "random")
 _TRIES = 20

@@ -1,5 +1,5 @@
-"""The report: one page that a person reads by looking."""
+"""What a person looks at."""
 
-from cornercase.report.page import write_report
+import lazy_loader as lazy
 
-__all__ = ["write_report"]
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from cornercase.coverage import Gaps
-from cornercase.metrics.base import Metric
-from cornercase.scenario.space import Parameter
-from cornercase.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.metrics import Metric
+from cornercase.reduction import Gaps
+from cornercase.scenario import Parameter
 
 # Okabe and Ito's colours, which the colour-blind tell apart; markers say the same again.
 _COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
@@ -218,7 +218,7 @@ def coverage(curves: dict[str, tuple[Gaps, BoolArray]], units: Sequence[str]) ->
     Parameters
     ----------
     curves : dict of str to tuple
-        By clustering, what `cornercase.coverage.gaps` says, and a mask of the critical scenarios.
+        By clustering, what `cornercase.reduction.coverage.gaps` says, and a mask of the critical scenarios.
     units : sequence of str
         Of each clustering's distance.
     """

@@ -10,18 +10,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase.analysis import EGO_TRAJECTORY
-from cornercase.coverage import gaps
-from cornercase.errors import InputError
-from cornercase.files import written_whole
-from cornercase.metrics import METRICS
-from cornercase.metrics.base import Metric, capped
-from cornercase.objective import Objective
-from cornercase.profiles import agreements
+from cornercase._common.errors import InputError
+from cornercase._common.files import written_whole
+from cornercase._common.typing import FloatArray
+from cornercase.clustering import EGO_TRAJECTORY, agreements
+from cornercase.exploration import Objective
+from cornercase.metrics import METRICS, Metric, capped
+from cornercase.reduction import gaps
 from cornercase.report import figures, tables
+from cornercase.report.summary import knowledge, run_spread
 from cornercase.study import Row, Study
-from cornercase.summary import knowledge, run_spread
-from cornercase.typing import FloatArray
 
 _MOST_NAMED: Final = 12
 _METHODS: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}

@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from lxml import etree
 
-from cornercase.errors import InputError, suggestion
-from cornercase.typing import BoolArray
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray
 
 _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "equalTo": np.equal,

@@ -12,8 +12,8 @@ import numpy as np
 from lxml import etree
 from scipy.special import gammaln, ndtri, xlogy
 
-from cornercase.errors import InputError
-from cornercase.typing import FloatArray
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
 
 _LEAST_SHARE: Final = 1e-12
 _MOST_COUNTS: Final = 100_000

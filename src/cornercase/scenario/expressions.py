@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggestion
 
 Operand = Any  # float, bool or str, or an array of them over concrete scenarios
 

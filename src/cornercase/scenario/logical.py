@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.scope import Scope, VariesError
 from cornercase.scenario.space import ParameterSpace, Value
-from cornercase.typing import BoolArray
 
 
 @dataclass(frozen=True)

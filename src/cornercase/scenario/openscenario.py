@@ -12,8 +12,8 @@ from shutil import copyfile
 
 from lxml import etree
 
-from cornercase.errors import InputError, suggestion
-from cornercase.files import written_whole
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.files import written_whole
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.space import Value
 from cornercase.scenario.xml import read_xml

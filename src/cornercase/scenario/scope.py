@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from lxml import etree
 
-from cornercase.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.constraints import violations
 from cornercase.scenario.expressions import evaluate, names_in
 from cornercase.scenario.space import Value
-from cornercase.typing import BoolArray, FloatArray
 
 Catalogs = Callable[[str, str], etree._Element]
 """Name of a catalog and of an entry to the entry."""

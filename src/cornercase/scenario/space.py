@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario.distributions import Distribution, from_json, read_distribution
 from cornercase.scenario.xml import read_xml
-from cornercase.typing import BoolArray, FloatArray, IntArray
 
 Value = float | str
 

@@ -7,7 +7,7 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
 
 _LARGEST: Final = 200_000_000
 _DEEPEST: Final = 200

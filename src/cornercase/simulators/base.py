@@ -6,11 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from cornercase._common.errors import InputError, SimulationError
 from cornercase.drivers import Driver
-from cornercase.errors import InputError, SimulationError
-from cornercase.recording import Recording
-from cornercase.registry import Registry
-from cornercase.scenario.logical import ConcreteScenario
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario
 
 
 class Simulator(Protocol):
@@ -61,15 +60,6 @@ class Availability:
     abilities: tuple[str, ...]
 
 
-def told(name: str) -> tuple[str, ...]:
-    """What a simulator wants to be told beside the options that all have, as its class attribute ``told`` says.
-
-    That is ``worker``, the number of the worker in which it runs, and ``ego``, the entity that is it.
-    """
-    wanted: tuple[str, ...] = getattr(SIMULATORS.factory(name.partition(":")[0]), "told", ())
-    return wanted
-
-
 def checked_seed(seed: int, whose: str) -> int:
     """Return a seed that a simulator takes.
 
@@ -108,6 +98,3 @@ def checked_settings(
             for entity, driver in sorted((drivers or {}).items())
         },
     }
-
-
-SIMULATORS: Registry[Simulator] = Registry("simulator", "cornercase.simulators")

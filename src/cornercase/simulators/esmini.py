@@ -10,12 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from cornercase._common.errors import InputError, SimulationError
 from cornercase.drivers import Driver
-from cornercase.errors import InputError, SimulationError
-from cornercase.recording import Collision, Recording
-from cornercase.scenario.logical import ConcreteScenario
-from cornercase.scenario.openscenario import Scenario
-from cornercase.scenario.space import Value
+from cornercase.recordings import Collision, Recording
+from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Availability, checked_seed, checked_settings
 
 VARIABLE: Final = "CORNERCASE_ESMINI"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
 
 
 def address(hosts: str, port: int, worker: int, step: int = 1) -> tuple[str, int]:

@@ -12,11 +12,10 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
-from cornercase.errors import InputError, SimulationError, SimulatorError
-from cornercase.recording import Recording
-from cornercase.scenario.logical import ConcreteScenario
-from cornercase.scenario.openscenario import Scenario
-from cornercase.simulators.base import SIMULATORS, told
+from cornercase._common.errors import InputError, SimulationError, SimulatorError
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.simulators.registry import SIMULATORS, told
 
 # So many scenarios in a row that end without a result say that the simulator is at fault, not they.
 _MOST_LOST: Final = 5

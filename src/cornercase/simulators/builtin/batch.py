@@ -8,19 +8,17 @@ from typing import Any, Final, Protocol
 import numpy as np
 from lxml import etree
 
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.typing import BoolArray
 from cornercase.drivers import Driver
-from cornercase.errors import InputError, SimulationError
-from cornercase.recording import Collision, Recording
-from cornercase.scenario.opendrive import RoadNetwork
-from cornercase.scenario.openscenario import Scenario
-from cornercase.scenario.scope import Scope
-from cornercase.scenario.space import Value
-from cornercase.simulators.builtin.driving import Driving, registered_driver
+from cornercase.recordings import Collision, Recording
+from cornercase.roads import RoadNetwork
+from cornercase.scenario import Scenario, Scope, Value
+from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
 from cornercase.simulators.builtin.history import History
-from cornercase.simulators.builtin.positions import entities_in
-from cornercase.simulators.builtin.storyboard import Storyboard
+from cornercase.simulators.builtin.paths.positions import entities_in
+from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
 from cornercase.simulators.builtin.world import Entity, World
-from cornercase.typing import BoolArray
 
 _MOST_ENTITIES: Final = 500
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray
 
 # Steps that are kept apart until they are sorted in together, which memory likes better than one by one.
 _BLOCK: Final = 32

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from cornercase.geometry import box_corners, boxes_overlap
-from cornercase.scenario.opendrive import RoadNetwork
-from cornercase.simulators.builtin.tracks import FREE, LaneTrack, Pose, Track
-from cornercase.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.geometry import box_corners, boxes_overlap
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads import RoadNetwork
+from cornercase.simulators.builtin.paths.tracks import FREE, LaneTrack, Pose, Track
 
 LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
@@ -31,7 +31,7 @@ _ON_END: Final = 1e-3
 _ASTRAY: Final = 20.0
 
 if TYPE_CHECKING:
-    from cornercase.simulators.builtin.driving import Driving
+    from cornercase.simulators.builtin.actions.controller import Driving
 
 
 @dataclass(frozen=True)

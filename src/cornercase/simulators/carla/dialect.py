@@ -8,7 +8,7 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
 
 DRIVER: Final = Path(__file__).with_name("cornercase_driver.py")
 BEHAVIORS: Final = ("aggressive", "cautious", "normal")

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from cornercase.errors import InputError, SimulationError, SimulatorError
+from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.simulators.carla.tracker import Tracker
 
 RUNNER: Final = "SCENARIO_RUNNER_ROOT"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from cornercase.errors import InputError
+from cornercase._common.errors import InputError
 
 _LOADING: Final = 120.0
 _MESH: Final = {"vertex_distance": 2.0, "wall_height": 1.0, "additional_width": 0.6}

@@ -8,9 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
-from cornercase.errors import SimulationError, SimulatorError
-from cornercase.readers.tracks import Track, box_center, recording_of
-from cornercase.recording import Collision, Recording
+from cornercase._common.errors import SimulationError, SimulatorError
+from cornercase.recordings import Collision, EntitySamples, Recording, box_center, recording_of
 
 _KINDS: Final = {"motorcycle": "motorbike", "Bus": "bus"}
 _SENSOR: Final = "sensor.other.collision"
@@ -160,7 +159,7 @@ class Tracker:
         tracks = {}
         for name, number in self._ids.items():
             kind, length, width, ahead, right = self._bodies[name]
-            tracks[name] = track = Track(kind, length, width)
+            tracks[name] = track = EntitySamples(kind, length, width)
             for frame in frames:
                 if frame.number <= last and number in frame.places:
                     x, y, heading, speed = frame.places[number]

@@ -14,8 +14,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from cornercase.errors import SimulationError
-from cornercase.simulators.builtin.tracks import LaneTrack
+from cornercase._common.errors import SimulationError
+from cornercase.simulators.builtin.paths.tracks import LaneTrack
 from cornercase.simulators.builtin.world import Entity, World
 
 # How SUMO drives, in its own words: tau is the time headway in s, jmTimegapMinor the time in s that is left to who has

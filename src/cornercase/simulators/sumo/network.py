@@ -12,10 +12,9 @@ from pathlib import Path
 from shutil import which
 from typing import Final
 
-from cornercase.errors import InputError
-from cornercase.files import written_whole
-from cornercase.scenario.openscenario import Scenario
-from cornercase.scenario.space import Value
+from cornercase._common.errors import InputError
+from cornercase._common.files import written_whole
+from cornercase.scenario import Scenario, Value
 
 _PATIENCE: Final = 120.0
 

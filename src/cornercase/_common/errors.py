@@ -1,0 +1,45 @@
+"""The kinds of failure that a user of cornercase meets."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(ValueError):
+    """What was handed in cannot be used.
+
+    The message is one sentence that names the file, the element and the fix. A parameter of a public function
+    stands in it between backticks (```stop_when```), where the command line puts its option (``--stop-when``). The
+    command line prints the message and ends with exit code 2.
+    """
+
+
+class SimulationError(RuntimeError):
+    """One concrete scenario could not be run; the others of its batch are not affected."""
+
+
+class SimulatorError(SimulationError):
+    """The simulator failed, not the scenario; the same scenario may be run again."""
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Say what could have been meant by an unknown name.
+
+    Parameters
+    ----------
+    word : str
+        The name that is not known.
+    known : iterable of str
+        The names that are.
+
+    Returns
+    -------
+    str
+        ``"did you mean 'wttc'?"`` where one is close, else ``"known are: …"``.
+    """
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"known are: {', '.join(names)}." if names else "none are known."

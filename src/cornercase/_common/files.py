@@ -1,0 +1,55 @@
+"""Writing files so that none is ever half there."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from cornercase._common.errors import InputError
+
+
+@contextmanager
+def written_whole(path: Path | str) -> Iterator[Path]:
+    """Give a temporary name beside `path`, and rename it to `path` when the block ends well.
+
+    Parameters
+    ----------
+    path : path
+        Where the file shall be. Missing folders are made.
+
+    Raises
+    ------
+    InputError
+        The folder is not writable, the disk is full, or something that is no file has the name; nothing is left
+        behind.
+    """
+    path = Path(path)
+    # A folder, a pipe or a device must not be replaced by a file.
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a file; choose another name.")
+    # What a link points to is written, not the link.
+    path = path.resolve()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

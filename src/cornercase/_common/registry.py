@@ -1,0 +1,114 @@
+"""Simulators, optimizers and metrics by name, also those of other packages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from importlib.metadata import EntryPoint, entry_points
+from inspect import signature
+from typing import Any, Generic, TypeVar, cast
+
+from cornercase._common.errors import InputError, suggestion
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """Factories by name, from this package and from an entry-point group.
+
+    Parameters
+    ----------
+    kind : str
+        What is registered, as it stands in messages: ``"metric"``.
+    group : str
+        Entry-point group in which other packages name theirs: ``"cornercase.metrics"``.
+    """
+
+    def __init__(self, kind: str, group: str) -> None:
+        self._kind = kind
+        self._group = group
+        self._factories: dict[str, tuple[Callable[..., T] | str, dict[str, Any]]] = {}
+
+    def register(self, name: str, factory: Callable[..., T] | str, /, **options: Any) -> None:
+        """Make a factory known by a name.
+
+        Parameters
+        ----------
+        name : str
+        factory : callable or str
+            As ``"package.module:name"`` it is imported when it is asked for, not before.
+        **options
+            What the factory always gets.
+
+        Raises
+        ------
+        ValueError
+            Something is registered by this name already.
+        """
+        if name in self._factories:
+            raise ValueError(f"The {self._kind} '{name}' is registered twice.")
+        self._factories[name] = (factory, options)
+
+    def names(self) -> list[str]:
+        """Return all names in alphabetical order."""
+        return sorted({*self._factories, *(entry.name for entry in entry_points(group=self._group))})
+
+    def create(self, name: str, **options: Any) -> T:
+        """Build the one called `name`, which may hold options behind a colon: ``"ttc:accelerating=true"``.
+
+        What is built then has the whole of it as its name.
+
+        Raises
+        ------
+        InputError
+            No such name, no such option, or a value that it does not take.
+        """
+        base, _, text = name.partition(":")
+        factory = self.factory(base)
+        if not text:
+            return factory(**options)
+        given = set(options)
+        for option in text.split(","):
+            key, equals, value = (part.strip() for part in option.partition("="))
+            if not (key.isidentifier() and equals):
+                raise InputError(
+                    f"The {self._kind} '{name}' has the option '{option}'; give options as in '{base}:name=value'."
+                )
+            taken = signature(factory).parameters
+            if key not in taken and not any(one.kind is one.VAR_KEYWORD for one in taken.values()):
+                own = [name for name in taken if name not in given]
+                raise InputError(f"The {self._kind} '{base}' has no option '{key}'; {suggestion(key, own)}")
+            options[key] = _value(value)
+        try:
+            made: Any = factory(**options)
+        except (TypeError, AttributeError) as error:
+            raise InputError(f"The {self._kind} '{base}' does not take the options '{text}' ({error}).") from error
+        made.name = name
+        return cast(T, made)
+
+    def factory(self, name: str) -> Callable[..., T]:
+        """What builds the one called `name`, without options.
+
+        Raises
+        ------
+        InputError
+            No such name.
+        """
+        if name in self._factories:
+            known, options = self._factories[name]
+            loaded: Callable[..., T] = EntryPoint(name, known, self._group).load() if isinstance(known, str) else known
+            return partial(loaded, **options) if options else loaded
+        for entry in entry_points(group=self._group, name=name):
+            factory: Callable[..., T] = entry.load()
+            return factory
+        raise InputError(f"There is no {self._kind} '{name}'; {suggestion(name, self.names())}")
+
+
+def _value(text: str) -> bool | float | str:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number.is_integer() and "." not in text else number

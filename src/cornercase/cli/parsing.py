@@ -1,0 +1,70 @@
+"""Values of options as the command line reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from cornercase._common.errors import InputError, suggestion
+
+
+def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
+    """Texts like NAME=VALUE, by name."""
+    pairs = {}
+    for text in texts:
+        name, sign, value = text.partition("=")
+        if not sign or not name or not value:
+            raise InputError(f"{option} {text}: write it as NAME=VALUE.")
+        pairs[name] = value
+    return pairs
+
+
+def weights(texts: Sequence[str]) -> dict[str, float]:
+    """Texts like METRIC=NUMBER, by metric."""
+    weights = {}
+    for text in texts:
+        # A metric may have options with an equals sign of their own.
+        name, _, value = text.rpartition("=")
+        try:
+            weights[name] = float(value)
+        except ValueError:
+            name = ""
+        if not name:
+            raise InputError(f"--weight {text}: write it as METRIC=NUMBER.")
+    return weights
+
+
+def of_all(share: float, count: int) -> int:
+    """How many a share of some is."""
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"--share {share:g}: give a number above 0 and up to 1.")
+    return max(1, round(share * count))
+
+
+def number_or_auto(text: str, option: str) -> float | Literal["auto"]:
+    """A positive number, or auto."""
+    if text == "auto":
+        return "auto"
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if not 0 < number < float("inf"):
+        raise InputError(f"{option} {text}: give a positive number or auto.")
+    return number
+
+
+def one_of(text: str, known: tuple[str, ...], option: str) -> Any:
+    """A text that is one of those that are known."""
+    if text not in known:
+        raise InputError(f"{option} {text}: {suggestion(text, known)}")
+    return text
+
+
+def count_or_auto(text: str, option: str) -> int | Literal["auto"]:
+    """A positive whole number, or auto."""
+    if text == "auto":
+        return "auto"
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"{option} {text}: give a positive whole number or auto.")
+    return int(text)

@@ -1,0 +1,12 @@
+from .base import DrivenPath as DrivenPath
+from .base import Driver as Driver
+from .base import Situation as Situation
+from .behaviour import AGGRESSIVE as AGGRESSIVE
+from .behaviour import CAUTIOUS as CAUTIOUS
+from .behaviour import NORMAL as NORMAL
+from .behaviour import Behaviour as Behaviour
+from .behaviour import BehaviourDriver as BehaviourDriver
+from .loading import load_driver as load_driver
+from .loading import named_driver as named_driver
+from .registry import DRIVERS as DRIVERS
+from .simple import SimpleDriver as SimpleDriver

@@ -1,0 +1,15 @@
+"""Drivers by name."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cornercase._common.registry import Registry
+from cornercase.drivers.base import Driver
+
+DRIVERS: Final[Registry[Driver]] = Registry("driver", "cornercase.drivers")
+"""Drivers by name."""
+
+for _preset in ("cautious", "normal", "aggressive"):
+    DRIVERS.register(_preset, "cornercase.drivers.behaviour:preset", name=_preset)
+DRIVERS.register("simple", "cornercase.drivers.simple:SimpleDriver")

@@ -1,0 +1,289 @@
+"""How alike two scenarios are: dynamic time warping between all pairs of series.
+
+The distance of two series is the sum of the local costs along the cheapest path through their table, from
+both first to both last points, by steps 1-1, 1-0 and 0-1 (Sakoe and Chiba, Dynamic programming algorithm
+optimization for spoken word recognition, 1978, without slope constraint and weighting).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.errors import InputError
+from cornercase._common.threads import available_cpus
+from cornercase.dtw import disk, pairs
+from cornercase.dtw.pairs import Settings
+
+__all__ = ["distance_matrix", "distances_to", "kernel_matrix"]
+
+MAX_DIMENSIONS = 8
+
+
+def distance_matrix(
+    series: Sequence[npt.ArrayLike],
+    *,
+    local_cost: Literal["euclidean", "squared"] = "euclidean",
+    window: int | None = None,
+    dtype: npt.DTypeLike = "float64",
+    n_jobs: int | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    progress: bool = False,
+    out: str | os.PathLike[str] | disk.FloatMap | None = None,
+    resume: bool = False,
+) -> npt.NDArray[np.floating[Any]]:
+    """Dynamic time warping distance between all pairs of series.
+
+    Parameters
+    ----------
+    series : sequence of n array_like, shape (T_i,) or (T_i, k)
+        Courses or trajectories of unequal lengths, all of the same number of dimensions k.
+    local_cost : {"euclidean", "squared"}
+        ``"euclidean"``: the cost of two points is their Euclidean distance, and the result has its unit.
+        ``"squared"``: the cost is the squared distance and the root is taken of the sum, as tslearn and
+        dtaidistance do.
+    window : int, optional
+        Sakoe-Chiba band, at least 1: only points whose instants are less than `window` apart may be matched,
+        so 1 allows no warping. For unequal lengths the band reaches around both diagonals, the one from the
+        first points and the one from the last: ``-(max(T_i - T_j, 0) + window) < t_j - t_i < max(T_j - T_i,
+        0) + window``. This is dtaidistance's `window`, and tslearn's `sakoe_chiba_radius` plus one.
+    dtype : {"float64", "float32"}
+        Of the arithmetic and of the result. In single precision the common mean of all points is taken off
+        first, which changes no distance but keeps digits where coordinates are large.
+    n_jobs : int, optional
+        Number of threads; as many as the process has CPUs if not given. Does not change the result.
+    device : {"cpu", "cuda"}
+        Where to compute. ``"cuda"`` needs an NVIDIA GPU and the extra `gpu`; the last digits may differ there.
+    progress : bool
+        Show a progress bar on standard error.
+    out : path or numpy.memmap of `dtype`, shape (n, n), optional
+        For a matrix that does not fit in memory: the path of a file to make (NumPy's format, ``numpy.load(path,
+        mmap_mode="r")`` reads it), or a map onto one. A second file, ``.progress``, stands beside it.
+    resume : bool
+        Go on with `out` where an earlier call with the same series and options was ended, however it was. What
+        is in the file already is not computed again; nothing there is nothing done.
+
+    Returns
+    -------
+    ndarray of `dtype`, shape (n, n)
+        Symmetric to the bit, zero on the diagonal. The map where `out` is given.
+
+    Raises
+    ------
+    InputError
+        A series is empty, not numeric, not finite or of another number of dimensions than the first (the
+        message names its index), an option is not one of those above, a distance is too large for `dtype`, there
+        is no GPU, or `out` does not fit or holds something else.
+
+    Examples
+    --------
+    >>> distance_matrix([[0.0, 1.0, 1.0], [0.0, 1.0], [2.0, 2.0]]).tolist()
+    [[0.0, 0.0, 4.0], [0.0, 0.0, 3.0], [4.0, 3.0, 0.0]]
+    """
+    settings = _settings(local_cost, window, dtype, n_jobs, device)
+    arrays = _checked(series)
+    if resume and out is None:
+        raise InputError("resume is for a matrix on disk; give out.")
+    if len(arrays) < 2 and out is None:
+        return np.zeros((len(arrays), len(arrays)), dtype=settings.dtype)
+    arrays = _centred(arrays, settings.dtype, len(arrays))
+    with _shown(progress, pairs.cells(arrays, None)) as advance:
+        if out is None:
+            found = pairs.distances(arrays, None, settings, advance)
+            pairs.refuse_infinite(found)
+            return found
+        if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
+            raise InputError("out is an array in memory; give a path or a numpy.memmap.")
+        if not arrays:
+            raise InputError("There are no series to fill out from.")
+        return disk.distance_matrix(arrays, out, resume=resume, settings=settings, advance=advance)
+
+
+def distances_to(
+    series: Sequence[npt.ArrayLike],
+    landmarks: Sequence[npt.ArrayLike],
+    *,
+    local_cost: Literal["euclidean", "squared"] = "euclidean",
+    window: int | None = None,
+    dtype: npt.DTypeLike = "float64",
+    n_jobs: int | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    progress: bool = False,
+) -> npt.NDArray[np.floating[Any]]:
+    """Dynamic time warping distance of each series to each landmark.
+
+    Parameters
+    ----------
+    series : sequence of n array_like, shape (T_i,) or (T_i, k)
+    landmarks : sequence of m array_like, shape (T_j,) or (T_j, k)
+        Of the same number of dimensions k as the series.
+    local_cost, window, dtype, n_jobs, device, progress
+        As for `distance_matrix`.
+
+    Returns
+    -------
+    ndarray of `dtype`, shape (n, m)
+
+    Raises
+    ------
+    InputError
+        As by `distance_matrix`; the message names the index of the series or of the landmark.
+
+    Examples
+    --------
+    >>> distances_to([[0.0, 1.0, 1.0], [0.0, 1.0]], [[2.0, 2.0]]).tolist()
+    [[4.0], [3.0]]
+    """
+    settings = _settings(local_cost, window, dtype, n_jobs, device)
+    rows = _checked(series)
+    columns = _checked(landmarks, "Landmark", rows[0].shape[1] if rows else None)
+    if not rows or not columns:
+        return np.zeros((len(rows), len(columns)), dtype=settings.dtype)
+    both = _centred([*rows, *columns], settings.dtype, len(rows))
+    rows, columns = both[: len(rows)], both[len(rows) :]
+    with _shown(progress, pairs.cells(rows, columns)) as advance:
+        found = pairs.distances(rows, columns, settings, advance)
+    pairs.refuse_infinite(found, columns="landmark ")
+    return found
+
+
+def kernel_matrix(
+    series: Sequence[npt.ArrayLike],
+    gamma: float,
+    *,
+    local_cost: Literal["euclidean", "squared"] = "euclidean",
+    window: int | None = None,
+    dtype: npt.DTypeLike = "float64",
+    n_jobs: int | None = None,
+    progress: bool = False,
+) -> npt.NDArray[np.floating[Any]]:
+    """Gaussian (RBF) kernel ``exp(-gamma d²)`` of the dynamic time warping distances d between all pairs.
+
+    Distances that a lower bound proves to be so large that their entry underflows to zero are not computed; the
+    result is the same to the bit as that of `distance_matrix`.
+
+    Parameters
+    ----------
+    series : sequence of n array_like, shape (T_i,) or (T_i, k)
+    gamma : float
+        Above 0, in one over the unit of the distance squared.
+    local_cost, window, dtype, n_jobs, progress
+        As for `distance_matrix`.
+
+    Returns
+    -------
+    ndarray of `dtype`, shape (n, n)
+        Symmetric to the bit, one on the diagonal.
+
+    Raises
+    ------
+    InputError
+        As by `distance_matrix`, or `gamma` is not above 0.
+
+    Examples
+    --------
+    >>> kernel_matrix([[0.0, 1.0], [0.0, 2.0], [900.0]], 1.0).round(6).tolist()
+    [[1.0, 0.367879, 0.0], [0.367879, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    if not 0.0 < gamma < np.inf:
+        raise InputError(f"gamma is {gamma!r}; give a finite number above 0.")
+    settings = _settings(local_cost, window, dtype, n_jobs, "cpu")
+    arrays = _checked(series)
+    if len(arrays) < 2:
+        return np.ones((len(arrays), len(arrays)), dtype=settings.dtype)
+    arrays = _centred(arrays, settings.dtype, len(arrays))
+    # Below the logarithm of half the smallest number there is, exp gives 0.
+    vanishes = 1.0 + np.log(2.0) - np.log(float(np.finfo(settings.dtype).smallest_subnormal))
+    with _shown(progress, pairs.cells(arrays, None)) as advance:
+        found = pairs.distances(arrays, None, settings, advance, beyond=float(np.sqrt(vanishes / gamma)))
+    with np.errstate(over="ignore", under="ignore"):
+        kernel: npt.NDArray[np.floating[Any]] = np.exp(-settings.dtype.type(gamma) * found**2)
+    return kernel
+
+
+def _settings(local_cost: str, window: int | None, dtype: npt.DTypeLike, n_jobs: int | None, device: str) -> Settings:
+    if local_cost not in ("euclidean", "squared"):
+        raise InputError(f"local_cost is {local_cost!r}; choose 'euclidean' or 'squared'.")
+    if device not in ("cpu", "cuda"):
+        raise InputError(f"device is {device!r}; choose 'cpu' or 'cuda'.")
+    if dtype not in ("float64", "float32", np.float64, np.float32, np.dtype("float64"), np.dtype("float32")):
+        raise InputError(f"dtype is {dtype!r}; choose 'float64' or 'float32'.")
+    window = None if window is None else _positive("window", window)
+    threads = available_cpus() if n_jobs is None else _positive("n_jobs", n_jobs)
+    if device == "cuda":
+        pairs.require_gpu()
+        return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cuda")
+    return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cpu")
+
+
+def _centred(
+    arrays: list[npt.NDArray[np.float64]], dtype: np.dtype[Any], n_series: int
+) -> list[npt.NDArray[np.float64]]:
+    """Take the common mean off where digits are few; behind `n_series` series stand landmarks."""
+    if dtype != np.float32 or not arrays:
+        return arrays
+    points = np.concatenate(arrays)
+    # A sum of huge numbers must not overflow before the message below can name one of them.
+    mean = (points / len(points)).sum(axis=0)
+    arrays = [array - mean for array in arrays]
+    sizes = [np.abs(array).max() for array in arrays]
+    index = int(np.argmax(sizes))
+    if sizes[index] > np.finfo(np.float32).max:
+        name = f"Series {index}" if index < n_series else f"Landmark {index - n_series}"
+        raise InputError(f"{name} is too large for float32; choose dtype 'float64'.")
+    return arrays
+
+
+def _positive(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise InputError(f"{name} is {value!r}; give a whole number of at least 1.")
+    return int(value)
+
+
+def _checked(
+    series: Sequence[npt.ArrayLike], name: str = "Series", dims: int | None = None
+) -> list[npt.NDArray[np.float64]]:
+    """Return the series as finite arrays of shape (T_i, k), `dims` being the k that is known already."""
+    arrays: list[npt.NDArray[np.float64]] = []
+    for index, one in enumerate(series):
+        try:
+            array = np.asarray(one, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{name} {index} is not an array of numbers; give shape (T,) or (T, k).") from error
+        if array.ndim not in (1, 2):
+            raise InputError(f"{name} {index} has {array.ndim} axes; give shape (T,) or (T, k).")
+        if array.size == 0:
+            raise InputError(f"{name} {index} is empty; leave it out.")
+        array = array.reshape(len(array), -1)
+        dims = array.shape[1] if dims is None else dims
+        if array.shape[1] != dims:
+            raise InputError(
+                f"{name} {index} has {array.shape[1]} dimensions where series 0 has {dims}; give all the same."
+            )
+        if dims > MAX_DIMENSIONS:
+            raise InputError(f"{name} {index} has {dims} dimensions; up to {MAX_DIMENSIONS} are known.")
+        if not np.isfinite(array).all():
+            instant = int(np.argmin(np.isfinite(array).all(axis=1)))
+            raise InputError(f"{name} {index} is not finite at instant {instant}; fill or cap it, or leave it out.")
+        arrays.append(array)
+    return arrays
+
+
+@contextmanager
+def _shown(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
+    """Give the function that is told of each finished tile."""
+    if not progress:
+        yield lambda done: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task("DTW distances", total=cells)
+        yield lambda done: bar.advance(task, done)
+        bar.update(task, completed=cells)

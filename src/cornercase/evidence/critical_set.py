@@ -1,0 +1,263 @@
+"""How much of a space is critical, and how much of that an exploration may have missed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from scipy.stats import norm, qmc
+from threadpoolctl import threadpool_limits
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence.gaussian_process import boundary_process, encoded, enough
+from cornercase.scenario import ParameterSpace
+
+# Points that stand for the space, those of them for which critical sets are drawn, and the number of draws.
+_PLACES, _JOINT, _DRAWS = 2**14, 1500, 400
+_INTERVAL: Final = (0.05, 0.95)
+# What one scenario tells of how well the process foretells, in independent ones. They are not independent; with this
+# figure the intervals hold the truth as often as they say in benchmarks/exploration.py.
+_TOLD: Final = 0.8
+
+REGION: Final = 0.01
+"""Share of the space from which a region counts, unless somebody says otherwise."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A quantity with its 90 % credible interval.
+
+    Attributes
+    ----------
+    value, low, high : float
+        Mean, 5 % and 95 % quantile.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+class CriticalSet:
+    """What concrete scenarios that were run tell about the whole set of critical ones.
+
+    A Gaussian process of the scores (`boundary_process`) foretells each scenario that was run from all others. How well
+    it does corrects the probability that a scenario is critical: ``p = Φ(-(a + b t))`` with t its mean over its
+    standard deviation, and a and b from what was foretold, each scenario with the share of the space that is nearest
+    to it as its weight. Critical sets are drawn with these probabilities, with the correlation of the process from
+    place to place, and with a and b from their own posterior.
+
+    Found is what was run and is critical, and elsewhere what the process takes for critical: where its mean is
+    beyond the threshold.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    points : ndarray of float64, shape (n, d)
+        Scenarios that were run, in the unit cube.
+    scores : ndarray of float64, shape (n,)
+        Lower is more critical; NaN for a scenario that failed.
+    threshold : float
+        Score up to which a scenario is critical.
+    seed : int, default 0
+
+    Raises
+    ------
+    ValueError
+        There are fewer than 10 scores, or all are the same.
+
+    Notes
+    -----
+    Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
+    equation 5.12. Correction of probabilities: J. Platt, "Probabilistic outputs for support vector machines" (1999),
+    here with the normal distribution function and Laplace's approximation of the posterior.
+    """
+
+    def __init__(
+        self, space: ParameterSpace, points: FloatArray, scores: FloatArray, threshold: float, seed: int = 0
+    ) -> None:
+        points, scores = enough(points, scores)
+        self._critical = scores <= threshold
+        self._places = _places(space, seed)
+        self._at = encoded(space, self._places)
+        self._ran = encoded(space, points)
+        self._process = boundary_process(self._ran, scores, threshold)
+        mean, deviation = self._process.predict(self._at)
+        self._t = mean / np.hypot(deviation, self._process.noise)
+        self._space = space
+        self._outcome = dict(
+            zip(map(bytes, space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True)
+        )
+        self._certain = self._seen(self._places)
+        self._is_found = _found(mean, self._certain)
+        self._rng = np.random.default_rng(seed)
+        # Sums in one order, whatever the number of threads.
+        with threadpool_limits(limits=1):
+            self._learn()
+            self._draw()
+
+    def _learn(self) -> None:
+        """Find how the probabilities are to be corrected."""
+        mean, deviation = self._process.leave_one_out()
+        t = mean / deviation
+        nearest = np.asarray(cKDTree(self._ran).query(self._at)[1], dtype=np.int64)
+        share = np.bincount(nearest, minlength=len(t)) / len(nearest)
+        weights = _TOLD * share / (share**2).sum()
+        sign = np.where(self._critical, 1.0, -1.0)
+
+        def loss(parameters: FloatArray) -> float:
+            a, log_b = parameters
+            foretold = norm.logcdf(-sign * (a + np.exp(log_b) * t))
+            return float(-(weights * foretold).sum() + 0.5 * (parameters**2).sum())
+
+        best = minimize(loss, np.zeros(2), method="BFGS")
+        self._correction = self._rng.multivariate_normal(best.x, np.asarray(best.hess_inv), _DRAWS)
+
+    def _draw(self) -> None:
+        """Draw critical sets on some of the places, and the critical share on all."""
+        part = slice(None, min(_JOINT, len(self._at)))
+        factor, deviation = self._process.joint(self._at[part])
+        normal = factor @ self._rng.standard_normal((len(factor), _DRAWS)) / deviation[:, None]
+        limit = self._limit(part)
+        self._drawn: BoolArray = normal <= limit
+        # Few places give the spread, many the level.
+        level = np.zeros(_DRAWS)
+        for first in range(0, len(self._at), _JOINT):
+            level += norm.cdf(self._limit(slice(first, first + _JOINT))).sum(axis=0)
+        shares = self._drawn.mean(axis=0) + level / len(self._at) - norm.cdf(limit).mean(axis=0)
+        self._shares = np.clip(shares, 0.0, 1.0)
+
+    def _limit(self, part: slice) -> FloatArray:
+        """Normal deviate up to which a place is critical in each draw; infinite where it was run."""
+        # Copies: see the logarithm in cornercase.evidence.gaussian_process.
+        a, log_b = self._correction.T.copy()
+        limit = -(a + np.exp(log_b) * self._t[part, None])
+        return np.where(self._certain[part, None] == 0.0, limit, self._certain[part, None])
+
+    def found(self, points: FloatArray) -> BoolArray:
+        """Whether scenarios are taken for critical.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, d)
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        mean, _ = self._process.predict(encoded(self._space, points))
+        return _found(mean, self._seen(points))
+
+    def _seen(self, points: FloatArray) -> FloatArray:
+        """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""
+        return np.array([self._outcome.get(bytes(point), 0.0) for point in self._space.snap(points)])
+
+    @cached_property
+    def share(self) -> Estimate:
+        """Critical share of the space."""
+        return _estimate(self._shares)
+
+    @cached_property
+    def missed(self) -> Estimate:
+        """Share of the critical set that is not found; all of it while no critical scenario was run."""
+        if not self._critical.any():
+            return Estimate(1.0, 1.0, 1.0)
+        unseen = (self._drawn & ~self._is_found[: len(self._drawn), None]).sum(axis=0)
+        return _estimate(unseen / np.maximum(self._drawn.sum(axis=0), 1))
+
+    def share_in(self, other: CriticalSet) -> Estimate:
+        """Share of the critical set that lies in another set of the same space.
+
+        Parameters
+        ----------
+        other : CriticalSet
+            From another score of scenarios of the same space, with the same seed; taken for independent.
+        """
+        count = len(self._drawn)
+        both = (self._drawn & other._drawn).mean(axis=0)
+        # As for the share of the space: few places give the spread, many the level.
+        for first in range(0, len(self._at), count):
+            part = slice(first, first + count)
+            likely = norm.cdf(self._limit(part)) * norm.cdf(other._limit(part))
+            both += likely.sum(axis=0) / len(self._at) - (likely.mean(axis=0) if first == 0 else 0.0)
+        shares = np.clip(both / np.maximum(self._shares, 1e-12), 0.0, 1.0)
+        return _estimate(shares)
+
+    def overlooked(self, size: float = REGION) -> float:
+        """Probability, by the process, that no scenario was run in some critical region.
+
+        Parameters
+        ----------
+        size : float, default 0.01
+            Share of the space from which a region counts.
+        """
+        count, edges = len(self._drawn), self._edges
+        ran = np.broadcast_to(self._critical[:, None], (len(self._critical), _DRAWS))
+        critical = np.concatenate([self._drawn, ran])
+        overlooked = 0
+        for one in critical.T:
+            kept = edges[:, one[edges[0]] & one[edges[1]]]
+            graph = coo_array((np.ones(kept.shape[1]), (kept[0], kept[1])), shape=(len(one), len(one)))
+            label = connected_components(graph, directed=False)[1]
+            sizes = np.bincount(label[:count][one[:count]], minlength=label.max() + 1)
+            hit = np.zeros(len(sizes), dtype=np.bool_)
+            hit[label[count:][self._critical]] = True
+            overlooked += bool(((sizes >= max(size * count, 1.0)) & ~hit).any())
+        return overlooked / _DRAWS
+
+    def unvisited(self, size: float = REGION) -> float:
+        """Share of the space around which a ball of a given size holds none of the scenarios that were run.
+
+        What the process says of a region rests on what was run around it. This rests on nothing but where that was:
+        a critical region of this size that lies anywhere is met with one minus this probability.
+
+        Parameters
+        ----------
+        size : float, default 0.01
+            Share of the space that the ball takes; it keeps to one choice of each parameter with names.
+        """
+        numbers = [one for one in self._space.parameters if not one.choices and one.size != 1]
+        dims, choices = len(numbers), math.prod(len(one.choices) or 1 for one in self._space.parameters)
+        ball = np.pi ** (dims / 2) / math.gamma(dims / 2 + 1)
+        radius = (size * choices / ball) ** (1 / dims) if dims else 0.0
+        # Choices are at a distance of 1 from each other.
+        return float(np.mean(cKDTree(self._ran).query(self._at)[0] > min(radius, 0.999)))
+
+    @cached_property
+    def _edges(self) -> IntArray:
+        """Pairs of neighbours among the places and the scenarios that were run, shape (2, E)."""
+        nodes = np.concatenate([self._at[: len(self._drawn)], self._ran])
+        found = cKDTree(nodes).query(nodes, k=min(2 * nodes.shape[1] + 1, len(nodes)))[1]
+        near = np.asarray(found, dtype=np.int64)[:, 1:]
+        return np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
+
+    def to_json(self) -> dict[str, Any]:
+        """All of it as plain values."""
+        return {
+            "share": vars(self.share),
+            "missed": vars(self.missed),
+            "overlooked": {"value": self.overlooked(), "size": REGION},
+            "unvisited": {"value": self.unvisited(), "size": REGION},
+        }
+
+
+def _places(space: ParameterSpace, seed: int) -> FloatArray:
+    """Concrete scenarios that stand for the space, each as often as it is likely."""
+    with_all = space.snap(qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])).random(_PLACES))
+    return with_all[space.admits(with_all)]
+
+
+def _found(mean: FloatArray, seen: FloatArray) -> BoolArray:
+    return np.where(seen == 0.0, mean <= 0.0, seen > 0.0)
+
+
+def _estimate(draws: FloatArray) -> Estimate:
+    low, high = np.quantile(draws, _INTERVAL)
+    return Estimate(float(draws.mean()), float(low), float(high))

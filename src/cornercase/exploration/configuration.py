@@ -1,0 +1,221 @@
+"""From a logical scenario to a report, as the command line does it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cornercase._common.errors import InputError
+from cornercase._common.version import __version__
+from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
+from cornercase.exploration.objective import Objective
+from cornercase.exploration.stopping import Criterion
+from cornercase.metrics import METRICS
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.scenario import LogicalScenario, Scenario
+from cornercase.simulators import SIMULATORS, ParallelSimulator, Simulator, WorkerSimulator, told
+from cornercase.study import Study
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """Everything that an exploration depends on.
+
+    Attributes
+    ----------
+    logical : LogicalScenario
+    ego, other : str
+    metrics : tuple of str
+        The first is searched.
+    optimizer : str
+    critical : float or None
+        Score from which a scenario is critical; None for the metric's own.
+    weights : mapping of str to float
+        For a weighted sum of the metrics, instead of the first.
+    pareto : bool
+        Whether to search the Pareto front of all metrics.
+    stop_when : tuple of str
+        What has to be known to stop, as ``"missed<0.01"``.
+    budget, batch, seed : int
+    patience : int or None
+    max_seconds : float or None
+    simulator : str
+    workers : int
+    timeout : float or None
+        s after which a scenario is given up.
+    retries : int
+        How often a scenario is run again after the simulator died or hung.
+    repeats : int
+        How often each scenario is run, as of `ScenarioExplorer`.
+    time_step, duration : float
+        s.
+    on_collision : {"continue", "stop"}
+    drivers : mapping of str to str
+        Driver by entity.
+    """
+
+    logical: LogicalScenario
+    ego: str
+    other: str
+    metrics: tuple[str, ...]
+    optimizer: str = "bayes"
+    critical: float | None = None
+    weights: Mapping[str, float] = field(default_factory=dict)
+    pareto: bool = False
+    stop_when: tuple[str, ...] = ()
+    budget: int = 200
+    batch: int = 10
+    seed: int = 0
+    patience: int | None = None
+    max_seconds: float | None = None
+    simulator: str = "builtin"
+    workers: int = 1
+    timeout: float | None = None
+    retries: int = 1
+    repeats: int = 1
+    time_step: float = 0.05
+    duration: float = 60.0
+    on_collision: str = "continue"
+    drivers: Mapping[str, str] = field(default_factory=dict)
+
+
+def explore_scenario(exploration: Exploration, path: Path, progress: bool = False) -> ExplorationResult:
+    """Explore into a study, or go on with the one that is there.
+
+    Raises
+    ------
+    InputError
+        Something about the exploration cannot be used, or the study is of another one; it is left as it is.
+    """
+    try:
+        return _explore(exploration, path, progress)
+    except KeyboardInterrupt:
+        # While the explorer does not listen, at its very beginning or end.
+        with suppress(InputError), Study.open(path, readonly=True) as study:
+            return ExplorationResult(len(study.done()) + len(study.failed()), "it was interrupted", interrupted=True)
+        raise
+
+
+def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
+    file = Scenario.read(one.logical.path)
+    file.require_entity(one.ego, "ego")
+    file.require_entity(one.other, "other")
+    if one.ego == one.other:
+        raise InputError(f"--other {one.other}: is the ego itself; name the entity that it meets.")
+    metrics = [METRICS.create(name) for name in dict.fromkeys(one.metrics)]
+    objective = Objective(metrics, one.weights, one.pareto)
+    criteria = [Criterion.parse(text) for text in one.stop_when]
+    kind = one.optimizer.partition(":")[0]
+    required = kind == "level-set" or bool(criteria)
+    limit = objective.limit(one.critical) if required else objective.limit_where_known(one.critical)
+    options: dict[str, Any] = {}
+    if kind == "grid":
+        options["budget"] = one.budget
+    elif kind == "level-set":
+        options["threshold"] = limit
+    optimizer = OPTIMIZERS.create(one.optimizer, space=one.logical.space, seed=one.seed, **options)
+    if one.pareto and not getattr(optimizer, "takes_several", False):
+        raise InputError(f"--pareto: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
+    simulator = _simulator(one)
+    # Before there is a study, as nothing of the scenario could be run.
+    getattr(simulator, "require_means", lambda _: None)(file)
+    meta = {
+        "scenario": str(one.logical.path.resolve()),
+        "fingerprint": one.logical.fingerprint,
+        "space": one.logical.space.to_json(),
+        "ego": one.ego,
+        "other": one.other,
+        "metrics": [metric.name for metric in metrics],
+        "optimizer": one.optimizer,
+        "critical": None if limit is None else objective.flip(limit),
+        "weights": dict(one.weights) or None,
+        "pareto": one.pareto or None,
+        "seed": one.seed,
+        "budget": one.budget,
+        "batch": one.batch,
+        "simulator": one.simulator,
+        "settings": simulator.settings,
+        "repeats": one.repeats if one.repeats > 1 else None,
+        "version": __version__,
+    }
+    if path.exists():
+        study = Study.open(path)
+        _require_same(study, meta)
+    else:
+        study = Study.create(path, meta)
+    with study:
+        explorer = ScenarioExplorer(
+            one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
+            budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,
+            objective=objective, stop_when=criteria, critical=limit, seed=one.seed, repeats=one.repeats,
+        )  # fmt: skip
+        try:
+            return explorer.run(progress)
+        finally:
+            # Simulators in processes of their own have something to end.
+            getattr(simulator, "close", lambda: None)()
+
+
+def _simulator(one: Exploration) -> Simulator:
+    from cornercase.drivers import named_driver
+
+    options: dict[str, Any] = {
+        "time_step": one.time_step,
+        "duration": one.duration,
+        "on_collision": one.on_collision,
+        # A preset stays a name, so that it can be written into the reduced set's files.
+        "drivers": {entity: named_driver(n) if ":" in n else n for entity, n in one.drivers.items()},
+    }
+    for name in one.drivers.values():
+        named_driver(name)
+    if "ego" in told(one.simulator):
+        options["ego"] = one.ego
+    if one.timeout is not None and not 0.0 < one.timeout < float("inf"):
+        raise InputError(f"--timeout {one.timeout:g}: give a time above 0 s.")
+    # Its own process protects from a simulator that is not ours; the builtin one steps batches.
+    if one.simulator.partition(":")[0] != "builtin" or one.timeout is not None:
+        return WorkerSimulator(one.simulator, options, one.workers, one.timeout, one.retries)
+    if one.workers > 1:
+        return ParallelSimulator(one.simulator, options, one.workers)
+    return SIMULATORS.create(one.simulator, **options)
+
+
+def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
+    """Refuse to go on with a study of something else; only the budget may grow."""
+    for key, words in (
+        ("scenario", "another scenario"),
+        ("fingerprint", "another version of the scenario file"),
+        ("space", "other parameter ranges"),
+        ("ego", "another ego"),
+        ("other", "another other entity"),
+        ("metrics", "other metrics"),
+        ("optimizer", "another optimizer"),
+        ("weights", "other weights of the metrics"),
+        ("pareto", "another objective"),
+        ("seed", "another seed"),
+        ("batch", "another batch size"),
+        ("settings", "other simulator settings"),
+        ("repeats", "another number of repeats"),
+    ):
+        if study.meta.get(key) != meta[key]:
+            study.close()
+            raise InputError(f"{study.path}: belongs to {words}; name another study with -o, or give the same options.")
+    # Where it runs may change; what the recordings depend on is among the settings.
+    if study.meta["simulator"].partition(":")[0] != meta["simulator"].partition(":")[0]:
+        study.close()
+        raise InputError(f"{study.path}: belongs to another simulator; name another study with -o, or give the same.")
+    # Earlier studies know a threshold only where the search needed one.
+    if study.meta.get("critical") not in (None, meta["critical"]):
+        study.close()
+        raise InputError(
+            f"{study.path}: belongs to another threshold of what is critical ({study.meta['critical']:g}); name"
+            " another study with -o, or give the same --critical."
+        )
+    if meta["optimizer"].partition(":")[0] == "grid" and study.meta["budget"] != meta["budget"]:
+        study.close()
+        raise InputError(
+            f"{study.path}: belongs to a grid of {study.meta['budget']} scenarios; give the same --budget."
+        )

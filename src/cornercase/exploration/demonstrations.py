@@ -1,0 +1,74 @@
+"""The paper's two experiments, at its size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase.exploration.configuration import Exploration
+from cornercase.scenario import LogicalScenario
+
+_DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
+    "x-intersection": {
+        "other": "Pedestrian",
+        "metrics": ("wttc", "trajectory-distance"),
+        "budget": 400,
+        "on_collision": "continue",
+    },
+    "t-intersection": {
+        "other": "C",
+        "metrics": ("ttc", "distance", "traffic-quality", "wttc"),
+        "budget": 300,
+        "on_collision": "stop",
+    },
+}
+
+
+def demonstration(
+    name: str,
+    *,
+    budget: int | None = None,
+    seed: int = 0,
+    driver: str | None = None,
+    simulator: str = "builtin",
+    workers: int = 1,
+) -> Exploration:
+    """Exploration of one of the paper's experiments, at its size.
+
+    Parameters
+    ----------
+    name : {"x-intersection", "t-intersection"}
+    budget : int, optional
+    seed : int
+    driver : str, optional
+        Who drives the ego, instead of the file's own choice.
+    simulator : str
+    workers : int
+
+    Raises
+    ------
+    InputError
+        There is no such example.
+    """
+    if name not in _DEMONSTRATIONS:
+        raise InputError(f"There is no example '{name}'; {suggestion(name, _DEMONSTRATIONS)}")
+    stem = name.replace("-", "_")
+    folder = examples() / stem
+    exploration = Exploration(
+        LogicalScenario.read(folder / f"{stem}.xosc", folder / f"{stem}.space.xosc"),
+        ego="Ego",
+        seed=seed,
+        drivers={} if driver is None else {"Ego": driver},
+        simulator=simulator,
+        workers=workers,
+        **_DEMONSTRATIONS[name],
+    )
+    return exploration if budget is None else replace(exploration, budget=budget)
+
+
+def examples() -> Path:
+    """Folder of the examples: in the package when installed, at the root of a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    return package / "examples" if (package / "examples").is_dir() else package.parents[1] / "examples"

@@ -1,0 +1,178 @@
+"""What a search is told of a scenario: the score of one metric, a weighted sum of several, or all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.metrics import METRICS, Metric, threshold
+from cornercase.study import Study
+
+
+class Objective:
+    """Turns scores into what a search makes as low as it can.
+
+    The score of the first metric, unless there are weights: then ``sum of weight times score``. What is critical
+    when high counts with the opposite sign. For a Pareto front each metric stays by itself.
+
+    Parameters
+    ----------
+    metrics : sequence of Metric
+    weights : mapping of str to float, optional
+        By metric, per unit of its score; a metric without weight does not count.
+    pareto : bool, default False
+
+    Raises
+    ------
+    InputError
+        There is no metric, a weight is of none of them or not above 0, there are weights of a Pareto front, or a
+        front of one metric.
+    """
+
+    def __init__(
+        self, metrics: Sequence[Metric], weights: Mapping[str, float] | None = None, pareto: bool = False
+    ) -> None:
+        if not metrics:
+            raise InputError("There is no metric to search; name one with --metric.")
+        self.metrics, self.weights, self.pareto = list(metrics), dict(weights or {}), pareto
+        if pareto and (self.weights or len(metrics) < 2):
+            raise InputError("--pareto: takes two metrics or more, and no --weight.")
+        names = [metric.name for metric in metrics]
+        for name, weight in self.weights.items():
+            if name not in names:
+                raise InputError(f"--weight {name}: is none of the metrics; {suggestion(name, names)}")
+            if not 0.0 < weight < np.inf:
+                raise InputError(f"--weight {name}={weight:g}: give a number above 0.")
+        self._factors = self._matrix()
+
+    @classmethod
+    def of_study(cls, meta: Mapping[str, Any]) -> Objective:
+        """Objective of a study, from its meta data."""
+        metrics = [METRICS.create(name) for name in meta["metrics"]]
+        return cls(metrics, meta.get("weights"), bool(meta.get("pareto")))
+
+    def _matrix(self) -> FloatArray:
+        signs = np.array([1.0 if metric.lower_is_critical else -1.0 for metric in self.metrics])
+        if self.pareto:
+            return np.diag(signs)
+        weights = [self.weights.get(metric.name, 0.0) for metric in self.metrics]
+        chosen = np.array(weights) if self.weights else np.eye(len(signs))[0]
+        return np.asarray((chosen * signs)[:, None])
+
+    def told(self, scores: FloatArray) -> FloatArray:
+        """What the search is told of scores, shape (m, metrics); (m,), or (m, metrics) for a Pareto front."""
+        # A metric that does not count must not make anything of it undefined.
+        used = self._factors.any(axis=1)
+        values = scores[:, used] @ self._factors[used]
+        return np.asarray(values if self.pareto else values[:, 0])
+
+    def told_of(self, study: Study) -> FloatArray:
+        """What the search is told of all scenarios of a study that ended, as of `told`."""
+        return self.told(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
+
+    @property
+    def text(self) -> str:
+        """What is searched, in words."""
+        if self.pareto:
+            return "Pareto front of " + ", ".join(metric.name for metric in self.metrics)
+        if not self.weights:
+            return self.metrics[0].name
+        return " + ".join(
+            f"{self.weights[m.name]:g} {m.name}" if m.lower_is_critical else f"{self.weights[m.name]:g} (-{m.name})"
+            for m in self.metrics
+            if m.name in self.weights
+        )
+
+    @property
+    def unit(self) -> str:
+        """Unit of what a search is told; empty for a weighted sum."""
+        return "" if self.weights or self.pareto or self.metrics[0].unit == "1" else self.metrics[0].unit
+
+    def limit(self, given: float | None) -> float:
+        """What a search is told of the least critical scenario that is critical.
+
+        Parameters
+        ----------
+        given : float, optional
+            As the user says it: a score of the metric that is searched, or a weighted sum. By default the metric's
+            own threshold.
+
+        Raises
+        ------
+        InputError
+            A Pareto front has none; or there is none of its own, and none is given.
+        """
+        if self.pareto:
+            raise InputError("--pareto: what is critical needs one score; weigh the metrics with --weight instead.")
+        if self.weights:
+            if given is None:
+                raise InputError("--weight: say with --critical up to which weighted sum a scenario is critical.")
+            return float(given)
+        return self.flip(threshold(self.metrics[0], given))
+
+    def limit_where_known(self, given: float | None) -> float | None:
+        """As `limit`; but None where none is given and nothing else says it."""
+        try:
+            return self.limit(given)
+        except InputError:
+            if given is not None:
+                raise
+            return None
+
+    def flip(self, value: float) -> float:
+        """Turn a score of the one metric that is searched into what is told of it, or back."""
+        return value if self.weights or self.metrics[0].lower_is_critical else -value
+
+    @property
+    def uncritical(self) -> FloatArray:
+        """What is told of a scenario with every score at its cap, shape (1,) or (metrics,)."""
+        return self.told(np.array([[metric.cap for metric in self.metrics]])).ravel()
+
+
+def on_front(values: FloatArray) -> BoolArray:
+    """Whether rows, shape (m, k), are dominated by no other: lower or equal in all, and lower in one; shape (m,)."""
+    known = np.isfinite(values).all(axis=1)
+    front = known.copy()
+    for i in np.flatnonzero(known):
+        better = (values[known] <= values[i]).all(axis=1) & (values[known] < values[i]).any(axis=1)
+        front[i] = not better.any()
+    return np.asarray(front)
+
+
+class Best:
+    """The most critical there was so far: a value, or a Pareto front."""
+
+    def __init__(self, objective: Objective) -> None:
+        self._objective = objective
+        self._front = np.zeros((0, 1))
+
+    def add(self, told: FloatArray) -> bool:
+        """Take what was told of a round, shape (m,) or (m, k); whether any of it is news.
+
+        News is what is nowhere less critical than what was known, unless every score is at its cap.
+        """
+        values = told.reshape(len(told), -1)
+        values = values[np.isfinite(values).all(axis=1)]
+        if not len(values):
+            return False
+        before = self._front if len(self._front) else np.full((1, values.shape[1]), np.inf)
+        worse = (before[:, None] <= values).all(axis=2) & (before[:, None] < values).any(axis=2)
+        same = (before[:, None] == values).all(axis=2).any(axis=0)
+        capped = (values >= self._objective.uncritical).all(axis=1)
+        news = ~worse.any(axis=0) & ~(same & capped)
+        everyone = np.unique(np.concatenate([self._front.reshape(-1, values.shape[1]), values]), axis=0)
+        self._front = everyone[on_front(everyone)]
+        return bool(news.any())
+
+    @property
+    def text(self) -> str:
+        """In a few words; empty before anything is known."""
+        if not len(self._front):
+            return ""
+        if self._objective.pareto:
+            return f"front of {len(self._front)}"
+        return f"best {self._objective.flip(float(self._front[0, 0])):.3g} {self._objective.unit}".rstrip()

@@ -1,1 +1,0 @@
-"""Recordings of other tools, one module per file format."""

@@ -1,0 +1,152 @@
+"""Binary files of CARLA's recorder."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase.recordings.recording import Collision, Recording
+from cornercase.recordings.samples import EntitySamples, box_center, recording_of
+
+_FRAME, _ADDED, _REMOVED, _COLLISIONS, _POSITIONS, _BOXES = 0, 2, 3, 5, 6, 13
+_VEHICLE, _WALKER = 1, 2
+_MAGIC: Final = b"CARLA_RECORDER"
+_CM: Final = 0.01
+
+
+@dataclass
+class _Actor:
+    name: str
+    kind: str
+    box: tuple[float, float, float, float] | None = None
+    """Centre ahead of and to the right of the actor's origin, half length and half width, in m."""
+    places: list[tuple[float, float, float, float]] = field(default_factory=list)
+    """Time in s, x and y in m, and heading in rad."""
+
+
+def read_carla_log(path: Path | str) -> Recording:
+    """Read a recording of CARLA, without CARLA.
+
+    Parameters
+    ----------
+    path : path
+        As written by ``client.start_recorder``, of CARLA 0.9.13 and later, which store boxes.
+
+    Returns
+    -------
+    Recording
+        Vehicles and walkers, by their role name where that is one's own (``hero``), else by type and number. Reference
+        points are the box centres. CARLA's left-handed axes are turned: y and headings change their sign. Speeds are
+        those of the positions, collisions those that CARLA noted between two of them.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is none of CARLA's recorder, or is cut off.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    if not data[4:].startswith(_MAGIC):
+        raise InputError(f"{path}: is no file of CARLA's recorder.")
+    try:
+        actors, touched = _actors(data)
+    except (struct.error, UnicodeDecodeError, IndexError) as error:
+        raise InputError(f"{path}: is cut off or damaged; record it again.") from error
+    roles = [one.name.partition(" ")[0] for one in actors]
+    tracks: dict[str, EntitySamples] = {}
+    names: dict[str, str] = {}
+    for one, role in zip(actors, roles, strict=True):
+        if not one.places or one.box is None:
+            continue
+        names[one.name] = role if roles.count(role) == 1 else one.name
+        ahead, right, length, width = one.box
+        track = EntitySamples(one.kind, 2.0 * length, 2.0 * width)
+        for time, x, y, heading in one.places:
+            track.samples[time] = (*box_center(x, y, heading, ahead, -right), heading, math.nan, math.nan)
+        tracks[names[one.name]] = track
+    collisions: dict[frozenset[str], Collision] = {}
+    for time, a, b in touched:
+        if a in names and b in names:
+            one_name, other = sorted((names[a], names[b]), key=list(tracks).index)
+            collisions.setdefault(frozenset((a, b)), Collision(time, (one_name, other)))
+    return recording_of(path, tracks, sorted(collisions.values(), key=lambda one: one.time))
+
+
+def _actors(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:
+    """All that ever appear, and which of them touch when."""
+    # A version, the magic words, a date, and the name of the map.
+    _, at = _text(data, 2 + 2 + len(_MAGIC) + 8)
+    present: dict[int, _Actor] = {}
+    everyone: list[_Actor] = []
+    touched: list[tuple[float, str, str]] = []
+    time = 0.0
+    while at < len(data):
+        kind, size = struct.unpack_from("<BI", data, at)
+        packet = data[at + 5 : at + 5 + size]
+        if len(packet) < size:
+            raise IndexError("cut off")
+        at += 5 + size
+        if kind == _FRAME:
+            _, _, time = struct.unpack_from("<Qdd", packet)
+        elif kind == _ADDED:
+            for number, one in _added(packet):
+                present[number] = one
+                everyone.append(one)
+        elif kind == _REMOVED:
+            (count,) = struct.unpack_from("<H", packet)
+            for number in struct.unpack_from(f"<{count}I", packet, 2):
+                present.pop(number, None)
+        elif kind == _POSITIONS:
+            for number, x, y, _, _, _, yaw in _rows(packet, "<I6f"):
+                if number in present:
+                    place = (time, x * _CM, -y * _CM, -math.radians(yaw))
+                    present[number].places.append(place)
+        elif kind == _COLLISIONS:
+            for _, a, b, *_ in _rows(packet, "<III2?"):
+                if a in present and b in present:
+                    touched.append((time, present[a].name, present[b].name))
+        elif kind == _BOXES:
+            for number, ahead, right, _, length, width, _ in _rows(packet, "<I6f"):
+                if number in present and present[number].box is None and math.isfinite(length):
+                    present[number].box = (ahead * _CM, right * _CM, length * _CM, width * _CM)
+    return everyone, touched
+
+
+def _added(packet: bytes) -> list[tuple[int, _Actor]]:
+    """Vehicles and walkers among the actors that appear."""
+    (count,), at, found = struct.unpack_from("<H", packet), 2, []
+    for _ in range(count):
+        number, sort = struct.unpack_from("<IB", packet, at)
+        # Then come a place, a rotation, and the number of the blueprint.
+        kind, at = _text(packet, at + 5 + 28)
+        (attributes,), at = struct.unpack_from("<H", packet, at), at + 2
+        values = {}
+        for _ in range(attributes):
+            key, at = _text(packet, at + 1)
+            values[key], at = _text(packet, at)
+        if sort in (_VEHICLE, _WALKER):
+            role = values.get("role_name", "")
+            name = role if role and role not in ("autopilot", "scenario", "default", "background") else kind
+            found.append((number, _Actor(f"{name} {number}", "car" if sort == _VEHICLE else "pedestrian")))
+    return found
+
+
+def _rows(packet: bytes, form: str) -> list[Any]:
+    (count,) = struct.unpack_from("<H", packet)
+    size = struct.calcsize(form)
+    return [struct.unpack_from(form, packet, 2 + k * size) for k in range(count)]
+
+
+def _text(data: bytes, at: int) -> tuple[str, int]:
+    (size,) = struct.unpack_from("<H", data, at)
+    text = data[at + 2 : at + 2 + size]
+    if len(text) < size:
+        raise IndexError("cut off")
+    return text.decode("utf-8"), at + 2 + size

@@ -1,0 +1,128 @@
+"""CommonRoad scenarios."""
+
+from __future__ import annotations
+
+import logging
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase.recordings.recording import Recording
+from cornercase.recordings.samples import EntitySamples, recording_of
+from cornercase.scenario import read_xml
+
+_KINDS = {
+    "truck": "truck",
+    "bus": "bus",
+    "bicycle": "bicycle",
+    "pedestrian": "pedestrian",
+    "motorcycle": "motorbike",
+    "train": "train",
+    "priorityVehicle": "car",
+    "car": "car",
+    "parkedVehicle": "car",
+    "taxi": "car",
+}
+
+
+def read_commonroad(path: Path | str) -> Recording:
+    """Read the obstacles of a CommonRoad scenario.
+
+    Parameters
+    ----------
+    path : path
+        Scenario as XML.
+
+    Returns
+    -------
+    Recording
+        Dynamic obstacles with a trajectory, and static ones, which stand all the time. Names are their ids,
+        as text; the reference points are the centres of the rectangles or circles. What a planner shall find
+        out, the ego's motion, is not part of such a file: add it as an obstacle.
+
+    Raises
+    ------
+    InputError
+        commonroad-io is not installed (extra ``commonroad``), the file cannot be read, or an obstacle has
+        another shape, no orientation or a set of predicted occupancies instead of a trajectory.
+    """
+    path = Path(path)
+    read_xml(path)  # refuses what commonroad-io would take: document types, endless files
+    try:
+        from commonroad.common.file_reader import CommonRoadFileReader
+    except ImportError as error:
+        raise InputError(
+            f"{path}: reading CommonRoad files needs the extra 'commonroad'; "
+            "install it with 'pip install cornercase[commonroad]'."
+        ) from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scenario, _ = CommonRoadFileReader(str(path)).open()
+    except Exception as error:
+        # The library raises whatever its parsing stumbles on.
+        logging.getLogger(__name__).debug("commonroad-io", exc_info=True)
+        raise InputError(f"{path}: commonroad-io cannot read it ({type(error).__name__}: {error}).") from error
+
+    tracks: dict[str, EntitySamples] = {}
+    steps: set[int] = set()
+    for obstacle in scenario.dynamic_obstacles:
+        states = [obstacle.initial_state, *_trajectory(path, obstacle)]
+        steps.update(state.time_step for state in states)
+        track = tracks[str(obstacle.obstacle_id)] = _track(path, obstacle)
+        for state in states:
+            track.samples[state.time_step * scenario.dt] = _sample(path, obstacle, state)
+    for obstacle in scenario.static_obstacles:
+        track = tracks[str(obstacle.obstacle_id)] = _track(path, obstacle)
+        x, y, heading, _, _ = _sample(path, obstacle, obstacle.initial_state)
+        for step in sorted(steps or {0}):
+            track.samples[step * scenario.dt] = (x, y, heading, 0.0, 0.0)
+    return recording_of(path, tracks)
+
+
+def _trajectory(path: Path, obstacle: Any) -> list[Any]:
+    if obstacle.prediction is None:
+        return []
+    if not hasattr(obstacle.prediction, "trajectory"):
+        raise InputError(
+            f"{path}: obstacle {obstacle.obstacle_id} has predicted occupancies instead of a trajectory; "
+            "only recorded states can be measured."
+        )
+    states: list[Any] = obstacle.prediction.trajectory.state_list
+    return states
+
+
+def _track(path: Path, obstacle: Any) -> EntitySamples:
+    shape = obstacle.obstacle_shape
+    kind = _KINDS.get(obstacle.obstacle_type.value, "misc")
+    if hasattr(shape, "length") and hasattr(shape, "width"):
+        return EntitySamples(kind, float(shape.length), float(shape.width))
+    if hasattr(shape, "radius"):
+        return EntitySamples(kind, 2.0 * float(shape.radius), 2.0 * float(shape.radius))
+    raise InputError(
+        f"{path}: obstacle {obstacle.obstacle_id} is a {type(shape).__name__}; only rectangles and circles "
+        "have a bounding box to measure."
+    )
+
+
+def _sample(path: Path, obstacle: Any, state: Any) -> tuple[float, float, float, float, float]:
+    position, heading = getattr(state, "position", None), getattr(state, "orientation", None)
+    if not isinstance(position, np.ndarray) or not isinstance(heading, int | float | np.floating):
+        raise InputError(
+            f"{path}: obstacle {obstacle.obstacle_id} has no exact position and orientation at step {state.time_step}."
+        )
+    shape = obstacle.obstacle_shape
+    ahead, left = getattr(shape, "center", (0.0, 0.0))
+    cos, sin = math.cos(heading), math.sin(heading)
+    speed, acceleration = (getattr(state, name, None) for name in ("velocity", "acceleration"))
+    return (
+        float(position[0] + cos * ahead - sin * left),
+        float(position[1] + sin * ahead + cos * left),
+        float(heading) + float(getattr(shape, "orientation", 0.0)),
+        math.nan if speed is None else float(speed),
+        math.nan if acceleration is None else float(acceleration),
+    )

@@ -1,0 +1,137 @@
+"""Result files of CarMaker, ERG."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.recordings.recording import Recording
+from cornercase.recordings.samples import EntitySamples, recording_of
+
+_HEADER: Final = 16
+_TYPES: Final = {
+    "Double": "f8", "Float": "f4", "Int": "i4", "UInt": "u4", "Long": "i4", "ULong": "u4", "LongLong": "i8",
+    "ULongLong": "u8", "Short": "i2", "UShort": "u2", "Char": "i1", "UChar": "u1",
+}  # fmt: skip
+# CarMaker's files do not tell how large anybody is.
+_LENGTH, _WIDTH = 4.5, 1.8
+
+
+def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
+    """Read all quantities of a result file.
+
+    Parameters
+    ----------
+    path : path
+        With ``.info`` beside it.
+
+    Returns
+    -------
+    dict of str to ndarray, each (T,)
+        In the units of CarMaker, which are SI.
+
+    Raises
+    ------
+    InputError
+        One of the files cannot be read, is no result file, is cut in the middle of a record, or they do not fit.
+    """
+    path = Path(path)
+    about = path.with_name(path.name + ".info")
+    try:
+        data, text = path.read_bytes(), about.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read ({error.strerror}).") from error
+    if len(data) < _HEADER or data[:8] != b"CM-ERG\0\0":
+        raise InputError(f"{path}: is no result file of CarMaker; it has to begin with CM-ERG.")
+    names = dict(re.findall(r"^File\.At\.(\d+)\.Name\s*=\s*(\S+)\s*$", text, re.MULTILINE))
+    types = dict(re.findall(r"^File\.At\.(\d+)\.Type\s*=\s*(.+?)\s*$", text, re.MULTILINE))
+    order = re.search(r"^File\.ByteOrder\s*=\s*(\S+)", text, re.MULTILINE)
+    end = ">" if order is not None and order.group(1) == "BigEndian" else "<"
+    fields: list[tuple[str, str]] = []
+    for number in sorted(names, key=int):
+        kind = types.get(number, "")
+        if kind in _TYPES:
+            fields.append((names[number], end + _TYPES[kind]))
+        elif re.fullmatch(r"\d+ Bytes", kind):
+            fields.append((names[number], f"V{kind.split()[0]}"))
+        else:
+            raise InputError(f"{about}: '{names[number]}' has the type '{kind}', which is not known.")
+    if not fields:
+        raise InputError(f"{about}: names no quantity.")
+    record = np.dtype(fields)
+    size = int.from_bytes(data[10:12], "little" if end == "<" else "big")
+    if size != record.itemsize:
+        raise InputError(f"{path}: has records of {size} bytes, and {about.name} describes {record.itemsize}.")
+    count, rest = divmod(len(data) - _HEADER, record.itemsize)
+    if rest:
+        raise InputError(f"{path}: is cut in the middle of record {count + 1}; run the TestRun again.")
+    table = np.frombuffer(data, record, count, _HEADER)
+    return {name: table[name] for name, kind in fields if not kind.startswith("V")}
+
+
+def read_erg(path: Path | str) -> Recording:
+    """Read the motion of the ego and of the traffic objects from a result file.
+
+    Parameters
+    ----------
+    path : path
+        With ``.info`` beside it.
+
+    Returns
+    -------
+    Recording
+        ``Ego``, and traffic objects as ``T00``, ``T01``, …. Positions in the file are taken for the middle of the rear
+        end, as CarMaker's vehicle frame has it; all are cars of 4.5 m x 1.8 m, as the file does not tell.
+
+    Raises
+    ------
+    InputError
+        As `read_erg_columns`, or the ego's motion was not recorded.
+    """
+    path = Path(path)
+    columns = read_erg_columns(path)
+    needed = ("Time", "Car.tx", "Car.ty", "Car.Yaw", "Car.v")
+    missing = [name for name in needed if name not in columns]
+    if missing:
+        raise InputError(f"{path}: has no {', '.join(missing)}; add it to the quantities that CarMaker stores.")
+    time = columns["Time"].astype(np.float64)
+    tracks = {"Ego": _track(time, *(columns[name] for name in needed[1:]))}
+    for name in sorted(found.group(1) for key in columns if (found := re.fullmatch(r"Traffic\.(T\d+)\.tx", key))):
+        x, y = columns[f"Traffic.{name}.tx"], columns.get(f"Traffic.{name}.ty")
+        if y is None:
+            raise InputError(f"{path}: has Traffic.{name}.tx, but no Traffic.{name}.ty.")
+        along, across = (columns.get(f"Traffic.{name}.v_0.{axis}") for axis in "xy")
+        heading, speed = columns.get(f"Traffic.{name}.rz"), columns.get(f"Traffic.{name}.LongVel")
+        if heading is None:
+            heading = _course(time, x, y) if along is None or across is None else np.arctan2(across, along)
+        if speed is None:
+            speed = np.full(len(time), np.nan) if along is None or across is None else np.hypot(along, across)
+        tracks[name] = _track(time, x, y, heading, speed)
+    return recording_of(path, tracks)
+
+
+def _track(time: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray) -> EntitySamples:
+    track = EntitySamples("car", _LENGTH, _WIDTH)
+    ahead = 0.5 * _LENGTH
+    rows = np.stack([x + ahead * np.cos(heading), y + ahead * np.sin(heading), heading, speed], axis=1)
+    for instant, row in zip(time.tolist(), rows.astype(np.float64).tolist(), strict=True):
+        track.samples[instant] = (row[0], row[1], row[2], row[3], float("nan"))
+    return track
+
+
+def _course(time: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Direction of the way, kept while it stands."""
+    if len(time) < 2:
+        return np.zeros(len(time))
+    dx, dy = np.gradient(x.astype(np.float64), time), np.gradient(y.astype(np.float64), time)
+    moving = np.hypot(dx, dy) > 0.01
+    if not moving.any():
+        return np.zeros(len(time))
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(time)), np.flatnonzero(moving)[0]))
+    return np.asarray(np.arctan2(dy, dx)[last])

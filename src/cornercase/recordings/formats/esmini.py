@@ -1,0 +1,81 @@
+"""Logs that esmini writes with ``--csv_logger``."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+from cornercase._common.errors import InputError
+from cornercase.recordings.recording import Recording
+from cornercase.recordings.samples import EntitySamples, box_center, recording_of
+
+FIRST_WORDS = "esmini GIT"
+_NEEDED = (
+    "Entity_Name", "Current_Speed", "bb_x", "bb_y", "bb_length", "bb_width", "World_Position_X", "World_Position_Y",
+    "World_Heading_Angle",
+)  # fmt: skip
+
+
+def read_esmini(path: Path | str) -> Recording:
+    """Read a log of esmini.
+
+    Parameters
+    ----------
+    path : path
+        CSV with esmini's words about itself before the header.
+
+    Returns
+    -------
+    Recording
+        Reference points are the box centres; all entities are cars, as the log does not tell what they are.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, lacks a column, or is cut in the middle of a line.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}).") from error
+    first = next((k for k, line in enumerate(lines) if line.startswith("Index [-]")), None)
+    if first is None:
+        raise InputError(f"{path}: has no header beginning with 'Index [-]'; write it with esmini --csv_logger.")
+    header = [name.partition("[")[0].strip() for name in lines[first].split(",")]
+    columns = {name: k for k, name in enumerate(header) if name}
+    numbers = sorted({int(name[1 : name.index(" ")]) for name in columns if name.startswith("#")})
+    for number in numbers:
+        for name in _NEEDED:
+            if f"#{number} {name}" not in columns:
+                raise InputError(f"{path}: the header lacks '#{number} {name}'.")
+    tracks: dict[str, EntitySamples] = {}
+    for k, row in enumerate(csv.reader(lines[first + 1 :], skipinitialspace=True), first + 2):
+        if not row:
+            continue
+        # Each line ends with a comma; a line without it was cut.
+        if len(row) < 3 or row[-1].strip():
+            raise InputError(f"{path}, line {k}: is cut off; leave it out or write the log again.")
+        _add(tracks, path, k, row, columns, numbers)
+    return recording_of(path, tracks)
+
+
+def _add(
+    tracks: dict[str, EntitySamples], path: Path, line: int, row: list[str], columns: dict[str, int], numbers: list[int]
+) -> None:
+    for number in numbers:
+        place = columns[f"#{number} Entity_Name"]
+        # Entities that are not there any more have no columns at the end of the line.
+        if place >= len(row) - 1 or not row[place].strip():
+            continue
+        try:
+            time = float(row[columns["TimeStamp"]])
+            speed, ahead, left, length, width, x, y, heading = (
+                float(row[columns[f"#{number} {name}"]]) for name in _NEEDED[1:]
+            )
+        except (ValueError, IndexError, KeyError):
+            raise InputError(f"{path}, line {line}: has no number where one has to be.") from None
+        name = row[place].strip()
+        track = tracks.setdefault(name, EntitySamples("car", length, width))
+        track.samples[time] = (*box_center(x, y, heading, ahead, left), heading, speed, math.nan)

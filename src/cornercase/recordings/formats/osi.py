@@ -1,0 +1,123 @@
+"""ASAM OSI traces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from cornercase._common.errors import InputError
+from cornercase.recordings.recording import Recording
+from cornercase.recordings.samples import EntitySamples, recording_of
+
+
+def read_osi(path: Path | str) -> Recording:
+    """Read an ASAM OSI trace.
+
+    Parameters
+    ----------
+    path : path
+        Single-channel (``.osi``, also compressed as ``.xz`` or ``.lzma``) or multi-channel (``.mcap``), of
+        GroundTruth or SensorView messages.
+
+    Returns
+    -------
+    Recording
+        The moving objects of the ground truth. Names are their ids, as text; the reference points are the
+        centres of the boxes. Speed and acceleration are those along the heading.
+
+    Raises
+    ------
+    InputError
+        osi-python is not installed (extra ``osi``), the file is cut off, or it holds no ground truth.
+    """
+    path = Path(path)
+    try:
+        from osi3 import osi_object_pb2
+    except ImportError as error:
+        raise InputError(
+            f"{path}: reading OSI traces needs the extra 'osi'; install it with 'pip install cornercase[osi]'."
+        ) from error
+
+    moving = osi_object_pb2.MovingObject
+    kinds = {
+        moving.TYPE_PEDESTRIAN: "pedestrian",
+        moving.TYPE_ANIMAL: "animal",
+    }
+    vehicle = moving.VehicleClassification
+    vehicles = {
+        vehicle.TYPE_DELIVERY_VAN: "van",
+        vehicle.TYPE_HEAVY_TRUCK: "truck",
+        vehicle.TYPE_SEMITRAILER: "semitrailer",
+        vehicle.TYPE_TRAILER: "trailer",
+        vehicle.TYPE_MOTORBIKE: "motorbike",
+        vehicle.TYPE_BICYCLE: "bicycle",
+        vehicle.TYPE_BUS: "bus",
+        vehicle.TYPE_TRAM: "tram",
+        vehicle.TYPE_TRAIN: "train",
+        vehicle.TYPE_WHEELCHAIR: "wheelchair",
+    }
+
+    tracks: dict[str, EntitySamples] = {}
+    for truth in _ground_truths(path):
+        time = truth.timestamp.seconds + truth.timestamp.nanos * 1e-9
+        for one in truth.moving_object:
+            name, base = str(one.id.value), one.base
+            kind = kinds.get(one.type) or vehicles.get(one.vehicle_classification.type, "car")
+            if one.type == moving.TYPE_OTHER:
+                kind = "misc"
+            track = tracks.setdefault(name, EntitySamples(kind, base.dimension.length, base.dimension.width))
+            if time in track.samples:
+                raise InputError(f"{path}: object {name} is there twice at {time} s.")
+            heading = base.orientation.yaw
+            cos, sin = math.cos(heading), math.sin(heading)
+            track.samples[time] = (
+                base.position.x,
+                base.position.y,
+                heading,
+                cos * base.velocity.x + sin * base.velocity.y if base.HasField("velocity") else math.nan,
+                cos * base.acceleration.x + sin * base.acceleration.y if base.HasField("acceleration") else math.nan,
+            )
+    return recording_of(path, tracks)
+
+
+def _ground_truths(path: Path) -> Iterator[Any]:
+    """Ground truth of each message; the kind of message is the one that shows moving objects."""
+    for kind in ("SensorView", "GroundTruth"):
+        truths = (m.global_ground_truth if kind == "SensorView" else m for m in _messages(path, kind))
+        first = next(truths, None)
+        if first is not None and first.moving_object:
+            yield first
+            yield from truths
+            return
+    raise InputError(f"{path}: holds no GroundTruth or SensorView messages with moving objects.")
+
+
+def _messages(path: Path, kind: str) -> Iterator[Any]:
+    import lzma
+
+    from google.protobuf.message import DecodeError
+    from mcap.exceptions import McapError
+    from osi3trace.osi_trace import OSITrace
+
+    try:
+        trace = OSITrace(str(path), kind)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except ValueError:
+        return
+    except McapError as error:
+        raise InputError(f"{path}: is not an MCAP file, or is cut off ({error}).") from error
+    count = 0
+    try:
+        for message in trace:
+            count += 1
+            yield message
+        left = getattr(getattr(trace.reader, "file", None), "read", bytes)()
+    except (DecodeError, McapError, EOFError, lzma.LZMAError) as error:
+        raise InputError(f"{path}: is broken or cut off after {count} messages ({error}).") from error
+    finally:
+        trace.close()
+    if left:
+        raise InputError(f"{path}: is cut off after {count} messages; {len(left)} bytes are left over.")

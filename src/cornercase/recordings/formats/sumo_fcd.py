@@ -1,0 +1,70 @@
+"""Floating car data that SUMO writes with ``--fcd-output``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase.recordings.recording import Recording
+from cornercase.recordings.samples import EntitySamples, box_center, recording_of
+from cornercase.scenario import read_xml
+
+# Of SUMO's default types: kind, length and width in m.
+_BOXES: Final = {
+    "DEFAULT_VEHTYPE": ("car", 5.0, 1.8),
+    "DEFAULT_PEDTYPE": ("pedestrian", 0.215, 0.478),
+    "DEFAULT_BIKETYPE": ("bicycle", 1.6, 0.65),
+}
+
+
+def read_sumo_fcd(path: Path | str) -> Recording:
+    """Read floating car data of SUMO.
+
+    Parameters
+    ----------
+    path : path
+        XML with ``<fcd-export>`` as its root.
+
+    Returns
+    -------
+    Recording
+        Reference points are the box centres. Boxes are those of the attributes ``length`` and ``width``, else of
+        SUMO's default types, which the file does not tell otherwise.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or something in it lacks a number.
+    """
+    path = Path(path)
+    tracks: dict[str, EntitySamples] = {}
+    for step in read_xml(path).iterfind("timestep"):
+        time = _number(path, step, "time")
+        for element in step.iterchildren("vehicle", "person"):
+            name = element.get("id", "")
+            usual = "DEFAULT_PEDTYPE" if element.tag == "person" else "DEFAULT_VEHTYPE"
+            kind, length, width = _BOXES.get(element.get("type", ""), _BOXES[usual])
+            if element.get("length") is not None:
+                length, width = _number(path, element, "length"), _number(path, element, "width")
+            track = tracks.setdefault(name, EntitySamples(kind, length, width))
+            heading = math.pi / 2 - math.radians(_number(path, element, "angle"))
+            heading = math.remainder(heading, 2 * math.pi)
+            # A vehicle's position is the middle of its front, a person's the middle of the body.
+            behind = 0.0 if element.tag == "person" else 0.5 * track.length
+            place = box_center(_number(path, element, "x"), _number(path, element, "y"), heading, -behind)
+            track.samples[time] = (*place, heading, _number(path, element, "speed"), math.nan)
+    return recording_of(path, tracks)
+
+
+def _number(path: Path, element: etree._Element, name: str) -> float:
+    try:
+        return float(element.get(name, ""))
+    except ValueError:
+        raise InputError(
+            f"{path}, line {element.sourceline}: <{element.tag}> needs a number in '{name}', not"
+            f" '{element.get(name, '')}'."
+        ) from None

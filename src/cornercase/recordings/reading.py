@@ -1,0 +1,58 @@
+"""Recordings from files, of cornercase and of other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cornercase.recordings.csv import read_csv
+from cornercase.recordings.formats.carla_log import read_carla_log
+from cornercase.recordings.formats.commonroad import read_commonroad
+from cornercase.recordings.formats.erg import read_erg
+from cornercase.recordings.formats.esmini import FIRST_WORDS, read_esmini
+from cornercase.recordings.formats.osi import read_osi
+from cornercase.recordings.formats.sumo_fcd import read_sumo_fcd
+from cornercase.recordings.recording import Recording
+
+
+def read_recording(path: Path | str) -> Recording:
+    """Read a recording, of cornercase or of another tool.
+
+    Parameters
+    ----------
+    path : path
+        By its ending an ASAM OSI trace (``.osi``, ``.mcap``; extra ``osi``), a CommonRoad scenario (``.xml``;
+        extra ``commonroad``), floating car data of SUMO (``.xml``), a result file of CarMaker (``.erg``), a file of
+        CARLA's recorder (``.log``), or else CSV: a log of esmini, or a table with at least the columns `COLUMNS`. Its
+        rows may come in any order; an entity without a row at an instant of another's does not exist then.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, a field is no number, or an entity has two rows of one
+        time; the message names the line. Or the extra that reads it is not installed.
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".osi", ".mcap", ".xz", ".lzma"):
+        return read_osi(path)
+    if path.suffix.lower() == ".erg":
+        return read_erg(path)
+    if path.suffix.lower() == ".log":
+        return read_carla_log(path)
+    if path.suffix.lower() == ".xml":
+        return read_sumo_fcd(path) if _begins(path, "<fcd-export") else read_commonroad(path)
+    if _begins(path, FIRST_WORDS):
+        return read_esmini(path)
+    return read_csv(path)
+
+
+def _begins(path: Path, words: str) -> bool:
+    """Whether some words stand at the beginning of a file."""
+    try:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            return words in file.read(8192)
+    except OSError:
+        return False

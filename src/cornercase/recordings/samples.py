@@ -1,0 +1,105 @@
+"""Samples of many entities, in any order, as a recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.recordings.recording import Collision, Recording
+
+
+@dataclass
+class EntitySamples:
+    """What is known of one entity.
+
+    Attributes
+    ----------
+    kind : str
+        As of `Recording`.
+    length, width : float
+        Bounding box in m.
+    samples : dict of float to tuple of float
+        x, y of the box centre in m, heading in rad, speed and acceleration along it in m/s and m/s², by time
+        in s; a NaN for what the file does not say.
+    """
+
+    kind: str
+    length: float
+    width: float
+    samples: dict[float, tuple[float, float, float, float, float]] = field(default_factory=dict)
+
+
+def box_center(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:
+    """Where a box's centre is that lies so far ahead of and to the left of a point, in m."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    return x + ahead * cos - left * sin, y + ahead * sin + left * cos
+
+
+def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Sequence[Collision] = ()) -> Recording:
+    """Put tracks on one time axis.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    tracks : dict of str to EntitySamples
+        By the names that the entities get.
+    collisions : sequence of Collision
+        In order of time.
+
+    Returns
+    -------
+    Recording
+        Its reference points are the box centres. Speeds and accelerations that the file does not give are
+        differences of positions along the heading, and of speeds.
+
+    Raises
+    ------
+    InputError
+        No entity, a box without size or a time that is not finite.
+    """
+    time = np.unique([t for track in tracks.values() for t in track.samples])
+    if not len(time):
+        raise InputError(f"{path}: holds no moving entity with a position.")
+    if not np.isfinite(time).all():
+        raise InputError(f"{path}: has a time that is not finite.")
+    motion = np.full((5, len(tracks), len(time)), np.nan)
+    for row, (name, track) in enumerate(tracks.items()):
+        if not (np.isfinite([track.length, track.width]).all() and min(track.length, track.width) >= 0.0):
+            raise InputError(f"{path}: entity {name} has a box of {track.length} m x {track.width} m.")
+        at = np.searchsorted(time, list(track.samples))
+        motion[:, row, at] = np.array(list(track.samples.values())).T
+        x, y, heading, speed, acceleration = motion[:, row]
+        exists = np.flatnonzero(np.isfinite(x))
+        if np.isnan(speed[exists]).any():
+            way = np.cos(heading) * _rate(time, x, exists) + np.sin(heading) * _rate(time, y, exists)
+            speed[exists] = np.where(np.isnan(speed), way, speed)[exists]
+        if np.isnan(acceleration[exists]).any():
+            acceleration[exists] = np.where(np.isnan(acceleration), _rate(time, speed, exists), acceleration)[exists]
+    return Recording(
+        time,
+        tuple(tracks),
+        tuple(track.kind for track in tracks.values()),
+        motion[0],
+        motion[1],
+        motion[2],
+        motion[3],
+        motion[4],
+        np.array([track.length for track in tracks.values()]),
+        np.array([track.width for track in tracks.values()]),
+        np.zeros(len(tracks)),
+        tuple(collisions),
+    )
+
+
+def _rate(time: FloatArray, values: FloatArray, exists: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
+    rate = np.zeros_like(values)
+    if len(exists) > 1:
+        rate[exists] = np.gradient(values[exists], time[exists])
+    return rate

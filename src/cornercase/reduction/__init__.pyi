@@ -1,0 +1,3 @@
+from .coverage import Gaps as Gaps
+from .coverage import gaps as gaps
+from .write import reduce_study as reduce_study

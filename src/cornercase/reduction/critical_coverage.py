@@ -1,0 +1,159 @@
+"""How much of the critical set, of what was run and of what was not, is unlike everything that is kept."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence import CriticalSet, Estimate, encoded
+from cornercase.reduction.coverage import gaps
+from cornercase.scenario import ParameterSpace
+
+WITHIN: Final = 0.5
+"""Up to this share of what is usual within a cluster two scenarios are alike, unless somebody says otherwise."""
+
+
+@dataclass(frozen=True)
+class CriticalCoverage:
+    """What kept scenarios say of the critical ones, by one kind of distance.
+
+    Attributes
+    ----------
+    within : float
+        Distance up to which two scenarios are alike, in the unit of the distances.
+    critical, boundary : float or None
+        Share of the critical scenarios that were run, and of those of them on the boundary of the critical set, that
+        are like a kept one; None where there are none.
+    random, medoids : float or None
+        `critical` for random subsets of the same size, the median of 100, and for k-medoids.
+    largest, mean : float or None
+        Distance of these critical scenarios to the nearest kept one.
+    medoids_largest, medoids_mean : float or None
+        The same for k-medoids.
+    unlike : Estimate or None
+        Probability that a critical scenario drawn at random from the space is unlike every kept one; None where too
+        little is known.
+    """
+
+    within: float
+    critical: float | None
+    boundary: float | None
+    random: float | None
+    medoids: float | None
+    largest: float | None
+    mean: float | None
+    medoids_largest: float | None
+    medoids_mean: float | None
+    unlike: Estimate | None
+
+
+def critical_coverage(
+    space: ParameterSpace,
+    points: FloatArray,
+    scores: FloatArray,
+    threshold: float,
+    distances: FloatArray,
+    kept: IntArray,
+    within: float,
+    *,
+    seed: int = 0,
+    critical_set: CriticalSet | None = None,
+) -> CriticalCoverage:
+    """Measure how well kept scenarios represent the critical ones.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    points : ndarray of float64, shape (n, d)
+        Scenarios that were run, in the unit cube.
+    scores : ndarray of float64, shape (n,)
+        Lower is more critical.
+    threshold : float
+        Score up to which a scenario is critical.
+    distances : ndarray of float64, shape (n, n)
+    kept : ndarray of int64, shape (m,)
+    within : float
+        Distance up to which scenarios are alike, as of `alike`.
+    seed : int, default 0
+    critical_set : CriticalSet, optional
+        Of the same points, scores, threshold and seed, where somebody has it already.
+
+    Returns
+    -------
+    CriticalCoverage
+
+    Raises
+    ------
+    InputError
+        Nothing is kept.
+
+    Notes
+    -----
+    A critical scenario is on the boundary where one of the 2 d scenarios that were run nearest to it is not critical.
+    What was not run is foretold by two Gaussian processes over the parameter space: one of the scores, and one of the
+    distance of the critical ones to the nearest kept scenario, each corrected by how well it foretells each scenario
+    that was run from all others, as `cornercase.evidence.critical_set.CriticalSet` says.
+    """
+    if not len(kept):
+        raise InputError("No scenario is kept, so nothing is covered; keep at least one.")
+    critical = scores <= threshold
+    all_gaps = gaps(distances, kept, seed=seed)
+    gap, middle = all_gaps.kept, all_gaps.medoids
+    random = all_gaps.random[:, critical] <= within
+    there = bool(critical.any())
+    edge = critical & _beside(encoded(space, points), ~critical)
+    unlike = None
+    # Fewer than ten critical scenarios, or all as critical or as far from a kept one as each other.
+    with suppress(ValueError):
+        whole = critical_set or CriticalSet(space, points, scores, threshold, seed)
+        unlike = whole.share_in(CriticalSet(space, points[critical], -gap[critical], -within, seed))
+    return CriticalCoverage(
+        within=within,
+        critical=float((gap[critical] <= within).mean()) if there else None,
+        boundary=float((gap[edge] <= within).mean()) if edge.any() else None,
+        random=float(np.median(random.mean(axis=1))) if there else None,
+        medoids=float((middle[critical] <= within).mean()) if there else None,
+        largest=float(gap[critical].max()) if there else None,
+        mean=float(gap[critical].mean()) if there else None,
+        medoids_largest=float(middle[critical].max()) if there else None,
+        medoids_mean=float(middle[critical].mean()) if there else None,
+        unlike=unlike,
+    )
+
+
+def alike(distances: FloatArray, labels: IntArray, share: float = WITHIN) -> float:
+    """Distance up to which two scenarios are taken for alike.
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n)
+    labels : ndarray of int64, shape (n,)
+        -1 is noise.
+    share : float, default 0.5
+        Of the median distance between two scenarios of one cluster; of any two where there are no clusters.
+
+    Raises
+    ------
+    InputError
+        `share` is not positive.
+    """
+    if not 0.0 < share < float("inf"):
+        raise InputError(f"A share of {share:g} of the distance within clusters cannot be; give a number above 0.")
+    one, two = np.triu_indices(len(labels), 1)
+    same = (labels[one] == labels[two]) & (labels[one] >= 0)
+    return share * float(np.median(distances[one, two][same if same.any() else ~same])) if len(one) else 0.0
+
+
+def _beside(points: FloatArray, others: BoolArray) -> BoolArray:
+    """Whether one of some others is among the 2 d nearest to each point, shape (n,)."""
+    count = min(2 * points.shape[1], len(points) - 1)
+    if count < 1:
+        return np.zeros(len(points), dtype=np.bool_)
+    nearest = np.asarray(cKDTree(points).query(points, k=count + 1)[1], dtype=np.int64)
+    return np.asarray(others[nearest].any(axis=1))

@@ -1,0 +1,5 @@
+"""Where it happens: OpenDRIVE roads, their lanes, and paths along them."""
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

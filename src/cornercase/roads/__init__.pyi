@@ -1,0 +1,2 @@
+from .lane_path import LanePath as LanePath
+from .opendrive import RoadNetwork as RoadNetwork

@@ -1,0 +1,104 @@
+"""The line that an entity drives along, through lanes of several roads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+
+STEP: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class LanePath:
+    """A line sampled at equal distances.
+
+    Attributes
+    ----------
+    distance, x, y : ndarray of float64, shape (P,)
+        m; the distance starts at 0.
+    heading : ndarray of float64, shape (P,)
+        rad, unwrapped.
+    curvature : ndarray of float64, shape (P,)
+        1/m, positive to the left.
+    s : ndarray of float64, shape (P,)
+        Coordinate on the road of each sample, in m.
+    road, lane : ndarray of int64, shape (P,)
+        Index of the road, and lane.
+    along : ndarray of bool, shape (P,)
+        Whether the path runs along the road's s.
+    first, last : int
+        Samples between which the lane lies that the path was asked for.
+    """
+
+    distance: FloatArray
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    curvature: FloatArray
+    s: FloatArray
+    road: IntArray
+    lane: IntArray
+    along: BoolArray
+    first: int = 0
+    last: int = -1
+
+    @classmethod
+    def of_points(
+        cls, x: FloatArray, y: FloatArray, s: FloatArray, road: IntArray, lane: IntArray, along: BoolArray
+    ) -> LanePath:
+        """Path through points that are close together, each array (Q,)."""
+        keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
+        x, y, s, road, lane, along = (array[keep] for array in (x, y, s, road, lane, along))
+        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+        distance = np.linspace(0.0, travelled[-1], max(3, int(np.ceil(travelled[-1] / STEP)) + 1))
+        nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
+        x, y = np.interp(distance, travelled, x), np.interp(distance, travelled, y)
+        heading = np.unwrap(np.arctan2(np.gradient(y, distance), np.gradient(x, distance)))
+        sign = np.where(along[nearest], 1.0, -1.0)
+        return cls(
+            distance,
+            x,
+            y,
+            heading,
+            np.gradient(heading, distance),
+            s[nearest] + sign * (distance - travelled[nearest]),
+            road[nearest],
+            lane[nearest],
+            along[nearest],
+        )
+
+    def at(self, distance: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return x, y, heading and curvature at distances, `offset` m to the left, each (N,).
+
+        Beyond its ends the path is clamped.
+        """
+        step = self.distance[1]
+        place = np.clip(distance, 0.0, self.distance[-1]) / step
+        k = np.minimum(place.astype(np.int64), len(self.distance) - 2)
+        part = place - k
+        heading = self.heading[k] + part * (self.heading[k + 1] - self.heading[k])
+        x = self.x[k] + part * (self.x[k + 1] - self.x[k])
+        y = self.y[k] + part * (self.y[k + 1] - self.y[k])
+        curvature = self.curvature[k] + part * (self.curvature[k + 1] - self.curvature[k])
+        return x - offset * np.sin(heading), y + offset * np.cos(heading), heading, curvature
+
+
+def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
+    """Path along several pieces, each of which starts where the one before ends; `asked` is the piece asked for."""
+    arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in ("x", "y", "s", "road", "lane", "along")]
+    path = LanePath.of_points(*arrays)
+    # Where pieces do not quite meet, the way between them counts too.
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(arrays[0]), np.diff(arrays[1])))])
+    begins = sum(len(piece.x) for piece in pieces[:asked])
+    span = travelled[begins], travelled[begins + len(pieces[asked].x) - 1]
+    first = int(np.searchsorted(path.distance, span[0] - 1e-9))
+    last = int(np.searchsorted(path.distance, span[1] + 1e-9)) - 1
+    # The sample where two pieces meet is of the one before.
+    mine = (path.road == pieces[asked].road[0]) & (path.lane == pieces[asked].lane[0])
+    inside = first + np.flatnonzero(mine[first : last + 1])
+    return replace(path, first=int(inside[0]), last=int(inside[-1])) if inside.size else replace(path, first=first)

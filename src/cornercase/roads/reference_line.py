@@ -1,0 +1,135 @@
+"""Geometry of OpenDRIVE's plan view: where a road's reference line runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from lxml import etree
+from scipy.special import fresnel
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+
+# Below this bend, in rad, a spiral is not told from an arc; Fresnel's integrals lose digits there.
+_STRAIGHT: Final = 1e-7
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """One piece of a reference line.
+
+    Attributes
+    ----------
+    s, x, y, heading, length : float
+        Where it starts, in m and rad, and how long it is.
+    kind : str
+        ``"line"``, ``"arc"``, ``"spiral"``, ``"poly3"`` or ``"paramPoly3"``.
+    numbers : tuple of float
+        Curvature; curvatures at start and end; or polynomial coefficients, for ``paramPoly3`` after the largest
+        value of its parameter.
+    """
+
+    s: float
+    x: float
+    y: float
+    heading: float
+    length: float
+    kind: str
+    numbers: tuple[float, ...] = ()
+
+    def at(self, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return x, y and heading at distances from the start, each (N,)."""
+        u, v, turn = self._local(along)
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        return self.x + cos * u - sin * v, self.y + sin * u + cos * v, self.heading + turn
+
+    def _local(self, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        if self.kind == "line":
+            return along, np.zeros_like(along), np.zeros_like(along)
+        if self.kind == "arc":
+            return _arc(along, self.numbers[0])
+        if self.kind == "spiral":
+            start, end = self.numbers
+            return _spiral(along, start, end, self.length)
+        if self.kind == "poly3":
+            return self._poly3(along)
+        top, *c = self.numbers
+        p = along / self.length * top
+        u, v = np.polyval(c[3::-1], p), np.polyval(c[:3:-1], p)
+        du, dv = np.polyval(_derivative(c[:4]), p), np.polyval(_derivative(c[4:]), p)
+        return u, v, np.arctan2(dv, du)
+
+    def _poly3(self, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        # u runs along the chord and s along the curve; a fine table turns one into the other.
+        u = np.linspace(0.0, self.length, 2001)
+        slope = _derivative(self.numbers)
+        speed = np.hypot(1.0, np.polyval(slope, u))
+        s = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(u))])
+        u = np.interp(along, s, u)
+        return u, np.polyval(self.numbers[::-1], u), np.arctan(np.polyval(slope, u))
+
+
+def read_geometry(element: etree._Element, where: str) -> Geometry:
+    """Read one ``geometry``.
+
+    Raises
+    ------
+    InputError
+        It is malformed, or of length zero or less.
+    """
+    s, x, y, heading, length = (read_number(element, name, where) for name in ("s", "x", "y", "hdg", "length"))
+    if length <= 0:
+        raise InputError(f"{where}: a <geometry> has the length {length:g} m; it must be above 0.")
+    shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
+    if shape is None:
+        raise InputError(f"{where}: a <geometry> is no line, arc, spiral, poly3 or paramPoly3.")
+    kind = str(shape.tag)
+    names = {
+        "line": (),
+        "arc": ("curvature",),
+        "spiral": ("curvStart", "curvEnd"),
+        "poly3": ("a", "b", "c", "d"),
+    }
+    if kind != "paramPoly3":
+        return Geometry(s, x, y, heading, length, kind, tuple(read_number(shape, name, where) for name in names[kind]))
+    top = length if shape.get("pRange", "normalized") == "arcLength" else 1.0
+    coefficients = [read_number(shape, f"{c}{axis}", where) for axis in "UV" for c in "abcd"]
+    return Geometry(s, x, y, heading, length, kind, (top, *coefficients))
+
+
+def _arc(along: FloatArray, curvature: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    turn = curvature * along
+    # sinc keeps the digits where the curvature is small.
+    chord = along * np.sinc(0.5 * turn / np.pi)
+    return chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn
+
+
+def _spiral(along: FloatArray, start: float, end: float, length: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    rate = (end - start) / length
+    if abs(rate) * length**2 < _STRAIGHT:
+        return _arc(along, 0.5 * (start + end))
+    sign, scale = np.sign(rate), np.sqrt(np.pi / abs(rate))
+    before = start / rate
+    phase = -0.5 * start * before
+    s0, c0 = fresnel(before / scale)
+    s1, c1 = fresnel((before + along) / scale)
+    c, s = scale * (c1 - c0), scale * sign * (s1 - s0)
+    cos, sin = np.cos(phase), np.sin(phase)
+    return cos * c - sin * s, sin * c + cos * s, start * along + 0.5 * rate * along**2
+
+
+def _derivative(coefficients: tuple[float, ...] | list[float]) -> list[float]:
+    return [i * c for i, c in enumerate(coefficients)][:0:-1]
+
+
+def read_number(element: etree._Element, name: str, where: str) -> float:
+    """Read a finite number, or say which attribute is none."""
+    try:
+        number = float(element.get(name, ""))
+    except ValueError:
+        number = float("nan")
+    if not np.isfinite(number):
+        raise InputError(f"{where}: {name} of <{element.tag}> is '{element.get(name)}', not a finite number.")
+    return number

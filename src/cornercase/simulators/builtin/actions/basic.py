@@ -1,0 +1,232 @@
+"""What events do to entities, under a mask of the scenarios in which they happen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final, Protocol
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray
+from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.controller import ControllerAction, VisibilityAction
+from cornercase.simulators.builtin.actions.follow import FollowTrajectoryAction
+from cornercase.simulators.builtin.actions.lateral import LaneChangeAction, LaneOffsetAction, LateralDistanceAction
+from cornercase.simulators.builtin.actions.longitudinal import (
+    LongitudinalDistanceAction,
+    SpeedAction,
+    child,
+)
+from cornercase.simulators.builtin.actions.speed_profile import SpeedProfileAction
+from cornercase.simulators.builtin.actions.synchronise import SynchronizeAction
+from cornercase.simulators.builtin.paths.positions import entity_index, read_position, read_route
+from cornercase.simulators.builtin.world import World
+
+# Actions that change nothing a criticality metric sees.
+WITHOUT_EFFECT: Final = (
+    "EnvironmentAction", "AppearanceAction", "TrafficSignalControllerAction", "UserDefinedAction",
+    "OverrideControllerValueAction", "SetMonitorAction",
+)  # fmt: skip
+
+
+_HOLDERS: Final = (
+    "LongitudinalAction", "LateralAction", "RoutingAction", "InfrastructureAction", "TrafficSignalAction",
+)  # fmt: skip
+
+
+class Action(Protocol):
+    """Something that runs in some of the scenarios until it says that it is done."""
+
+    def start(self, world: World, where: BoolArray) -> None:
+        """Begin in the scenarios of the mask."""
+        ...
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        """Act for one time step; return where it has ended, shape (N,)."""
+        ...
+
+
+def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
+    """Read a ``PrivateAction`` or ``GlobalAction`` for one entity.
+
+    Returns
+    -------
+    Action or None
+        None for one that has no effect here.
+
+    Raises
+    ------
+    InputError
+        The action is not supported, or is malformed.
+    """
+    inner = next(iter(element.iterchildren("*")), None)
+    while inner is not None and inner.tag in _HOLDERS:
+        inner = next(iter(inner.iterchildren("*")), None)
+    if inner is None:
+        raise InputError(f"{scope.source}, line {element.sourceline}: <{element.tag}> holds no action.")
+    if inner.tag in WITHOUT_EFFECT or element.tag in WITHOUT_EFFECT:
+        return None
+    if inner.tag in _GLOBAL_READERS:
+        return _GLOBAL_READERS[inner.tag](inner, scope, world, entity)
+    if inner.tag not in _READERS:
+        raise InputError(
+            f"{scope.source}, line {inner.sourceline}: <{inner.tag}> is not supported by the builtin simulator;"
+            f" it runs {', '.join((*_READERS, *_GLOBAL_READERS))}."
+        )
+    if entity is None:
+        raise InputError(f"{scope.source}, line {inner.sourceline}: <{inner.tag}> needs an entity that acts.")
+    return _READERS[inner.tag](inner, scope, world, entity)
+
+
+class TeleportAction:
+    """Puts an entity somewhere at once."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        self._position = read_position(child(element, "Position", scope), scope, world)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        # A relative position lies along the route of who is placed.
+        world.actor = self._entity
+        pose = self._position(world)
+        world.actor = None
+        world.place(self._entity, pose, where)
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
+class AssignRouteAction:
+    """Tells an entity which way to go at junctions."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        self._route = read_route(element, scope, world)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        world.assign_route(self._entity, tuple(road for road, _, _ in self._route(world)), where)
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
+class AcquirePositionAction:
+    """Makes an entity take the way to a place."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        self._position = read_position(child(element, "Position", scope), scope, world)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        pose = self._position(world)
+        if pose.road is None:
+            return
+        for road in np.unique(pose.road[where]):
+            world.assign_route(self._entity, (int(road),), where & (pose.road == road))
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
+class PresenceAction:
+    """Adds an entity to the traffic or takes it out."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
+        self._entity = entity_index(element, scope, world)
+        add = element.find("AddEntityAction")
+        self._position = None
+        if add is not None:
+            self._position = read_position(child(add, "Position", scope), scope, world)
+        elif element.find("DeleteEntityAction") is None:
+            raise InputError(f"{scope.source}, line {element.sourceline}: <EntityAction> neither adds nor deletes.")
+
+    def start(self, world: World, where: BoolArray) -> None:
+        if self._position is None:
+            world.present[self._entity][where] = False
+        else:
+            world.place(self._entity, self._position(world), where & ~world.present[self._entity])
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
+class ValueAction:
+    """Sets or modifies a variable or, as files before 1.2 did, a parameter."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
+        kind = "variableRef" if element.tag == "VariableAction" else "parameterRef"
+        self._name = element.get(kind, "").lstrip("$")
+        values = world.variables if kind == "variableRef" else world.parameters
+        where = f"{scope.source}, line {element.sourceline}"
+        if self._name not in values:
+            what = "variable" if kind == "variableRef" else "parameter"
+            raise InputError(f"{where}: there is no {what} '{self._name}'; {suggestion(self._name, values)}")
+        self._values = values
+        self._operation: Callable[[Any, Any], Any] = np.add
+        change, given = element.find("SetAction"), None
+        if change is not None:
+            given = change
+            self._set = True
+        else:
+            self._set = False
+            rule = element.find("ModifyAction/Rule")
+            inner = None if rule is None else next(iter(rule.iterchildren("*")), None)
+            if inner is None or inner.tag not in ("AddValue", "MultiplyByValue"):
+                raise InputError(f"{where}: <{element.tag}> neither sets, adds nor multiplies.")
+            given = inner
+            self._operation = np.multiply if inner.tag == "MultiplyByValue" else np.add
+        numeric = values[self._name].dtype.kind == "f"
+        self._value = scope.number(given, "value") if numeric else np.full(scope.scenarios, scope.text(given, "value"))
+        if not numeric and not self._set:
+            raise InputError(f"{where}: '{self._name}' is no number and can only be set.")
+
+    def start(self, world: World, where: BoolArray) -> None:
+        values = self._values[self._name]
+        new = self._value if self._set else self._operation(values, self._value)
+        # Texts grow; an array of them has the room of its longest.
+        self._values[self._name] = np.where(where, new, values)
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
+class SignalAction:
+    """Switches a traffic signal, which conditions can ask for."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
+        self._name, self._state = scope.text(element, "name"), scope.text(element, "state")
+
+    def start(self, world: World, where: BoolArray) -> None:
+        before = world.signals.get(self._name, np.full(world.scenarios, ""))
+        world.signals[self._name] = np.where(where, self._state, before)
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
+_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action]]] = {
+    "TeleportAction": TeleportAction,
+    "SpeedAction": SpeedAction,
+    "SpeedProfileAction": SpeedProfileAction,
+    "LongitudinalDistanceAction": LongitudinalDistanceAction,
+    "LaneChangeAction": LaneChangeAction,
+    "LaneOffsetAction": LaneOffsetAction,
+    "LateralDistanceAction": LateralDistanceAction,
+    "AssignRouteAction": AssignRouteAction,
+    "AcquirePositionAction": AcquirePositionAction,
+    "FollowTrajectoryAction": FollowTrajectoryAction,
+    "SynchronizeAction": SynchronizeAction,
+    "ControllerAction": ControllerAction,
+    "AssignControllerAction": ControllerAction,
+    "ActivateControllerAction": ControllerAction,
+    "VisibilityAction": VisibilityAction,
+}
+
+_GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | None], Action]]] = {
+    "EntityAction": PresenceAction,
+    "VariableAction": ValueAction,
+    "ParameterAction": ValueAction,
+    "TrafficSignalStateAction": SignalAction,
+}

@@ -1,0 +1,182 @@
+"""How a driver's decisions move an entity, and who is in charge of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray
+from cornercase.drivers import DRIVERS, DrivenPath, Driver, Situation
+from cornercase.scenario import DRIVER_PROPERTY, Scope
+from cornercase.simulators.builtin.paths.tracks import LaneTrack, Track
+from cornercase.simulators.builtin.paths.trajectories import ClothoidSpline, Polyline, Trajectory
+from cornercase.simulators.builtin.world import World
+
+# Spacing in m at which a driver is told a trajectory, how far straight on beyond its end, and how far on a closed one.
+_SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
+
+
+class Driving:
+    """One entity of a batch whose speed a driver decides where it is in charge, along its lanes and trajectories.
+
+    A trajectory with times leaves the driver nothing to decide.
+
+    Parameters
+    ----------
+    world : World
+        It becomes one of its drivers.
+    entity : int
+        Row of the entity.
+    driver : Driver
+    """
+
+    def __init__(self, world: World, entity: int, driver: Driver) -> None:
+        self._world, self._entity, self._driver = world, entity, driver
+        self.number = len(world.drivers)
+        world.drivers.append(self)
+        self._others = [a for a in range(len(world.entities)) if a != entity]
+        self._paths: dict[int, DrivenPath] = {}
+        self._begun: dict[int, int] = {}
+        driver.start(world.scenarios, len(self._others))
+
+    def step(self, dt: float) -> None:
+        """Decide the entity's speed at the end of the coming time step."""
+        world, e = self._world, self._entity
+        active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
+        if dt == 0.0 or not active.any():
+            return
+        for k, track in enumerate(world.tracks[e]):
+            rows = active & (world.track[e] == k)
+            timed = isinstance(track, Polyline | ClothoidSpline) and track.time is not None
+            if rows.any() and not timed:
+                acceleration = self._driver.acceleration(self._situation(k, track, dt, rows))
+                speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
+                world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
+
+    def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:
+        world, e, others = self._world, self._entity, self._others
+        box, boxes = world.entities[e], [world.entities[a] for a in others]
+        there = (world.present & world.visible)[others].T
+        return Situation(
+            time=world.time,
+            time_step=dt,
+            path=self._path(k, track),
+            distance=world.distance[e],
+            x=world.x[e],
+            y=world.y[e],
+            heading=world.heading[e],
+            speed=world.speed[e],
+            acceleration=world.acceleration[e],
+            length=box.length,
+            width=box.width,
+            center_x=box.center_x,
+            target_speed=world.target_speed[e],
+            others_x=np.where(there, world.x[others].T, np.nan),
+            others_y=np.where(there, world.y[others].T, np.nan),
+            others_heading=np.where(there, world.heading[others].T, np.nan),
+            others_speed=np.where(there, world.speed[others].T, np.nan),
+            others_length=np.array([one.length for one in boxes]),
+            others_width=np.array([one.width for one in boxes]),
+            others_center_x=np.array([one.center_x for one in boxes]),
+            others_kind=tuple(one.kind for one in boxes),
+            active=rows,
+        )
+
+    def _path(self, k: int, track: Track) -> DrivenPath:
+        if isinstance(track, LaneTrack):
+            if k not in self._paths:
+                line = track.path
+                self._paths[k] = DrivenPath(line.distance, line.x, line.y, line.heading, line.curvature)
+        elif isinstance(track, Polyline | ClothoidSpline) and self._begun.get(k) != track.version:
+            # Where it is begun anew it may run otherwise.
+            self._paths[k], self._begun[k] = _sampled(track), track.version
+        return self._paths[k]
+
+
+def _sampled(track: Trajectory) -> DrivenPath:
+    """Samples of a trajectory that may run otherwise in each scenario.
+
+    They are at the same distances in each, and go on further than a driver looks, so that what a driver sees in one
+    scenario does not hang on the others.
+    """
+    ends = np.minimum(track.lengths, _LONGEST)
+    places = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
+    every = np.arange(len(ends))
+    x, y, heading, curvature = (np.empty((len(ends), len(places))) for _ in range(4))
+    for k, place in enumerate(places):
+        at = np.full(len(ends), place)
+        x[:, k], y[:, k], heading[:, k] = track.at(at, np.zeros(len(ends)), every)
+        curvature[:, k] = np.where(at <= ends, track.curvature(at, every), 0.0)
+    return DrivenPath(np.tile(places, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
+
+
+class ControllerAction:
+    """Assigns a controller to an entity, or activates the one that it has.
+
+    Of controllers those with the property ``cornercase.driver`` act; any other leaves the entity to the
+    storyboard. A driver that was chosen by who runs the file stays in charge.
+    """
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity = entity
+        assign = element if element.tag == "AssignControllerAction" else element.find("AssignControllerAction")
+        activate = element if element.tag == "ActivateControllerAction" else element.find("ActivateControllerAction")
+        self._driver, self._activated = None, None
+        if assign is not None:
+            self._driver = self._assigned(assign, scope, world)
+            self._activated = _flag(assign, "activateLongitudinal", scope)
+        if activate is not None:
+            self._activated = _flag(activate, "longitudinal", scope)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        if not world.kept[self._entity]:
+            world.control(self._entity, where, self._driver, self._activated)
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+    def _assigned(self, assign: etree._Element, scope: Scope, world: World) -> int:
+        controller = assign.find("Controller")
+        reference = assign.find("CatalogReference")
+        if controller is None and reference is not None:
+            controller, scope = scope.from_catalog(reference, "Controller")
+        if controller is None:
+            return -1
+        for item in controller.iterfind("Properties/Property"):
+            if item.get("name") == DRIVER_PROPERTY:
+                driver = registered_driver(scope.text(item, "value"), scope.source)
+                return Driving(world, self._entity, driver).number
+        return -1
+
+
+class VisibilityAction:
+    """Hides an entity from the others in the traffic, or shows it again."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity, self._seen = entity, scope.flag(element, "traffic", True)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        world.visible[self._entity][where] = self._seen
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        return where.copy()
+
+
+def registered_driver(name: str, where: str) -> Driver:
+    """Build a driver that a file asks for by its registered name.
+
+    Raises
+    ------
+    InputError
+        There is none; a file cannot name a class to load.
+    """
+    if name not in DRIVERS.names():
+        raise InputError(
+            f"{where}: asks for the driver '{name}', which does not exist; {suggestion(name, DRIVERS.names())}"
+        )
+    return DRIVERS.create(name)
+
+
+def _flag(element: etree._Element, name: str, scope: Scope) -> bool | None:
+    return None if element.get(name) is None else scope.flag(element, name, False)

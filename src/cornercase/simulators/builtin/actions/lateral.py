@@ -1,0 +1,222 @@
+"""Actions that move an entity across its lane."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.longitudinal import child, identities
+from cornercase.simulators.builtin.paths.positions import entity_index, shifted_lane
+from cornercase.simulators.builtin.paths.transitions import (
+    Transition,
+    require_shape,
+    shaped,
+    steepness,
+    time_by_acceleration,
+)
+from cornercase.simulators.builtin.world import LATERAL, World
+
+# m/s²; esmini's figure for a lane offset without one.
+_GENTLE: Final = 0.5
+
+# An offset or distance within this, in m, is reached.
+_THERE: Final = 1e-6
+_REACHED: Final = 0.01
+
+
+class LaneChangeAction:
+    """Moves an entity to another lane; what it moves sideways it does not move ahead."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity, self._id = entity, next(identities)
+        self._transition = Transition(child(element, "LaneChangeActionDynamics", scope), scope)
+        target = child(element, "LaneChangeTarget", scope)
+        absolute, relative = target.find("AbsoluteTargetLane"), target.find("RelativeTargetLane")
+        self._reference: int | None = None
+        if absolute is not None:
+            self._value = int(scope.one_number(absolute, "value"))
+        elif relative is not None:
+            self._value = int(scope.one_number(relative, "value"))
+            self._reference = entity_index(relative, scope, world)
+        else:
+            raise InputError(f"{scope.source}, line {element.sourceline}: <LaneChangeTarget> holds no target.")
+        self._target_offset = scope.number(element, "targetLaneOffset", 0.0)
+        n = scope.scenarios
+        self._from, self._to, self._done, self._extent = (np.zeros(n) for _ in range(4))
+
+    def start(self, world: World, where: BoolArray) -> None:
+        e = self._entity
+        world.claim(LATERAL, e, self._id, where)
+        if world.network is None:
+            world.fail(where, f"{world.names[e]} cannot change lanes, as there are no roads")
+            return
+        lane = self._lane(world)
+        done = world.change_lane(e, lane, where)
+        world.fail(where & ~done, f"{world.names[e]} is to change to a lane that is not there")
+        pose = world.lane_of(e)
+        forward = np.where(np.cos(pose.heading - world.road_heading(pose)) > -1e-6, 1.0, -1.0)
+        self._from[where] = world.offset[e][where]
+        self._to[where] = (forward * self._target_offset)[where]
+        self._extent[where] = self._transition.extent(self._from, self._to)[where]
+        self._done[where] = 0.0
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        e, change = self._entity, self._to - self._from
+        acting = where & world.controls(LATERAL, e, self._id)
+        way = np.abs(world.speed[e]) * dt
+        moves = acting & (np.abs(world.speed[e]) > 1e-6)
+        abrupt = self._extent <= 1e-6
+        extent = np.where(abrupt, 1.0, self._extent)
+        rate = change / extent * self._transition.slope(self._done / extent)
+        if self._transition.dimension == "distance":
+            ahead = way / np.sqrt(1.0 + rate**2)
+            done = self._done + ahead
+            part = self._transition.at(done / extent)
+            turn, across = np.arctan(rate), way * np.abs(rate) / np.sqrt(1.0 + rate**2)
+        else:
+            across = np.minimum(dt * np.abs(rate), way)
+            # Who is too slow for what is asked moves sideways only, and evenly.
+            slow = dt * np.abs(rate) > way + 1e-6
+            with np.errstate(divide="ignore", invalid="ignore"):
+                done = self._done + np.where(slow, way * extent / np.abs(change), dt)
+            part = np.where(slow, np.clip(done / extent, 0.0, 1.0), self._transition.at(done / extent))
+            turn = np.arctan2(np.sign(rate) * across, np.sqrt(np.maximum(way**2 - across**2, 0.0)))
+            turn = np.where(slow, np.sign(rate) * 0.5 * np.pi, turn)
+        offset = np.where(abrupt, self._to, self._from + part * change)
+        arrived = abrupt | (done >= self._extent - 1e-9) | (np.abs(offset - self._to) < _THERE)
+        self._done[moves] = done[moves]
+        world.offset[e][moves] = offset[moves]
+        world.sideways[e][moves] = np.where(abrupt, 0.0, across)[moves]
+        world.pace[e][moves] = world.speed[e][moves]
+        world.turn[e][moves] = np.where(arrived, 0.0, np.sign(world.speed[e]) * turn)[moves]
+        return np.asarray(where & ((moves & arrived) | ~acting))
+
+    def _lane(self, world: World) -> IntArray:
+        if self._reference is None:
+            return np.full(world.scenarios, self._value)
+        pose = world.lane_of(self._reference)
+        assert pose.lane is not None
+        forward = np.where(np.cos(pose.heading - world.road_heading(pose)) > -1e-6, 1, -1)
+        return shifted_lane(pose.lane, self._value * forward)
+
+
+class LaneOffsetAction:
+    """Moves an entity within its lane, without a loss of way."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity, self._id = entity, next(identities)
+        dynamics = child(element, "LaneOffsetActionDynamics", scope)
+        self._shape = scope.text(dynamics, "dynamicsShape")
+        require_shape(self._shape, dynamics, scope)
+        self._most = scope.number(dynamics, "maxLateralAcc", _GENTLE)
+        target = child(element, "LaneOffsetTarget", scope)
+        absolute, relative = target.find("AbsoluteTargetLaneOffset"), target.find("RelativeTargetLaneOffset")
+        self._reference: int | None = None
+        if absolute is not None:
+            self._value = scope.number(absolute, "value")
+        elif relative is not None:
+            self._value = scope.number(relative, "value")
+            self._reference = entity_index(relative, scope, world)
+        else:
+            raise InputError(f"{scope.source}, line {element.sourceline}: <LaneOffsetTarget> holds no target.")
+        n = scope.scenarios
+        self._from, self._to, self._elapsed, self._duration = (np.zeros(n) for _ in range(4))
+
+    def start(self, world: World, where: BoolArray) -> None:
+        e = self._entity
+        world.claim(LATERAL, e, self._id, where)
+        self._from[where] = world.offset[e][where]
+        if world.network is None:
+            target = self._value
+        elif self._reference is None:
+            pose = world.lane_of(e)
+            target = np.where(np.cos(pose.heading - world.road_heading(pose)) > -1e-6, self._value, -self._value)
+        else:
+            target = world.offset_from(e, self._reference) + self._value
+        self._to[where] = target[where]
+        self._duration[where] = time_by_acceleration(self._shape, self._to - self._from, self._most)[where]
+        self._elapsed[where] = 0.0
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        e, change = self._entity, self._to - self._from
+        acting = where & world.controls(LATERAL, e, self._id)
+        duration = np.where(self._duration > 0, self._duration, 1.0)
+        part = np.where(self._duration > 0, self._elapsed / duration, 1.0)
+        arrived = part >= 1.0 - 1e-9
+        offset = np.where(arrived, self._to, self._from + shaped(self._shape, part) * change)
+        slope = change / duration * steepness(self._shape, part)
+        world.offset[e][acting] = offset[acting]
+        speed = world.speed[e]
+        turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
+        world.turn[e][acting] = np.where(arrived, 0.0, turn)[acting]
+        self._elapsed[acting] += dt
+        return where & ((acting & arrived) | ~acting)
+
+
+class LateralDistanceAction:
+    """Keeps a lateral distance to another entity."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
+        self._entity, self._id = entity, next(identities)
+        self._other = entity_index(element, scope, world)
+        self._continuous = scope.flag(element, "continuous", False)
+        side = -1.0 if scope.text(element, "displacement", "any") == "rightToReferencedEntity" else 1.0
+        distance = np.abs(scope.number(element, "distance", 0.0))
+        if scope.flag(element, "freespace", False):
+            distance = distance + 0.5 * (world.entities[entity].width + world.entities[self._other].width)
+        self._wanted = side * distance
+        limits = element.find("DynamicConstraints")
+        n = scope.scenarios
+        bounds = [
+            np.full(n, np.inf) if limits is None else scope.number(limits, name, np.inf)
+            for name in ("maxAcceleration", "maxSpeed", "maxAccelerationRate")
+        ]
+        self._most, self._fastest, self._jerk = bounds
+        self._speed, self._acceleration = np.zeros(n), np.zeros(n)
+        self._first = np.zeros(n, dtype=np.bool_)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        world.claim(LATERAL, self._entity, self._id, where)
+        self._first[where] = True
+        self._speed[where] = self._acceleration[where] = 0.0
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        e = self._entity
+        acting = where & world.controls(LATERAL, e, self._id)
+        # The first frame only looks.
+        moves = acting & ~self._first & (dt > 0)
+        self._first[acting] = False
+        error = self._wanted - (world.offset[e] - world.offset_from(e, self._other))
+        reached = moves & (np.abs(error) < _REACHED)
+        across = self._velocity(world, error, dt, moves)
+        rigid = np.isinf(self._most) & np.isinf(self._fastest)
+        shift = np.where(rigid, error, across * dt)
+        ahead = np.sqrt(np.maximum((world.speed[e] * dt) ** 2 - np.where(rigid, 0.0, shift) ** 2, 0.0))
+        world.offset[e][moves] += shift[moves]
+        world.sideways[e][moves] = np.where(rigid, 0.0, np.abs(shift))[moves]
+        world.pace[e][moves] = world.speed[e][moves]
+        world.turn[e][moves] = np.arctan2(shift, np.maximum(ahead, 1e-9))[moves]
+        return np.asarray(where & ((reached & (not self._continuous)) | ~acting))
+
+    def _velocity(self, world: World, error: FloatArray, dt: float, moves: BoolArray) -> FloatArray:
+        """Lateral speed with which to go on in m/s, shape (N,)."""
+        fastest = np.maximum(np.minimum(self._fastest, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
+        springy = np.isfinite(self._most)
+        stiffness = 0.4 * np.where(springy, self._most, 0.0)
+        theirs = world.lateral_speed(self._other)
+        wanted = stiffness * error - 2.0 * np.sqrt(stiffness) * (self._speed - theirs)
+        step = np.where(np.isfinite(self._jerk), self._jerk * dt, np.inf)
+        wanted = self._acceleration + np.clip(wanted - self._acceleration, -step, step)
+        wanted = np.clip(wanted, -self._most, self._most)
+        sprung = np.clip(self._speed + wanted * dt, -fastest, fastest)
+        even = np.sign(error) * fastest
+        if dt > 0:
+            even = np.where(np.abs(even) * dt > np.abs(error), error / dt, even)
+        self._acceleration[moves & springy] = wanted[moves & springy]
+        self._speed[moves] = np.where(springy, sprung, even)[moves]
+        return self._speed

@@ -1,0 +1,122 @@
+"""Distances between entities, in the coordinate systems that conditions may ask for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.geometry import box_corners
+from cornercase._common.typing import FloatArray
+from cornercase.scenario import Scope
+from cornercase.simulators.builtin.paths.tracks import Pose
+from cornercase.simulators.builtin.world import World
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How a condition measures a distance.
+
+    Attributes
+    ----------
+    kind : {"euclidean", "longitudinal", "lateral"}
+    along_road : bool
+        Along the road and across it, instead of along the entity's heading and across it.
+    free : bool
+        Between boxes instead of reference points.
+    """
+
+    kind: str
+    along_road: bool
+    free: bool
+
+    def to_entity(self, world: World, e: int, other: int) -> FloatArray:
+        """Distance to another entity in m, shape (N,); positive ahead and to the left."""
+        if self.kind == "euclidean":
+            return _free_distance(world, e, other) if self.free else _distance(world, e, world.x[other], world.y[other])
+        if self.kind == "lateral":
+            if self.along_road:
+                apart = world.offset_from(e, other) - world.offset[e]
+                half = 0.5 * (world.entities[e].width + world.entities[other].width)
+                return np.asarray(np.sign(apart) * np.maximum(np.abs(apart) - half, 0.0) if self.free else apart)
+            return world.lateral_gap(e, other) if self.free else world.beside(e, other)
+        if self.along_road:
+            way = world.remaining(e, world.lane_of(other))
+            if not self.free:
+                return way
+            ahead, behind = world.longitudinal_reach(e, other)
+            return np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
+        return world.longitudinal_gap(e, other) if self.free else world.ahead(e, other)
+
+    def to_place(self, world: World, e: int, pose: Pose) -> FloatArray:
+        """Distance to a place in m, shape (N,); positive ahead and to the left."""
+        one = world.entities[e]
+        front, rear = 0.5 * one.length + one.center_x, 0.5 * one.length - one.center_x
+        dx, dy = pose.x - world.x[e], pose.y - world.y[e]
+        if self.kind == "euclidean":
+            distance = np.hypot(dx, dy)
+            if not self.free:
+                return np.asarray(distance)
+            cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
+            along, across = dx * cos + dy * sin - one.center_x, dy * cos - dx * sin
+            beyond = np.maximum(np.abs(along) - 0.5 * one.length, 0.0)
+            return np.asarray(np.hypot(beyond, np.maximum(np.abs(across) - 0.5 * one.width, 0.0)))
+        cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
+        if self.kind == "lateral":
+            across = dy * cos - dx * sin
+            return np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
+        way = world.remaining(e, pose) if self.along_road else dx * cos + dy * sin
+        if self.free:
+            way = np.where(way > 0, np.maximum(way - front, 0.0), np.minimum(way + rear, 0.0))
+        return way
+
+
+def read_gap(element: etree._Element, scope: Scope) -> Gap:
+    """Read how an element's distance is to be measured.
+
+    Raises
+    ------
+    InputError
+        A coordinate system or kind of distance does not exist.
+    """
+    kind = scope.text(element, "relativeDistanceType", "euclidianDistance")
+    system = scope.text(element, "coordinateSystem", "entity")
+    kinds = {
+        "euclidianDistance": "euclidean", "cartesianDistance": "euclidean",
+        "longitudinal": "longitudinal", "lateral": "lateral",
+    }  # fmt: skip
+    if kind not in kinds or system not in ("entity", "lane", "road", "trajectory", "world"):
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: a distance of type '{kind}' in the system '{system}' does not"
+            " exist; use euclidianDistance, longitudinal or lateral in entity, lane, road or trajectory."
+        )
+    return Gap(kinds[kind], system in ("lane", "road", "trajectory"), scope.flag(element, "freespace", False))
+
+
+def _distance(world: World, e: int, x: FloatArray, y: FloatArray) -> FloatArray:
+    return np.asarray(np.hypot(x - world.x[e], y - world.y[e]))
+
+
+def _free_distance(world: World, e: int, other: int) -> FloatArray:
+    """Least distance between two boxes, 0 where they overlap."""
+    one, two = (_corners(world, k) for k in (e, other))
+    apart = np.full(world.scenarios, np.inf)
+    for points, box in ((one, two), (two, one)):
+        for k in range(4):
+            a, b = box[:, k], box[:, (k + 1) % 4]
+            edge = b - a
+            length = np.maximum((edge**2).sum(axis=1), 1e-12)
+            for p in range(4):
+                part = np.clip(((points[:, p] - a) * edge).sum(axis=1) / length, 0.0, 1.0)
+                nearest = a + part[:, None] * edge
+                apart = np.minimum(apart, np.hypot(*(points[:, p] - nearest).T))
+    return np.where(world.touching[e, other], 0.0, apart)
+
+
+def _corners(world: World, e: int) -> FloatArray:
+    one = world.entities[e]
+    x = world.x[e] + one.center_x * np.cos(world.heading[e])
+    y = world.y[e] + one.center_x * np.sin(world.heading[e])
+    return box_corners(x, y, world.heading[e], np.array(one.length), np.array(one.width))

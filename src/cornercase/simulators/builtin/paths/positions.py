@@ -1,0 +1,366 @@
+"""OpenSCENARIO positions, resolved for all scenarios of a batch at the instant they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.scenario import Scope
+from cornercase.simulators.builtin.paths.tracks import Pose
+from cornercase.simulators.builtin.world import World
+
+Position = Callable[[World], Pose]
+
+# Places beyond the end of a road by less than this, in m, are at the end.
+_EDGE: Final = 0.1
+
+
+def read_position(holder: etree._Element, scope: Scope, world: World) -> Position:
+    """Read the position inside `holder`, a ``Position`` or an element of that type.
+
+    Raises
+    ------
+    InputError
+        There is none, it is of a kind that is not supported, or it names what does not exist.
+    """
+    element = next(iter(holder.iterchildren("*")), None)
+    if element is None:
+        raise InputError(f"{scope.source}, line {holder.sourceline}: <{holder.tag}> holds no position.")
+    if element.tag not in _READERS:
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: <{element.tag}> is not supported by the builtin simulator;"
+            f" it reads {', '.join(_READERS)}."
+        )
+    return _READERS[element.tag](element, scope, world)
+
+
+def entity_index(element: etree._Element, scope: Scope, world: World, attribute: str = "entityRef") -> int:
+    """Row of the entity that an attribute names."""
+    name = scope.text(element, attribute)
+    if name not in world.names:
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: <{element.tag}> names the entity '{name}', which does not"
+            f" exist; {suggestion(name, world.names)}"
+        )
+    return world.names.index(name)
+
+
+def entities_in(holder: etree._Element, scope: Scope, world: World) -> list[int]:
+    """Rows of the entities that the ``EntityRef`` in an element name, themselves or as members of a selection."""
+    found = []
+    for element in holder.iterfind("EntityRef"):
+        name = scope.text(element, "entityRef")
+        members = world.selections.get(name)
+        found += [entity_index(element, scope, world)] if members is None else members
+    return list(dict.fromkeys(found))
+
+
+def _world_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    pose = Pose(scope.number(element, "x"), scope.number(element, "y"), scope.number(element, "h", 0.0))
+
+    def resolve(world: World) -> Pose:
+        if world.network is None:
+            return pose
+        place = world.network.locate(pose.x, pose.y)
+        return Pose(pose.x, pose.y, pose.heading, place.road, place.lane, place.s, place.offset)
+
+    return resolve
+
+
+def _lane_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    network = _network(element, scope, world)
+    road = network.index_of(scope.text(element, "roadId"))
+    lane = int(scope.one_number(element, "laneId"))
+    s, offset = scope.number(element, "s", 0.0), scope.number(element, "offset", 0.0)
+    turn, relative = _orientation(element, scope)
+    n = scope.scenarios
+
+    def resolve(world: World) -> Pose:
+        return _on_lane(world, np.full(n, road), np.full(n, lane), s, offset, turn, relative)
+
+    return resolve
+
+
+def _road_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    network = _network(element, scope, world)
+    road = network.index_of(scope.text(element, "roadId"))
+    s, t = scope.number(element, "s"), scope.number(element, "t")
+    turn, relative = _orientation(element, scope)
+
+    def resolve(world: World) -> Pose:
+        return _on_road(world, np.full(scope.scenarios, road), s, t, turn, relative)
+
+    return resolve
+
+
+def _relative_lane_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    _network(element, scope, world)
+    entity = entity_index(element, scope, world)
+    lanes = int(scope.one_number(element, "dLane"))
+    ds, offset = scope.number(element, "ds", 0.0), scope.number(element, "offset", 0.0)
+    along_lane = element.get("dsLane") is not None
+    ds = scope.number(element, "dsLane") if along_lane else ds
+    turn, relative = _orientation(element, scope)
+
+    def resolve(world: World) -> Pose:
+        base = world.lane_of(entity)
+        # Along the lane means as the entity drives; otherwise it is the road's s and its numbers of lanes that count.
+        ahead = np.cos(base.heading - world.road_heading(base)) > -1e-6
+        forward = np.where(ahead | (not along_lane), 1, -1)
+        base = _moved(world, base, forward * ds)
+        assert base.lane is not None
+        assert base.road is not None
+        assert base.s is not None
+        lane = shifted_lane(base.lane, lanes * forward)
+        pose = _on_lane(world, base.road, lane, base.s, offset * forward, turn, relative)
+        if along_lane or not relative:
+            return pose
+        return replace(pose, heading=np.where(np.isnan(pose.heading), np.nan, world.road_heading(pose) + turn))
+
+    return resolve
+
+
+def shifted_lane(lane: IntArray, by: IntArray) -> IntArray:
+    """Number of the lane that is a number of lanes further to the left as seen along s; there is no lane 0."""
+    moved = lane + by
+    return np.where((moved == 0) | (np.sign(moved) != np.sign(lane)), moved + np.sign(by), moved)
+
+
+def _moved(world: World, base: Pose, ds: FloatArray) -> Pose:
+    """Return `base`, further along the roads by `ds`, which is negative against the road's s."""
+    assert world.network is not None
+    assert base.road is not None
+    assert base.s is not None
+    assert base.lane is not None
+    road, lane, s = base.road.copy(), base.lane.copy(), base.s + ds
+    beyond = np.flatnonzero((s < 0.0) | (s > world.network.lengths[road]))
+    for i in beyond[world.running[beyond]]:
+        route = 0 if world.actor is None else int(world.route[world.actor, i])
+        track = world.lane_track(int(road[i]), int(lane[i]), float(base.s[i]), bool(ds[i] >= 0.0), route)
+        if track is not None:
+            distance = track.distance_of(base.s[i : i + 1]) + abs(ds[i])
+            k = int(np.clip(np.searchsorted(track.path.distance, distance[0], "right") - 1, 0, track.path.s.size - 1))
+            road[i], lane[i], s[i] = track.path.road[k], track.path.lane[k], track.path.s[k]
+    return Pose(base.x, base.y, base.heading, road, lane, s, base.offset)
+
+
+def _relative_road_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    _network(element, scope, world)
+    entity = entity_index(element, scope, world)
+    ds, dt = scope.number(element, "ds"), scope.number(element, "dt")
+    turn, relative = _orientation(element, scope)
+
+    def resolve(world: World) -> Pose:
+        base = world.lane_of(entity)
+        moved = _moved(world, base, ds)
+        assert moved.road is not None
+        assert moved.s is not None
+        assert moved.lane is not None
+        assert base.lane is not None
+        # On the other side of a junction the road may run the other way, and left of it is then right of it.
+        t = _lateral(world, base) * np.sign(moved.lane * base.lane)
+        return _on_road(world, moved.road, moved.s, t + dt, turn, relative)
+
+    return resolve
+
+
+def _lateral(world: World, pose: Pose) -> FloatArray:
+    """Coordinate t of poses on their roads."""
+    assert world.network is not None
+    assert pose.road is not None
+    assert pose.s is not None
+    t = np.zeros(world.scenarios)
+    for road in np.unique(pose.road):
+        rows = pose.road == road
+        x, y, heading = world.network.roads[int(road)].reference(pose.s[rows])
+        t[rows] = (pose.y[rows] - y) * np.cos(heading) - (pose.x[rows] - x) * np.sin(heading)
+    return t
+
+
+def _on_road(world: World, road: IntArray, s: FloatArray, t: FloatArray, turn: FloatArray, relative: bool) -> Pose:
+    assert world.network is not None
+    x, y, heading = (np.full(len(s), np.nan) for _ in range(3))
+    for one in np.unique(road):
+        rows = (road == one) & (s >= -_EDGE) & (s <= world.network.lengths[one] + _EDGE)
+        x[rows], y[rows], heading[rows] = world.network.road_world(int(one), s[rows], t[rows])
+    heading = heading + turn if relative else np.where(np.isnan(heading), np.nan, turn)
+    lane, offset = np.zeros(len(s), dtype=np.int64), np.zeros(len(s))
+    for one in np.unique(road):
+        rows = np.flatnonzero((road == one) & np.isfinite(x))
+        lane[rows], offset[rows] = world.network.lane_at(int(one), s[rows], t[rows])
+    return Pose(x, y, heading, road, lane, s, offset)
+
+
+def _route_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    network = _network(element, scope, world)
+    holder = element.find("RouteRef")
+    route = None if holder is None else read_route(holder, scope, world)
+    place = element.find("InRoutePosition")
+    inner = None if place is None else next(iter(place.iterchildren("*")), None)
+    if route is None or inner is None or inner.tag not in ("FromLaneCoordinates", "FromRoadCoordinates"):
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: <RoutePosition> needs a <RouteRef> and an <InRoutePosition>"
+            " from lane or road coordinates."
+        )
+    on_lane = inner.tag == "FromLaneCoordinates"
+    way = scope.number(inner, "pathS")
+    lane = int(scope.one_number(inner, "laneId")) if on_lane else 0
+    side = scope.number(inner, "laneOffset", 0.0) if on_lane else scope.number(inner, "t")
+    turn, relative = _orientation(element, scope)
+    turned = element.find("Orientation") is not None
+
+    def resolve(world: World) -> Pose:
+        road, s, along = network.along_route(route(world), way)
+        if on_lane:
+            pose = _on_lane(world, road, np.full(scope.scenarios, lane), s, side, turn, relative)
+        else:
+            pose = _on_road(world, road, s, np.where(along, side, -side), turn, relative)
+        # Who is given an orientation against the route is turned along it: so it is in esmini.
+        forward = world.road_heading(pose) + np.where(along, 0.0, np.pi)
+        against = turned & (np.cos(pose.heading - forward) < 0.0)
+        return replace(pose, heading=pose.heading + np.where(against, np.pi, 0.0))
+
+    return resolve
+
+
+Route = Callable[[World], list[tuple[int, int, float]]]
+
+
+def read_route(holder: etree._Element, scope: Scope, world: World) -> Route:
+    """Read the ``Route`` or ``CatalogReference`` in `holder`, as (road, lane, s) of its waypoints.
+
+    Raises
+    ------
+    InputError
+        There is none, or it has fewer than two waypoints.
+    """
+    element, scope = scope.referred(holder, "Route")
+    waypoints = [
+        read_position(one, scope, world)
+        for one in (waypoint.find("Position") for waypoint in element.iterfind("Waypoint"))
+        if one is not None
+    ]
+    if len(waypoints) < 2:
+        raise InputError(f"{scope.source}, line {element.sourceline}: a <Route> needs at least two waypoints.")
+
+    def resolve(world: World) -> list[tuple[int, int, float]]:
+        found = []
+        for waypoint in waypoints:
+            pose = waypoint(world)
+            assert pose.road is not None
+            assert pose.lane is not None
+            assert pose.s is not None
+            # Waypoints that vary along one road choose the same way.
+            found.append((int(pose.road[0]), int(pose.lane[0]), float(pose.s[0])))
+        return found
+
+    return resolve
+
+
+def _trajectory_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    from cornercase.simulators.builtin.paths.trajectory_shapes import read_trajectory
+
+    holder = element.find("TrajectoryRef")
+    if holder is None:
+        raise InputError(f"{scope.source}, line {element.sourceline}: <TrajectoryPosition> has no <TrajectoryRef>.")
+    shape = read_trajectory(holder, scope, world)
+    s, t = scope.number(element, "s"), scope.number(element, "t", 0.0)
+    turn, relative = _orientation(element, scope)
+    rows = np.arange(scope.scenarios)
+
+    def resolve(world: World) -> Pose:
+        x, y, heading = shape(world).at(s, t, rows)
+        return _located(world, x, y, heading + turn if relative else turn)
+
+    return resolve
+
+
+def _relative_object_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    entity = entity_index(element, scope, world)
+    dx, dy = scope.number(element, "dx"), scope.number(element, "dy")
+    turn, relative = _orientation(element, scope)
+
+    def resolve(world: World) -> Pose:
+        heading = world.heading[entity]
+        cos, sin = np.cos(heading), np.sin(heading)
+        x = world.x[entity] + cos * dx - sin * dy
+        y = world.y[entity] + sin * dx + cos * dy
+        return _located(world, x, y, heading + turn if relative else turn)
+
+    return resolve
+
+
+def _relative_world_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    entity = entity_index(element, scope, world)
+    dx, dy = scope.number(element, "dx"), scope.number(element, "dy")
+    turn, relative = _orientation(element, scope)
+
+    def resolve(world: World) -> Pose:
+        heading = world.heading[entity] + turn if relative else turn
+        return _located(world, world.x[entity] + dx, world.y[entity] + dy, heading)
+
+    return resolve
+
+
+def _located(world: World, x: FloatArray, y: FloatArray, heading: FloatArray) -> Pose:
+    if world.network is None:
+        return Pose(x, y, heading)
+    place = world.network.locate(x, y)
+    return Pose(x, y, heading, place.road, place.lane, place.s, place.offset)
+
+
+def _on_lane(
+    world: World,
+    road: IntArray,
+    lane: IntArray,
+    s: FloatArray,
+    offset: FloatArray,
+    turn: FloatArray,
+    relative: bool,
+) -> Pose:
+    assert world.network is not None
+    x, y, heading = (np.full(len(s), np.nan) for _ in range(3))
+    for one_road, one_lane in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
+        rows = (road == one_road) & (lane == one_lane)
+        inside = rows & (s >= -_EDGE) & (s <= world.network.lengths[one_road] + _EDGE)
+        if (one_lane == 0 or world.network.has_lane(one_road, one_lane)) and inside.any():
+            at = np.clip(s[inside], 0.0, world.network.lengths[one_road])
+            x[inside], y[inside], heading[inside] = world.network.world(one_road, one_lane, at, offset[inside])
+    heading = heading + turn if relative else np.where(np.isnan(heading), np.nan, turn)
+    return Pose(x, y, heading, road, lane, s, offset)
+
+
+def _orientation(element: etree._Element, scope: Scope) -> tuple[FloatArray, bool]:
+    orientation = element.find("Orientation")
+    if orientation is None:
+        return np.zeros(scope.scenarios), True
+    relative = scope.text(orientation, "type", "absolute") == "relative"
+    return scope.number(orientation, "h", 0.0), relative
+
+
+def _network(element: etree._Element, scope: Scope, world: World):  # type: ignore[no-untyped-def]
+    if world.network is None:
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: <{element.tag}> needs a road file, but"
+            " <RoadNetwork> names none."
+        )
+    return world.network
+
+
+_READERS: Final[dict[str, Callable[[etree._Element, Scope, World], Position]]] = {
+    "WorldPosition": _world_position,
+    "LanePosition": _lane_position,
+    "RoadPosition": _road_position,
+    "RelativeLanePosition": _relative_lane_position,
+    "RelativeRoadPosition": _relative_road_position,
+    "RoutePosition": _route_position,
+    "TrajectoryPosition": _trajectory_position,
+    "RelativeObjectPosition": _relative_object_position,
+    "RelativeWorldPosition": _relative_world_position,
+}

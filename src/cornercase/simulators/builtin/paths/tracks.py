@@ -1,0 +1,134 @@
+"""What entities move along: lanes through the road network, and trajectories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Protocol
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.roads import LanePath, RoadNetwork
+
+FREE: Final = -1
+
+# Samples looked at for the place of a track that is nearest to a point, and how much further away, in m, a place may
+# be to count as passed again.
+_PASSES: Final = 16
+_SAME: Final = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A place for each scenario.
+
+    Attributes
+    ----------
+    x, y, heading : ndarray of float64, shape (N,)
+    road : ndarray of int64, shape (N,), optional
+        Index of the road in the network.
+    lane : ndarray of int64, shape (N,), optional
+    s, offset : ndarray of float64, shape (N,), optional
+        Along the road, and to the left of the lane's centre as seen along the road, in m.
+    """
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    road: IntArray | None = None
+    lane: IntArray | None = None
+    s: FloatArray | None = None
+    offset: FloatArray | None = None
+
+
+class Track(Protocol):
+    """A curve that an entity follows, by the distance along it.
+
+    Attributes
+    ----------
+    ends : bool
+        Whether the entity stops at the end; otherwise it goes straight on.
+    """
+
+    ends: bool
+
+    def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return x, y and heading at distances, each (R,), for the scenarios `rows`."""
+        ...
+
+    def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
+        """Distance along the track of its point that is nearest to (x, y), each (R,), from `after` on if it can."""
+        ...
+
+    def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        """Curvature in 1/m, positive to the left, each (R,)."""
+        ...
+
+
+class LaneTrack:
+    """The centre line of a lane and of those that follow it, the same for all scenarios."""
+
+    ends = True
+
+    def __init__(self, path: LanePath) -> None:
+        self.path = path
+        self.length = float(path.distance[-1])
+        self._tree: cKDTree | None = None
+
+    @classmethod
+    def of_lane(
+        cls, network: RoadNetwork, road: int, lane: int, s: float, along: bool, via: tuple[tuple[int, int, float], ...]
+    ) -> LaneTrack | None:
+        """Track that passes a place on a lane, in the direction of s or against it; None where there is no lane."""
+        path = network.path_of_lane(road, lane, s, along, via)
+        return None if path is None else cls(path)
+
+    def distance_of(self, s: FloatArray) -> FloatArray:
+        """Distance along the track of coordinates s on the road that it was made for."""
+        part = slice(self.path.first, self.path.last + 1)
+        at, distance = self.path.s[part], self.path.distance[part]
+        return np.interp(s, at, distance) if at[-1] >= at[0] else np.interp(-s, -at, distance)
+
+    def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x, y, heading, _ = self.path.at(distance, offset)
+        return x, y, heading
+
+    def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        return self.path.at(distance, np.zeros_like(distance))[3]
+
+    def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
+        if self._tree is None:
+            self._tree = cKDTree(np.stack([self.path.x, self.path.y], axis=1))
+        # A track may pass a place more than once; the next time counts.
+        found = self._tree.query(np.stack([x, y], axis=1), k=min(_PASSES, len(self.path.x)))
+        gap, samples = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
+        distance = self.path.distance[samples]
+        good = gap <= gap[:, :1] + _SAME
+        if after is not None:
+            ahead = good & (distance >= after[:, None] - 1.0)
+            good = np.where(ahead.any(axis=1)[:, None], ahead, good)
+        first = np.where(good, distance, np.inf).min(axis=1)
+        here = good & (distance < first[:, None] + 1.0)
+        best = np.where(here, gap, np.inf).argmin(axis=1)
+        sample = samples[np.arange(len(x)), best]
+        # The samples are close together: what lies between them is a projection on the tangent.
+        at_x, at_y, heading, _ = self.path.at(self.path.distance[sample], np.zeros(len(x)))
+        beyond = (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading)
+        limit = self.path.distance[1]
+        return np.asarray(self.path.distance[sample] + np.clip(beyond, -limit, limit))
+
+    def lane_pose(self, pose: Pose, rows: IntArray, distance: FloatArray, offset: FloatArray) -> Pose:
+        """Return `pose` with the road coordinates of `rows` as they are on this track."""
+        assert pose.road is not None
+        assert pose.lane is not None
+        assert pose.s is not None
+        assert pose.offset is not None
+        sample = np.clip(np.searchsorted(self.path.distance, distance, "right") - 1, 0, self.path.x.size - 1)
+        road, lane, s, t = pose.road.copy(), pose.lane.copy(), pose.s.copy(), pose.offset.copy()
+        road[rows], lane[rows] = self.path.road[sample], self.path.lane[sample]
+        beyond = distance - self.path.distance[sample]
+        along = np.where(self.path.along[sample], 1.0, -1.0)
+        s[rows] = self.path.s[sample] + along * beyond
+        t[rows] = along * offset
+        return replace(pose, road=road, lane=lane, s=s, offset=t)

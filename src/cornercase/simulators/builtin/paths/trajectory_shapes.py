@@ -1,0 +1,173 @@
+"""Shapes of trajectories, as they stand in a file or a catalog."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.scenario import Scope
+from cornercase.simulators.builtin.paths.positions import read_position
+from cornercase.simulators.builtin.paths.trajectories import ClothoidSpline, Polyline, Trajectory, nurbs_points
+from cornercase.simulators.builtin.world import World
+
+
+class Shape(Protocol):
+    """Lays a trajectory out in the world as it is now.
+
+    `smooth` is the following mode ``follow``; `scale` and `shift`, each (N,), make the file's times those of the
+    trajectory's clock, and without them it has none. `entity` is who follows it.
+    """
+
+    def __call__(
+        self,
+        world: World,
+        smooth: bool = False,
+        scale: FloatArray | None = None,
+        shift: FloatArray | None = None,
+        entity: int | None = None,
+    ) -> Trajectory:
+        """Return the trajectory."""
+        ...
+
+
+def read_trajectory(holder: etree._Element, scope: Scope, world: World) -> Shape:
+    """Read the ``Trajectory`` or ``CatalogReference`` in `holder`.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is malformed.
+    """
+    element, inner = scope.referred(holder, "Trajectory")
+    shape = element.find("Shape")
+    kind = None if shape is None else next(iter(shape.iterchildren("*")), None)
+    if kind is None or kind.tag not in ("Polyline", "Clothoid", "ClothoidSpline", "Nurbs"):
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: a <Trajectory> is no <Polyline>, <Clothoid>,"
+            " <ClothoidSpline> or <Nurbs>."
+        )
+    if kind.tag == "Polyline":
+        return _polyline(kind, inner, world, inner.flag(element, "closed", False))
+    return _nurbs(kind, inner, world) if kind.tag == "Nurbs" else _clothoids(kind, inner, world)
+
+
+def _times(times: FloatArray, scale: FloatArray | None, shift: FloatArray | None) -> FloatArray | None:
+    if scale is None or shift is None:
+        return None
+    return np.asarray(times * scale[:, None] + shift[:, None])
+
+
+def _polyline(element: etree._Element, scope: Scope, world: World, closed: bool) -> Shape:
+    vertices = list(element.iterfind("Vertex"))
+    if len(vertices) < 2:
+        raise InputError(f"{scope.source}, line {element.sourceline}: a <Polyline> needs at least two vertices.")
+    positions = [read_position(_position(one, scope), scope, world) for one in vertices]
+    oriented = [
+        one.find("Position//Orientation") is not None or next(one.iterfind("Position/*")).get("h") is not None
+        for one in vertices
+    ]
+    times = np.stack([scope.number(one, "time", 0.0) for one in vertices], axis=1)
+
+    def lay_out(
+        world: World,
+        smooth: bool = False,
+        scale: FloatArray | None = None,
+        shift: FloatArray | None = None,
+        entity: int | None = None,
+    ) -> Trajectory:
+        poses = [position(world) for position in positions]
+        headings = [
+            pose.heading if said else np.full_like(pose.heading, np.nan)
+            for pose, said in zip(poses, oriented, strict=True)
+        ]
+        return Polyline(
+            np.stack([pose.x for pose in poses], axis=1),
+            np.stack([pose.y for pose in poses], axis=1),
+            np.stack(headings, axis=1),
+            _times(times, scale, shift),
+            closed,
+            smooth,
+        )
+
+    return lay_out
+
+
+def _clothoids(element: etree._Element, scope: Scope, world: World) -> Shape:
+    segments = [element] if element.tag == "Clothoid" else list(element.iterfind("ClothoidSplineSegment"))
+    if not segments:
+        raise InputError(f"{scope.source}, line {element.sourceline}: a <ClothoidSpline> has no segments.")
+    length = np.stack([scope.number(one, "length") for one in segments], axis=1)
+    if not (length > 0).all():
+        raise InputError(f"{scope.source}, line {element.sourceline}: the length of a clothoid is not above 0.")
+    if element.tag == "Clothoid":
+        start = scope.number(element, "curvature")[:, None]
+        name = "curvaturePrime" if element.get("curvatureDot") is None else "curvatureDot"
+        end = start + scope.number(element, name)[:, None] * length
+        clock = np.stack([scope.number(element, name, 0.0) for name in ("startTime", "stopTime")], axis=1)
+        holder = element.find("Position")
+    else:
+        start = np.stack([scope.number(one, "curvatureStart") for one in segments], axis=1)
+        end = np.stack([scope.number(one, "curvatureEnd") for one in segments], axis=1)
+        last = scope.number(element, "timeEnd", 0.0)
+        clock = np.stack([np.zeros_like(last), last], axis=1)
+        holder = segments[0].find("PositionStart")
+    position = None if holder is None else read_position(holder, scope, world)
+
+    def lay_out(
+        world: World,
+        smooth: bool = False,
+        scale: FloatArray | None = None,
+        shift: FloatArray | None = None,
+        entity: int | None = None,
+    ) -> Trajectory:
+        if position is not None:
+            pose = position(world)
+            x, y, heading = pose.x, pose.y, pose.heading
+        elif entity is not None:
+            x, y, heading = world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy()
+        else:
+            raise InputError(f"{scope.source}, line {element.sourceline}: the trajectory has no start position.")
+        return ClothoidSpline(x, y, heading, start, end, length, _times(clock, scale, shift))
+
+    return lay_out
+
+
+def _nurbs(element: etree._Element, scope: Scope, world: World) -> Shape:
+    controls, order = list(element.iterfind("ControlPoint")), int(scope.one_number(element, "order"))
+    knots = np.array([scope.one_number(one, "value") for one in element.iterfind("Knot")])
+    where = f"{scope.source}, line {element.sourceline}"
+    if not 2 <= order <= len(controls) or len(knots) != len(controls) + order or (np.diff(knots) < 0).any():
+        raise InputError(
+            f"{where}: a <Nurbs> of order {order} with {len(controls)} control points needs"
+            f" {len(controls) + order} rising knots, and at least as many control points as its order."
+        )
+    weights = np.array([scope.one_number(one, "weight", 1.0) for one in controls])
+    if not (weights > 0).all():
+        raise InputError(f"{where}: a weight of a <Nurbs> is not above 0.")
+    positions = [read_position(_position(one, scope), scope, world) for one in controls]
+    times = np.stack([scope.number(one, "time", 0.0) for one in controls], axis=1)
+
+    def lay_out(
+        world: World,
+        smooth: bool = False,
+        scale: FloatArray | None = None,
+        shift: FloatArray | None = None,
+        entity: int | None = None,
+    ) -> Trajectory:
+        poses = [position(world) for position in positions]
+        x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
+        px, py, heading, clock = nurbs_points(x, y, times, weights, knots, order)
+        return Polyline(px, py, heading, _times(clock, scale, shift), False, smooth)
+
+    return lay_out
+
+
+def _position(element: etree._Element, scope: Scope) -> etree._Element:
+    found = element.find("Position")
+    if found is None or not len(found):
+        raise InputError(f"{scope.source}, line {element.sourceline}: <{element.tag}> has no <Position>.")
+    return found

@@ -1,0 +1,111 @@
+"""How values change over time: the shapes and dimensions of ``TransitionDynamics``."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.scenario import Scope
+
+# The largest slope of a transition from 0 to 1 over unit time.
+_PEAK: Final = {"linear": 1.0, "cubic": 1.5, "sinusoidal": 0.5 * np.pi, "step": 1.0}
+
+
+class Transition:
+    """A change from one value to another, as an element with shape, dimension and value describes it."""
+
+    def __init__(self, element: etree._Element, scope: Scope) -> None:
+        self.shape = scope.text(element, "dynamicsShape")
+        self.dimension = scope.text(element, "dynamicsDimension", "time")
+        self.value = scope.number(element, "value", 0.0)
+        self.forced = scope.text(element, "followingMode", "position") == "position"
+        require_shape(self.shape, element, scope)
+        if self.dimension not in ("time", "rate", "distance"):
+            raise InputError(
+                f"{scope.source}, line {element.sourceline}: dynamicsDimension '{self.dimension}' is not time, rate"
+                " or distance."
+            )
+
+    def duration(self, start: FloatArray, end: FloatArray, steepest: FloatArray) -> FloatArray:
+        """Time that a change of speed takes, shape (N,), no slope being above `steepest`."""
+        if self.shape == "step":
+            return np.zeros_like(start)
+        change, peak = np.abs(end - start), _PEAK[self.shape]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.dimension == "time":
+                wanted = self.value
+            elif self.dimension == "rate":
+                wanted = np.where(change > 0, peak * change / np.abs(self.value), 0.0)
+            else:
+                wanted = self._time_for_distance(start, end)
+            limited = np.maximum(wanted, np.where(np.isfinite(steepest), peak * change / steepest, 0.0))
+            # What is to take no time at all is a step, whatever the vehicle can.
+            return np.where((wanted <= 1e-6) & (self.dimension != "rate"), 0.0, limited)
+
+    def extent(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Time or distance that a lateral change takes, shape (N,)."""
+        if self.shape == "step":
+            return np.zeros_like(start)
+        if self.dimension != "rate":
+            return self.value
+        with np.errstate(divide="ignore", invalid="ignore"):
+            change = np.abs(end - start)
+            return np.where(change > 0, _PEAK[self.shape] * change / np.abs(self.value), 0.0)
+
+    def at(self, part: FloatArray) -> FloatArray:
+        """Share of the change that is done after a share of the time, shape (N,)."""
+        return shaped(self.shape, part)
+
+    def slope(self, part: FloatArray) -> FloatArray:
+        """Derivative of `at`, shape (N,)."""
+        return steepness(self.shape, part)
+
+    def _time_for_distance(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        # A change of sign is two changes, to 0 and from 0, whose distances are as the squares of the speeds.
+        share = start**2 / (start**2 + end**2)
+        through_zero = 2.0 * share * self.value / np.abs(start) + 2.0 * (1.0 - share) * self.value / np.abs(end)
+        direct = 2.0 * self.value / np.abs(start + end)
+        changes = (np.sign(start) * np.sign(end)) < 0
+        return np.where(start == end, 0.0, np.where(changes, through_zero, direct))
+
+
+def require_shape(shape: str, element: etree._Element, scope: Scope) -> None:
+    """Raise an `InputError` where a shape does not exist."""
+    if shape not in _PEAK:
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: dynamicsShape '{shape}' is not one of {', '.join(_PEAK)}."
+        )
+
+
+def shaped(shape: str, part: FloatArray) -> FloatArray:
+    """Share of a change that is done after a share of the time, shape (N,)."""
+    part = np.clip(part, 0.0, 1.0)
+    if shape == "cubic":
+        return part * part * (3.0 - 2.0 * part)
+    if shape == "sinusoidal":
+        return np.asarray(0.5 - 0.5 * np.cos(np.pi * part))
+    return part
+
+
+def steepness(shape: str, part: FloatArray) -> FloatArray:
+    """Derivative of `shaped`, shape (N,)."""
+    part = np.clip(part, 0.0, 1.0)
+    if shape == "cubic":
+        return 6.0 * part * (1.0 - part)
+    if shape == "sinusoidal":
+        return np.asarray(0.5 * np.pi * np.sin(np.pi * part))
+    return np.ones_like(part)
+
+
+def time_by_acceleration(shape: str, change: FloatArray, most: FloatArray) -> FloatArray:
+    """Time for a lateral change whose acceleration peaks at `most`, shape (N,); a linear one is taken as cubic."""
+    with np.errstate(divide="ignore"):
+        if shape == "step":
+            return np.zeros_like(change)
+        if shape == "sinusoidal":
+            return np.asarray(np.pi * np.sqrt(np.abs(change) / (2.0 * most)))
+        return np.asarray(np.sqrt(6.0 * np.abs(change) / most))

@@ -1,0 +1,291 @@
+"""Conditions on one entity: a boolean for every scenario of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.scenario import Scope
+from cornercase.simulators.builtin.paths.distances import Gap, read_gap
+from cornercase.simulators.builtin.paths.positions import entities_in, entity_index, read_position
+from cornercase.simulators.builtin.world import World
+
+EntityTest = Callable[[World, int], BoolArray]
+
+TOLERANCE: Final = 1e-6
+
+
+def _equal(a: Any, b: Any) -> Any:
+    return np.abs(a - b) <= TOLERANCE
+
+
+_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
+    "greaterThan": lambda a, b: a > b + TOLERANCE,
+    "lessThan": lambda a, b: a < b - TOLERANCE,
+    "equalTo": _equal,
+    "greaterOrEqual": lambda a, b: a >= b - TOLERANCE,
+    "lessOrEqual": lambda a, b: a <= b + TOLERANCE,
+    "notEqualTo": lambda a, b: ~_equal(a, b),
+}
+
+
+def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
+    """Comparison that an element's ``rule`` names."""
+    rule = scope.text(element, "rule", "equalTo")
+    if rule not in _RULES:
+        raise InputError(f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}")
+    return _RULES[rule]
+
+
+def _traveled(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    value = scope.number(element, "value")
+    return lambda world, e: np.asarray(world.odometer[e] >= value)
+
+
+def _reach_position(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    holder = element.find("Position")
+    if holder is None:
+        raise InputError(f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>.")
+    position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
+
+    def reached(world: World, e: int) -> BoolArray:
+        pose = position(world)
+        return np.asarray(np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance)
+
+    return reached
+
+
+def _component(world: World, e: int, direction: str) -> FloatArray:
+    """Speed of an entity, or a component of it along or across its heading, in m/s."""
+    if direction == "longitudinal":
+        return np.asarray(world.speed[e] * np.cos(world.turn[e]))
+    if direction == "lateral":
+        return world.lateral_speed(e)
+    return np.zeros(world.scenarios) if direction == "vertical" else world.speed[e]
+
+
+def _speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    rule, value = rule_of(element, scope), scope.number(element, "value")
+    direction = scope.text(element, "direction", "")
+    if direction in ("", "longitudinal"):
+        return lambda world, e: np.asarray(rule(world.speed[e], value))
+    return lambda world, e: np.asarray(rule(_component(world, e, direction), value))
+
+
+def _relative_speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    rule, value = rule_of(element, scope), scope.number(element, "value")
+    other, direction = entity_index(element, scope, world), scope.text(element, "direction", "")
+
+    def holds(world: World, e: int) -> BoolArray:
+        if direction not in ("longitudinal", "lateral"):
+            return np.asarray(rule(world.speed[e] - world.speed[other], value))
+        turn = world.heading[e] - world.heading[other]
+        own = world.speed[e] * (np.cos(turn) if direction == "longitudinal" else np.sin(turn))
+        theirs = world.speed[other] if direction == "longitudinal" else 0.0
+        return np.asarray(rule(own - theirs, value) & world.present[other])
+
+    return holds
+
+
+def _acceleration(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    rule, value = rule_of(element, scope), scope.number(element, "value")
+    direction = scope.text(element, "direction", "")
+
+    def holds(world: World, e: int) -> BoolArray:
+        if direction in ("lateral", "vertical"):
+            across = world.speed[e] * world.turn_rate[e]
+            return np.asarray(rule(across if direction == "lateral" else np.zeros(world.scenarios), value))
+        along = world.acceleration[e]
+        if direction == "longitudinal":
+            return np.asarray(rule(along, value))
+        return np.asarray(rule(np.hypot(along, world.speed[e] * world.turn_rate[e]), value))
+
+    return holds
+
+
+def _stand_still(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    duration = scope.number(element, "duration")
+    return lambda world, e: np.asarray(world.time - world.standing_since[e] > duration + 1e-9)
+
+
+def _end_of_road(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    duration = scope.number(element, "duration")
+    return lambda world, e: np.asarray(world.time - world.at_end_since[e] > duration - TOLERANCE)
+
+
+def _off_road(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    duration = scope.number(element, "duration")
+    since = np.full((len(world.entities), scope.scenarios), np.inf)
+
+    def holds(world: World, e: int) -> BoolArray:
+        off = np.ones(world.scenarios, dtype=np.bool_) if world.network is None else ~world.on_road(e)
+        since[e] = np.where(off, np.minimum(since[e], world.time), np.inf)
+        return np.asarray(world.time - since[e] > duration)
+
+    return holds
+
+
+def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    by_type = element.find("ByType")
+    if by_type is not None:
+        kind = scope.text(by_type, "type")
+        others = [k for k, one in enumerate(world.entities) if _type_of(one.kind) == kind]
+    else:
+        others = entities_in(element, scope, world)
+    if by_type is None and not others:
+        raise InputError(f"{scope.source}, line {element.sourceline}: <CollisionCondition> names no entity.")
+
+    def holds(world: World, e: int) -> BoolArray:
+        result = np.zeros(world.scenarios, dtype=np.bool_)
+        for other in others:
+            result |= world.touching[e, other]
+        return result
+
+    return holds
+
+
+def _type_of(kind: str) -> str:
+    return {"pedestrian": "pedestrian", "misc": "miscellaneous"}.get(kind, "vehicle")
+
+
+def _relative_distance(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    other, gap = entity_index(element, scope, world), read_gap(element, scope)
+    rule, value = rule_of(element, scope), scope.number(element, "value")
+    return lambda world, e: np.asarray(rule(np.abs(gap.to_entity(world, e, other)), value) & world.present[other])
+
+
+def _distance(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    holder = element.find("Position")
+    if holder is None:
+        raise InputError(f"{scope.source}, line {element.sourceline}: <DistanceCondition> has no <Position>.")
+    position, gap = read_position(holder, scope, world), read_gap(element, scope)
+    rule, value = rule_of(element, scope), scope.number(element, "value")
+    return lambda world, e: np.asarray(rule(np.abs(gap.to_place(world, e, position(world))), value))
+
+
+def _time_headway(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    other, gap = entity_index(element, scope, world), read_gap(element, scope)
+    rule, value = rule_of(element, scope), scope.number(element, "value")
+
+    def holds(world: World, e: int) -> BoolArray:
+        distance, speed = gap.to_entity(world, e, other), world.speed[e]
+        defined = (distance >= 0.0) & (speed >= TOLERANCE) & world.present[other]
+        return np.asarray(defined & rule(distance / np.where(defined, speed, 1.0), value))
+
+    return holds
+
+
+def _time_to_collision(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    gap, rule, value = read_gap(element, scope), rule_of(element, scope), scope.number(element, "value")
+    target = element.find("TimeToCollisionConditionTarget")
+    reference = None if target is None else target.find("EntityRef")
+    holder = None if target is None else target.find("Position")
+    if reference is not None:
+        other = entity_index(reference, scope, world)
+        return lambda world, e: _collides(world, e, other, gap, rule, value)
+    if holder is None:
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: <TimeToCollisionCondition> names neither an entity nor a"
+            " position as its target."
+        )
+    position = read_position(holder, scope, world)
+
+    def holds(world: World, e: int) -> BoolArray:
+        return _in_time(gap.to_place(world, e, position(world)), world.speed[e], rule, value)
+
+    return holds
+
+
+def _collides(world: World, e: int, other: int, gap: Gap, rule: Callable[[Any, Any], Any], value: Any) -> BoolArray:
+    distance = gap.to_entity(world, e, other)
+    own, theirs = world.speed[e], np.abs(world.speed[other])
+    direction = world.heading[other] + np.where(world.speed[other] < 0, np.pi, 0.0)
+    along = own * np.cos(world.heading[e] - direction)
+    closing = np.where(theirs < TOLERANCE, own, np.sign(own) * np.sign(along) * (along - theirs))
+    return np.asarray(_in_time(distance, closing, rule, value) & world.present[other])
+
+
+def _in_time(distance: FloatArray, closing: FloatArray, rule: Callable[[Any, Any], Any], value: Any) -> BoolArray:
+    defined = (np.abs(distance) >= TOLERANCE) & (np.abs(closing) >= TOLERANCE)
+    time = np.where(defined, distance / np.where(defined, closing, 1.0), -1.0)
+    return np.asarray((time >= 0.0) & rule(time, value))
+
+
+def _relative_clearance(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    forward, backward = scope.number(element, "distanceForward", 0.0), scope.number(element, "distanceBackward", 0.0)
+    free, opposite = scope.flag(element, "freeSpace", False), scope.flag(element, "oppositeLanes", False)
+    lanes = element.find("RelativeLaneRange")
+    first = -100 if lanes is None else int(scope.one_number(lanes, "from", -100.0))
+    last = 100 if lanes is None else int(scope.one_number(lanes, "to", 100.0))
+    others = entities_in(element, scope, world)
+
+    def holds(world: World, e: int) -> BoolArray:
+        own = world.lane_of(e)
+        assert own.lane is not None
+        occupied = np.zeros(world.scenarios, dtype=np.bool_)
+        for other in others or [k for k in range(len(world.entities)) if k != e]:
+            pose = world.lane_of(other)
+            assert pose.lane is not None
+            way = world.remaining(e, pose)
+            if free:
+                ahead, behind = world.longitudinal_reach(e, other)
+                way = np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
+            apart = world.lanes_between(own, pose)
+            same = np.sign(own.lane) == np.sign(pose.lane)
+            inside = (way >= -backward) & (way <= forward) & (apart >= first) & (apart <= last)
+            occupied |= inside & (same | opposite) & world.present[other]
+        return np.asarray(~occupied & world.has_lane_between(own, first, last, opposite))
+
+    return holds
+
+
+def _angle(element: etree._Element, scope: Scope, world: World) -> EntityTest:
+    angle, tolerance = scope.number(element, "angle"), scope.number(element, "angleTolerance")
+    kind, system = scope.text(element, "angleType", "heading"), scope.text(element, "coordinateSystem", "world")
+    other = entity_index(element, scope, world) if element.get("entityRef") is not None else None
+
+    def holds(world: World, e: int) -> BoolArray:
+        now = world.heading[e]
+        if kind != "heading":
+            now = np.zeros(world.scenarios)
+        elif other is not None:
+            now = now - world.heading[other]
+        elif system == "entity":
+            now = np.zeros(world.scenarios)
+        elif system in ("road", "lane") and world.network is not None:
+            pose = world.lane_of(e)
+            now = now - world.road_heading(pose)
+            if system == "lane" and pose.lane is not None and pose.road is not None:
+                against = [
+                    not world.network.runs_along(int(r), int(k)) for r, k in zip(pose.road, pose.lane, strict=True)
+                ]
+                now = now - np.where(against, np.pi, 0.0)
+        apart = np.abs((now - angle + np.pi) % (2 * np.pi) - np.pi)
+        return np.asarray(apart < tolerance + TOLERANCE)
+
+    return holds
+
+
+BY_ENTITY: Final[dict[str, Callable[[etree._Element, Scope, World], EntityTest]]] = {
+    "TraveledDistanceCondition": _traveled,
+    "ReachPositionCondition": _reach_position,
+    "SpeedCondition": _speed,
+    "RelativeSpeedCondition": _relative_speed,
+    "AccelerationCondition": _acceleration,
+    "StandStillCondition": _stand_still,
+    "EndOfRoadCondition": _end_of_road,
+    "OffroadCondition": _off_road,
+    "CollisionCondition": _collision,
+    "RelativeDistanceCondition": _relative_distance,
+    "DistanceCondition": _distance,
+    "TimeHeadwayCondition": _time_headway,
+    "TimeToCollisionCondition": _time_to_collision,
+    "RelativeClearanceCondition": _relative_clearance,
+    "AngleCondition": _angle,
+    "RelativeAngleCondition": _angle,
+}

@@ -1,0 +1,267 @@
+"""Conditions: a boolean for every scenario of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.scenario import Scope
+from cornercase.simulators.builtin.paths.positions import entities_in
+from cornercase.simulators.builtin.storyboard.entity_conditions import BY_ENTITY, TOLERANCE, EntityTest, rule_of
+from cornercase.simulators.builtin.world import World
+
+if TYPE_CHECKING:
+    from cornercase.simulators.builtin.storyboard.storyboard import Element
+
+Test = Callable[[World], BoolArray]
+
+# What only a user's own program, a controller of traffic lights or the hour of the day could make true.
+NEVER_TRUE: Final = (
+    "UserDefinedValueCondition", "TrafficSignalControllerCondition", "TimeOfDayCondition",
+)  # fmt: skip
+
+
+class Elements(Protocol):
+    """Storyboard elements by name, known only once the whole storyboard is read."""
+
+    def named(self, kind: str, name: str) -> Element | None:
+        """Element of a kind and name; None where there is none."""
+        ...
+
+
+class Condition:
+    """One condition with its edge and delay.
+
+    Parameters
+    ----------
+    test : callable
+        World to boolean array of shape (N,).
+    edge : str
+        ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``.
+    delay : ndarray of float64, shape (N,)
+        s; what held this long ago counts now.
+    """
+
+    def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
+        self.test, self._edge, self._delay = test, edge, delay
+        self.delayed = bool((delay > 0).any())
+        self._last = np.full(len(delay), -1, dtype=np.int8)
+        self._times: list[float] = []
+        self._held: list[BoolArray] = []
+
+    def evaluate(self, world: World, where: BoolArray) -> BoolArray:
+        """Whether the condition holds in the scenarios of the mask, shape (N,)."""
+        now = self.test(world)
+        last = self._last
+        if self._edge == "none":
+            result = now
+        elif self._edge == "rising":
+            result = now & (last == 0)
+        elif self._edge == "falling":
+            result = ~now & (last == 1)
+        else:
+            result = (last >= 0) & (now != (last == 1))
+        self._last = np.where(where, now.astype(np.int8), last)
+        if not self.delayed:
+            return result & where
+        self._times.append(world.time)
+        self._held.append(result & where)
+        then = np.searchsorted(self._times, world.time - self._delay + TOLERANCE, "right") - 1
+        delayed = np.zeros_like(where)
+        for frame in np.unique(then[then >= 0]):
+            delayed |= self._held[frame] & (then == frame)
+        return delayed & where
+
+    def forget(self, where: BoolArray) -> None:
+        """Begin anew in the scenarios of the mask."""
+        self._last[where] = -1
+
+
+class Trigger:
+    """Condition groups, of which one has to hold with all its conditions.
+
+    Parameters
+    ----------
+    groups : list of list of Condition
+        A trigger without groups never fires.
+    """
+
+    def __init__(self, groups: list[list[Condition]]) -> None:
+        self._groups = groups
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing that could ever hold."""
+        return not self._groups
+
+    @property
+    def entities(self) -> list[int]:
+        """Entities that may trigger it by themselves, in order."""
+        return list(dict.fromkeys(entity for test in self._of_entities() for entity in test.entities))
+
+    def triggered_by(self, entity: int) -> BoolArray:
+        """Scenarios in which a condition was last true of an entity, shape (N,)."""
+        return np.asarray(
+            np.any([test.held_of(entity) for test in self._of_entities() if entity in test.entities], axis=0)
+        )
+
+    def _of_entities(self) -> list[OfEntities]:
+        tests = (condition.test for group in self._groups for condition in group)
+        return [test for test in tests if isinstance(test, OfEntities)]
+
+    def fires(self, world: World, where: BoolArray) -> BoolArray:
+        """Scenarios of the mask in which the trigger fires, shape (N,)."""
+        fired = np.zeros_like(where)
+        if not where.any():
+            return fired
+        for group in self._groups:
+            holds = where.copy()
+            for condition in group:
+                # A condition without delay is not looked at where an earlier one is false: its edge state rests.
+                holds &= condition.evaluate(world, where if condition.delayed else holds)
+            fired |= holds
+        if fired.any():
+            for group in self._groups:
+                for condition in group:
+                    condition.forget(fired)
+        return fired
+
+
+def read_trigger(element: etree._Element | None, scope: Scope, world: World, elements: Elements) -> Trigger:
+    """Read a ``StartTrigger`` or ``StopTrigger``; one that is missing never fires."""
+    groups: list[list[Condition]] = []
+    for group in () if element is None else element.iterfind("ConditionGroup"):
+        conditions = []
+        for item in group.iterfind("Condition"):
+            edge = scope.text(item, "conditionEdge", "none")
+            if edge not in ("none", "rising", "falling", "risingOrFalling"):
+                raise InputError(
+                    f"{scope.source}, line {item.sourceline}: conditionEdge '{edge}' is not none, rising, falling or"
+                    " risingOrFalling."
+                )
+            conditions.append(
+                Condition(_read_test(item, scope, world, elements), edge, scope.number(item, "delay", 0.0))
+            )
+        groups.append(conditions)
+    return Trigger(groups)
+
+
+def _read_test(condition: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    kind = next(iter(condition.iterchildren("*")), None)
+    if kind is not None and kind.tag == "ByEntityCondition":
+        holder = kind.find("EntityCondition")
+        inner = None if holder is None else next(iter(holder.iterchildren("*")), None)
+        if inner is not None and inner.tag in BY_ENTITY:
+            test = BY_ENTITY[inner.tag](inner, scope, world)
+            return _of_triggering_entities(kind, scope, world, test)
+    else:
+        inner = None if kind is None else next(iter(kind.iterchildren("*")), None)
+        if inner is not None and inner.tag in _BY_VALUE:
+            return _BY_VALUE[inner.tag](inner, scope, world, elements)
+    tag = condition.tag if inner is None else inner.tag
+    raise InputError(
+        f"{scope.source}, line {condition.sourceline}: <{tag}> is not supported by the builtin simulator; it reads"
+        f" {', '.join((*_BY_VALUE, *BY_ENTITY))}."
+    )
+
+
+class OfEntities:
+    """A condition on entities: true of any, or of all, of those that may trigger it."""
+
+    def __init__(self, entities: list[int], every: bool, test: EntityTest) -> None:
+        self.entities = entities
+        self._every, self._test = every, test
+        self._held: list[BoolArray] = []
+
+    def __call__(self, world: World) -> BoolArray:
+        self._held = [self._test(world, e) & world.present[e] for e in self.entities]
+        result = np.stack(self._held)
+        return np.asarray(result.all(axis=0) if self._every else result.any(axis=0))
+
+    def held_of(self, entity: int) -> BoolArray:
+        """Scenarios in which it was last true of an entity, shape (N,)."""
+        return self._held[self.entities.index(entity)]
+
+
+def _of_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
+    holder = element.find("TriggeringEntities")
+    if holder is None:
+        raise InputError(f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>.")
+    every = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
+    entities = entities_in(holder, scope, world)
+    if not entities:
+        raise InputError(f"{scope.source}, line {holder.sourceline}: <TriggeringEntities> names no entity.")
+    return OfEntities(entities, every, test)
+
+
+def _simulation_time(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    rule, value, n = rule_of(element, scope), scope.number(element, "value"), scope.scenarios
+    return lambda world: np.asarray(rule(np.full(n, world.time), value))
+
+
+def _element_state(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    kind = scope.text(element, "storyboardElementType")
+    name, state = scope.text(element, "storyboardElementRef"), scope.text(element, "state")
+    where = f"{scope.source}, line {element.sourceline}"
+
+    def holds(world: World) -> BoolArray:
+        found = elements.named(kind, name)
+        if found is None:
+            raise InputError(f"{where}: there is no {kind} '{name}' in the storyboard.")
+        return found.is_in(state, where)
+
+    return holds
+
+
+def _held(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    kind = "variableRef" if element.tag == "VariableCondition" else "parameterRef"
+    values = world.variables if kind == "variableRef" else world.parameters
+    name = scope.text(element, kind) if not element.get(kind, "").startswith("$") else element.get(kind, "")[1:]
+    if name not in values:
+        what = "variable" if kind == "variableRef" else "parameter"
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: there is no {what} '{name}'; {suggestion(name, values)}"
+        )
+    if values[name].dtype.kind == "f":
+        rule, value = rule_of(element, scope), scope.number(element, "value")
+        return lambda world: np.asarray(rule(values[name], value))
+    text, rule_name = scope.text(element, "value"), scope.text(element, "rule", "equalTo")
+    if text in ("0", "1") and set(np.unique(values[name])) <= {"true", "false"}:
+        text = "true" if text == "1" else "false"
+    # Words have an order too: that of their letters, as in esmini.
+    orders: dict[str, Callable[[Any, Any], Any]] = {
+        "equalTo": np.equal,
+        "notEqualTo": np.not_equal,
+        "lessThan": np.less,
+        "lessOrEqual": np.less_equal,
+        "greaterThan": np.greater,
+        "greaterOrEqual": np.greater_equal,
+    }
+    compare = orders[rule_name]
+    return lambda world: np.asarray(compare(values[name], text))
+
+
+def _never(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    # Traffic signals and what a user's own program would set do not change here.
+    result = np.zeros(scope.scenarios, dtype=np.bool_)
+    return lambda world: result
+
+
+def _signal(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    name, state, n = scope.text(element, "name"), scope.text(element, "state"), scope.scenarios
+    return lambda world: np.asarray(world.signals[name] == state) if name in world.signals else np.zeros(n, np.bool_)
+
+
+_BY_VALUE: Final[dict[str, Callable[[etree._Element, Scope, World, Elements], Test]]] = {
+    "SimulationTimeCondition": _simulation_time,
+    "StoryboardElementStateCondition": _element_state,
+    "ParameterCondition": _held,
+    "VariableCondition": _held,
+    "TrafficSignalCondition": _signal,
+    **dict.fromkeys(NEVER_TRUE, _never),
+}

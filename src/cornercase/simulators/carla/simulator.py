@@ -1,0 +1,291 @@
+"""CARLA, by its ScenarioRunner."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final, Literal
+
+from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggestion
+from cornercase.drivers import Driver
+from cornercase.recordings import Recording, read_carla_log
+from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.simulators.base import Availability, checked_seed, checked_settings
+from cornercase.simulators.carla.dialect import BEHAVIORS, DRIVER, adapt
+from cornercase.simulators.carla.openscenario_1_0 import write_scenario_runner
+from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
+from cornercase.simulators.carla.server import Server
+from cornercase.simulators.carla.tracker import Tracker
+from cornercase.simulators.hosts import address
+
+_MISSING: Final = "CARLA's client is not installed; pip install 'cornercase[carla]' with a Python of 3.10 to 3.12."
+# A server takes its port and the two after it.
+_PORTS_EACH: Final = 4
+# Categories for which ScenarioRunner would take any vehicle.
+_UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
+# How many times its patience with an answer.
+_SILENCE: Final = 3
+
+
+class CarlaSimulator:
+    """Runs concrete scenarios on a CARLA that is there for nothing else, by ScenarioRunner in synchronous mode.
+
+    Each is written as OpenSCENARIO 1.0 and run by a ScenarioRunner of its own, in its own environment. A second client
+    notes how the entities move. An entity with the driver ``cautious``, ``normal`` or ``aggressive`` is driven by
+    CARLA's behaviour agent of that temper, along the route that it is assigned at first; all others by ScenarioRunner.
+    CARLA does not give the same twice; run each scenario several times.
+
+    Parameters
+    ----------
+    time_step : float, default 0.05
+        s between frames.
+    duration : float, default 60
+        s after which a scenario ends at the latest.
+    on_collision : {"continue", "stop"}, default "continue"
+        Whether the first collision of two entities ends the run. Collisions are those of CARLA's sensors.
+    drivers : mapping of str to str, optional
+        Behaviour agent by entity.
+    ego : str, default "Ego"
+        Which entity becomes ScenarioRunner's ego vehicle.
+    hosts : str, default "localhost"
+        Where CARLA listens, as of `cornercase.simulators.hosts.address`.
+    port : int, default 2000
+        Of the first worker; each further one on a host takes the port 4 above.
+    worker : int, default 0
+        Which worker this is.
+    scenario_runner, python, carla_root : str, optional
+        Folder of ScenarioRunner, Python of its environment, and folder of CARLA, in which ``PythonAPI/carla/agents``
+        lies; by default those of the environment variables ``SCENARIO_RUNNER_ROOT``, ``CORNERCASE_CARLA_PYTHON`` (else
+        the Python that runs this) and ``CARLA_ROOT``.
+    agent, agent_config : str, optional
+        File of an agent of yours in ScenarioRunner's manner (``AutonomousAgent``), which drives the ego; and its
+        configuration.
+    record : {"client", "recorder"}, default "client"
+        Whether motion is noted by the second client or read from CARLA's recorder file, which the server writes and has
+        to be seen from here.
+    folder : str, optional
+        Where each scenario's files are kept, and the recorder's; by default they are thrown away.
+    seed : int, default 0
+        Of CARLA's traffic manager.
+    undriven : bool, default False
+        Whether a scenario may run that asks for another driver of cornercase; the storyboard alone moves that entity.
+    patience : float, default 20
+        s to wait for an answer of the server.
+
+    Raises
+    ------
+    InputError
+        CARLA's client is not installed, ScenarioRunner is not known, or an option is out of range.
+    """
+
+    name = "carla"
+    told = ("worker", "ego")
+
+    def __init__(
+        self,
+        *,
+        time_step: float = 0.05,
+        duration: float = 60.0,
+        on_collision: str = "continue",
+        drivers: Mapping[str, str | Driver] | None = None,
+        ego: str = "Ego",
+        hosts: str = "localhost",
+        port: int = 2000,
+        worker: int = 0,
+        scenario_runner: str = "",
+        python: str = "",
+        carla_root: str = "",
+        agent: str = "",
+        agent_config: str = "",
+        record: Literal["client", "recorder"] = "client",
+        folder: str = "",
+        seed: int = 0,
+        undriven: bool = False,
+        patience: float = 20.0,
+    ) -> None:
+        settings = checked_settings(time_step, duration, on_collision, None)
+        if find_spec("carla") is None:
+            raise InputError(_MISSING)
+        for entity, driver in (drivers or {}).items():
+            if driver not in BEHAVIORS:
+                raise InputError(
+                    f"--driver {entity}: CARLA has no drivers of cornercase; {suggestion(str(driver), BEHAVIORS)}"
+                )
+        if record not in ("client", "recorder"):
+            raise InputError(f"record={record}: {suggestion(str(record), ('client', 'recorder'))}")
+        if not patience > 0.0:
+            raise InputError(f"patience={patience:g}: give a time above 0 s.")
+        self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
+        self._drivers = {entity: str(driver) for entity, driver in (drivers or {}).items()}
+        self._ego, self._record, self._seed, self._undriven = ego, record, seed, bool(undriven)
+        self._server = Server(*address(hosts, port, worker, _PORTS_EACH), patience)
+        self._runner = ScenarioRunner(scenario_runner, python, carla_root)
+        self._traffic_port, self._folder = 8000 + worker, folder
+        self._agent = None if not agent else _file(agent, "agent")
+        self._agent_config = None if not agent_config else _file(agent_config, "agent_config")
+        self.settings: dict[str, object] = settings | {
+            "drivers": self._drivers,
+            "ego": ego,
+            "record": record,
+            "seed": checked_seed(seed, "CARLA's traffic manager"),
+            "carla": version("carla"),
+            # What drives is part of what came out.
+            "agent": _fingerprint(self._agent),
+            "agent_config": _fingerprint(self._agent_config),
+        }
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Say what it takes; whether a server listens is known when it is asked."""
+        try:
+            found, missing = version("carla"), ""
+        except PackageNotFoundError:
+            found, missing = "", _MISSING
+        if not missing:
+            try:
+                scenario_runner_folder("")
+            except InputError as error:
+                missing = str(error)
+        return Availability(
+            found,
+            missing,
+            (
+                "pedestrians", "vehicle dynamics", "behaviour agents", "agents of your own",
+                "collisions go on or end the run", "not deterministic", "needs a running CARLA",
+            ),
+        )  # fmt: skip
+
+    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        """Give one recording or one error per concrete scenario, in order.
+
+        Raises
+        ------
+        InputError
+            No server answers, it is of another version than the client, or the scenario file cannot be used.
+        """
+        for concrete in concretes:
+            scenario = Scenario.read(concrete.path)
+            behaviors = self._behaviors(scenario)
+            try:
+                yield self._run(scenario, concrete, behaviors)
+            except SimulationError as error:
+                if isinstance(error, SimulatorError):
+                    self._server.forget()
+                yield error
+            except RuntimeError as error:
+                # CARLA's client says so when the server is gone, or does not answer in time.
+                self._server.forget()
+                yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
+
+    def require_means(self, scenario: Scenario) -> None:
+        """Refuse a scenario with entities or drivers that CARLA does not have."""
+        self._behaviors(scenario)
+
+    def _behaviors(self, scenario: Scenario) -> dict[str, str]:
+        """Behaviour agent of each entity that has one."""
+        scenario.require_entity(self._ego, "ego")
+        for entity in self._drivers:
+            scenario.require_entity(entity, "driven entity")
+        found = {}
+        for element in scenario.root.iterfind("Entities/ScenarioObject"):
+            name = element.get("name", "")
+            vehicle = element.find("Vehicle")
+            if vehicle is not None and vehicle.get("vehicleCategory") in _UNKNOWN:
+                raise InputError(
+                    f"{scenario.path}: '{name}' is a {vehicle.get('vehicleCategory')}, which CARLA does not have."
+                )
+            driver = self._drivers.get(name, scenario.drivers.get(name, ""))
+            if driver in BEHAVIORS:
+                found[name] = driver
+            elif driver and not self._undriven and not (name == self._ego and self._agent):
+                raise InputError(
+                    f"{scenario.path}: '{name}' asks for the driver '{driver}', which CARLA does not have; --simulator"
+                    " carla:undriven=true leaves it to the storyboard alone."
+                )
+        return found
+
+    def _run(self, scenario: Scenario, concrete: ConcreteScenario, behaviors: Mapping[str, str]) -> Recording:
+        if self._folder:
+            Path(self._folder).mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder or None))
+        try:
+            return self._run_in(folder, scenario, concrete, behaviors)
+        finally:
+            if not self._folder:
+                shutil.rmtree(folder, ignore_errors=True)
+
+    def _run_in(
+        self, folder: Path, scenario: Scenario, concrete: ConcreteScenario, behaviors: Mapping[str, str]
+    ) -> Recording:
+        file = folder / "cornercase.xosc"
+        write_scenario_runner(
+            scenario, concrete.values, file, ego=self._ego,
+            adapt=partial(
+                adapt, source=scenario.path, ego=self._ego, behaviors=behaviors, agent=self._agent,
+                config=self._agent_config,
+            ),
+        )  # fmt: skip
+        shutil.copyfile(DRIVER, folder / DRIVER.name)
+        server, road = self._server, scenario.road_file(concrete.values)
+        # The road lies beside the scenario now, a map's name nowhere.
+        server.prepare(None if road is None else folder / road.name)
+        with Tracker(server.client(), scenario.entities, self._ego, self._time_step) as tracker:
+            try:
+                self._runner.run(
+                    file, self._options(), tracker, duration=self._duration, until_collision=self._stops,
+                    silence=_SILENCE * server.patience,
+                )  # fmt: skip
+            finally:
+                server.calm()
+            if self._record == "client":
+                return tracker.recording(file, self._duration, self._stops)
+        return self._of_recorder(folder / "cornercase.log")
+
+    def _options(self) -> dict[str, object]:
+        server = self._server
+        options: dict[str, object] = {
+            "--host": server.host, "--port": server.port, "--timeout": server.patience,
+            "--frameRate": repr(1.0 / self._time_step), "--trafficManagerPort": self._traffic_port,
+            "--trafficManagerSeed": self._seed,
+        }  # fmt: skip
+        # Relative to the folder of the run.
+        return options | ({"--record": "."} if self._record == "recorder" else {})
+
+    def _of_recorder(self, path: Path) -> Recording:
+        self._server.end_recording()
+        if not path.is_file():
+            raise SimulationError(
+                f"CARLA left no recording {path}; the server has to see that folder, give one by carla:folder="
+            )
+        try:
+            whole = read_carla_log(path)
+        except InputError as error:
+            raise SimulationError(str(error)) from error
+        end = self._duration
+        if self._stops and whole.collisions:
+            end = min(end, whole.collisions[0].time)
+        kept = int((whole.time <= end + 1e-9).sum())
+        return replace(
+            whole,
+            time=whole.time[:kept],
+            **{name: getattr(whole, name)[:, :kept] for name in ("x", "y", "heading", "speed", "acceleration")},
+            collisions=tuple(one for one in whole.collisions if one.time <= end),
+        )
+
+
+def _file(text: str, option: str) -> Path:
+    path = Path(text)
+    if not path.is_file():
+        raise InputError(f"{option}={text}: there is no such file.")
+    return path.resolve()
+
+
+def _fingerprint(path: Path | None) -> str | None:
+    return None if path is None else f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"

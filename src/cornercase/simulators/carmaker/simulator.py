@@ -1,0 +1,301 @@
+"""IPG CarMaker, by IPG's own Python module or by the command port of a running CarMaker."""
+
+from __future__ import annotations
+
+import re
+import socket
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final, Literal, Self
+
+from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggestion
+from cornercase.drivers import Driver
+from cornercase.recordings import Recording, read_erg
+from cornercase.scenario import ConcreteScenario, Scenario, Value
+from cornercase.simulators.base import Availability
+from cornercase.simulators.carmaker.cmapi import CarMakerApi, has_cmapi
+from cornercase.simulators.hosts import address
+
+_PORT: Final = 16660
+_LICENCE, _FATAL = -7, -6
+_LONGEST_REPLY: Final = 1_000_000
+# What CarMaker itself may take to begin, beyond what a run takes.
+_PATIENCE: Final = 60.0
+
+
+class CarMakerSimulator:
+    """Runs a TestRun of CarMaker, with a named value for each parameter.
+
+    Where IPG's Python module ``cmapi`` can be imported, it starts a CarMaker; else there has to be one that listens on
+    its command port.
+
+    The scenario file only tells which parameters and entities there are: ``Ego`` and the traffic objects ``T00``,
+    ``T01``, …. What happens is the TestRun's business; its file uses the named values. Motion is read from the result
+    file.
+
+    Parameters
+    ----------
+    time_step : float, default 0.05
+        Not used: CarMaker stores its results at a rate of its own.
+    duration : float, default 60
+        s of simulated time after which a scenario that has not ended is given up.
+    on_collision : {"continue"}, default "continue"
+        In CarMaker a collision does not end a run, unless the TestRun says so.
+    drivers : mapping, optional
+        None: CarMaker's driver is the TestRun's.
+    testrun : str
+        Name of the TestRun, in the project's ``Data/TestRun``.
+    project : str
+        Folder of the CarMaker project, in which the result files lie; several, separated by ``+``, are taken in turn by
+        the workers. By ``cmapi`` each worker needs one of its own.
+    hosts : str, default "localhost"
+        Where ``CM.exe -cmdport`` runs, as of `cornercase.simulators.hosts.address`.
+    port : int, default 16660
+        Of the first worker; the next one on a host uses the next port, so that each has a CarMaker of its own.
+    worker : int, default 0
+        Which worker this is.
+    via : {"auto", "cmapi", "port"}, default "auto"
+        How CarMaker is controlled.
+    speedup : float, default 1
+        How many times faster than real time CarMaker runs at least; the patience with it is measured by this.
+
+    Raises
+    ------
+    InputError
+        An option is missing or out of range.
+    """
+
+    name = "carmaker"
+    told = ("worker",)
+
+    def __init__(
+        self,
+        *,
+        time_step: float = 0.05,
+        duration: float = 60.0,
+        on_collision: str = "continue",
+        drivers: Mapping[str, str | Driver] | None = None,
+        testrun: str = "",
+        project: str = "",
+        hosts: str = "localhost",
+        port: int = _PORT,
+        worker: int = 0,
+        via: Literal["auto", "cmapi", "port"] = "auto",
+        speedup: float = 1.0,
+    ) -> None:
+        if drivers:
+            raise InputError("--driver: CarMaker has no drivers of cornercase; its own stands in the TestRun.")
+        if on_collision != "continue":
+            raise InputError("--on-collision stop: in CarMaker a collision ends a run only where the TestRun says so.")
+        if not testrun or not project:
+            raise InputError("CarMaker needs a TestRun: --simulator carmaker:testrun=NAME,project=FOLDER.")
+        projects = project.split("+")
+        for folder in projects:
+            if not Path(folder).is_dir():
+                raise InputError(f"{folder}: there is no such folder; project is that of the CarMaker project.")
+        if via not in ("auto", "cmapi", "port"):
+            raise InputError(f"via={via}: {suggestion(str(via), ('auto', 'cmapi', 'port'))}")
+        if via == "cmapi" and not has_cmapi():
+            raise InputError(
+                "IPG's Python module cmapi cannot be imported; add the folder Python/python3.X of CarMaker's"
+                " installation to PYTHONPATH, or use carmaker:via=port."
+            )
+        if any(sign in testrun for sign in '"$[]{}\\;\r\n'):
+            raise InputError(f"The TestRun '{testrun}' has a sign in its name that Tcl would take for its own.")
+        if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
+            raise InputError(f"A duration of {duration:g} s at a speed-up of {speedup:g} cannot be; give both above 0.")
+        self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
+        self._host, self._port = address(hosts, port, worker)
+        self._patience = duration / speedup + _PATIENCE
+        self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
+        if self._api_wanted and worker >= len(projects):
+            raise InputError(
+                f"--workers: by cmapi each needs a CarMaker project of its own, and there are {len(projects)}; give"
+                " more as project=A+B, or use carmaker:via=port."
+            )
+        self._api: CarMakerApi | None = None
+        self._line: CommandPort | None = None
+        self.settings: dict[str, object] = {"testrun": testrun, "duration": duration}
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Say what it takes; whether a CarMaker listens is known when it is asked."""
+        return Availability(
+            "",
+            "",
+            (
+                "vehicle dynamics",
+                "traffic objects",
+                "collisions go on",
+                "needs IPG's cmapi, or a running CarMaker (-cmdport)",
+            ),
+        )
+
+    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        """Give one recording or one error per concrete scenario, in order.
+
+        Raises
+        ------
+        InputError
+            Nobody listens on the port, CarMaker has lost its licence, or the scenario has entities that it has not.
+        """
+        for concrete in concretes:
+            self.require_means(Scenario.read(concrete.path))
+            if self._api_wanted:
+                yield self._run_by_api(concrete.values)
+                continue
+            if self._line is None:
+                self._line = CommandPort(self._host, self._port)
+            try:
+                yield self._run(self._line, concrete.values)
+            except SimulationError as error:
+                # A line on which something went wrong may still hold an answer to an old question.
+                self._line.close()
+                self._line = None
+                yield error
+
+    def require_means(self, scenario: Scenario) -> None:
+        """Refuse a scenario with entities that CarMaker does not have."""
+        for name in scenario.entities:
+            if not re.fullmatch(r"Ego|T\d{2,}", name):
+                raise InputError(
+                    f"{scenario.path}: '{name}' is no entity of CarMaker; call the ego and the TestRun's traffic"
+                    " objects Ego, T00, T01, …, as its result files do."
+                )
+
+    def _run_by_api(self, values: Mapping[str, Value]) -> Recording | SimulationError:
+        if self._api is None:
+            self._api = CarMakerApi(self._project, self._testrun, self._patience)
+        try:
+            return _recording(self._api.run(values))
+        except SimulationError as error:
+            return error
+
+    def _run(self, line: CommandPort, values: Mapping[str, Value]) -> Recording:
+        line.ask(f'LoadTestRun "{self._testrun}"', self._patience)
+        for name, value in values.items():
+            line.ask(f"NamedValue set {_word(name)} {_word(value)}", self._patience)
+        line.ask("SaveMode save_all", self._patience)
+        line.ask("StartSim", self._patience)
+        line.ask(f"WaitForStatus running {round(1000 * _PATIENCE)}", self._patience)
+        self._require_running(line)
+        line.ask(f"WaitForStatus idle {round(1000 * self._patience)}", self._patience + _PATIENCE)
+        status = self._status(line)
+        if status >= 0:
+            line.ask("StopSim", self._patience)
+            raise SimulationError(f"CarMaker did not end the TestRun within {self._patience:g} s")
+        file = line.ask("GetLastResultFName", self._patience)
+        if not file:
+            raise SimulationError("CarMaker stored no result file; let the TestRun store its results")
+        return _recording(self._project / file)
+
+    def _require_running(self, line: CommandPort) -> None:
+        """Refuse to go on without a licence, and leave a scenario that CarMaker cannot start."""
+        if self._status(line) == _FATAL:
+            raise SimulatorError("CarMaker ended the TestRun with a fatal error; its log tells which")
+
+    def _status(self, line: CommandPort) -> int:
+        text = line.ask("SimStatus", self._patience)
+        try:
+            status = int(text)
+        except ValueError:
+            raise SimulationError(f"CarMaker tells the status '{text}', which is no number") from None
+        if status == _LICENCE:
+            raise InputError("CarMaker has lost its licence; see to the licence server, the same command goes on then.")
+        return status
+
+
+def _recording(path: Path) -> Recording:
+    try:
+        return read_erg(path)
+    except InputError as error:
+        raise SimulationError(str(error)) from error
+
+
+class CommandPort:
+    """Line to a CarMaker, which takes Tcl commands and answers each.
+
+    An answer is ``O`` and a value, or ``E`` and an error, ended by an empty line; or an empty line alone. It may come
+    in any number of pieces.
+
+    Parameters
+    ----------
+    host : str
+    port : int
+
+    Raises
+    ------
+    InputError
+        Nobody listens there.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            self._socket = socket.create_connection((host, port), timeout=_PATIENCE)
+        except OSError as error:
+            raise InputError(
+                f"No CarMaker listens on {host}:{port} ({error.strerror or error}); start it with -cmdport {port}."
+            ) from error
+        self._heard = b""
+
+    def ask(self, command: str, timeout: float) -> str:
+        """Send a command, and give the value that comes back; empty where there is none.
+
+        Raises
+        ------
+        SimulationError
+            CarMaker answers with an error; as a `SimulatorError`, not in time or not at all.
+        """
+        deadline = time.monotonic() + timeout
+        # What is left of the last answer belongs to nothing.
+        self._heard = b""
+        try:
+            self._socket.sendall(command.encode() + b"\r")
+            while True:
+                answer = self._answer()
+                if answer is not None:
+                    break
+                self._socket.settimeout(max(deadline - time.monotonic(), 1e-3))
+                piece = self._socket.recv(65536)
+                if not piece:
+                    raise SimulatorError(f"CarMaker closed the line in its answer to '{command}'")
+                self._heard += piece
+                if len(self._heard) > _LONGEST_REPLY:
+                    raise SimulatorError(f"CarMaker's answer to '{command}' has no end")
+        except TimeoutError:
+            raise SimulatorError(f"CarMaker did not answer '{command}' within {timeout:g} s") from None
+        except OSError as error:
+            raise SimulatorError(f"the line to CarMaker broke at '{command}' ({error.strerror or error})") from error
+        if answer.startswith("E"):
+            raise SimulationError(f"CarMaker refuses '{command}': {answer[1:].strip()}")
+        return answer[1:].strip()
+
+    def _answer(self) -> str | None:
+        """The next answer, if it is whole."""
+        if self._heard.startswith(b"\r\n"):
+            self._heard = self._heard[2:]
+            return ""
+        whole, end, rest = self._heard.partition(b"\r\n\r\n")
+        if not end:
+            return None
+        self._heard = rest
+        return whole.decode("utf-8", "replace")
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+
+def _word(value: Value) -> str:
+    """A value as one Tcl word."""
+    text = f"{value:.9g}" if isinstance(value, float) else str(value)
+    if any(sign in text for sign in "{}\\\r\n"):
+        raise SimulationError(f"'{text}' has a sign that Tcl would take for its own")
+    return text if text.replace(".", "").replace("-", "").replace("_", "").isalnum() else f"{{{text}}}"

@@ -1,0 +1,151 @@
+"""Eclipse SUMO: it drives the ego, and the builtin storyboard moves all others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+
+import numpy as np
+
+from cornercase._common.errors import InputError, SimulationError, suggestion
+from cornercase._common.typing import FloatArray
+from cornercase.drivers import DRIVERS, Driver
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.simulators.base import Availability, checked_seed, checked_settings
+from cornercase.simulators.builtin.batch import Batch
+from cornercase.simulators.sumo.coupling import TYPES, SumoCoupling
+from cornercase.simulators.sumo.network import sumo_network
+
+_MISSING = "SUMO is not installed; pip install 'cornercase[sumo]'."
+
+
+class SumoSimulator:
+    """Runs concrete scenarios with SUMO's car-following and junction model at the wheel.
+
+    Entities with the driver ``cautious``, ``normal`` or ``aggressive`` are driven by SUMO, as a vehicle type of that
+    temper. All others are moved by the builtin storyboard, exactly as by the builtin simulator, and SUMO sees them:
+    vehicles that follow their lane as traffic on its way, all others where they are on the road. So whatever the
+    builtin simulator runs can be run here; but a vehicle that SUMO drives follows its lane and takes no trajectory.
+
+    Parameters
+    ----------
+    time_step : float, default 0.05
+        s.
+    duration : float, default 60
+        s after which a scenario ends at the latest.
+    on_collision : {"continue", "stop"}, default "continue"
+        As of the builtin simulator; boxes that overlap collide.
+    drivers : mapping of str to str or Driver, optional
+        Who drives which entity: a vehicle type of SUMO, or a driver of cornercase.
+    seed : int, default 0
+        Of SUMO. The vehicle types leave nothing to chance, so it changes nothing as long as they are used.
+    network : str, optional
+        A ``.net.xml`` to use in place of the scenario's OpenDRIVE, with the same coordinates.
+
+    Raises
+    ------
+    InputError
+        SUMO is not installed, or an option is out of range.
+    """
+
+    name = "sumo"
+
+    def __init__(
+        self,
+        *,
+        time_step: float = 0.05,
+        duration: float = 60.0,
+        on_collision: str = "continue",
+        drivers: Mapping[str, str | Driver] | None = None,
+        seed: int = 0,
+        network: str | None = None,
+    ) -> None:
+        settings = checked_settings(time_step, duration, on_collision, drivers)
+        if find_spec("libsumo") is None:
+            raise InputError(_MISSING)
+        self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
+        self._drivers, self._seed, self._network = dict(drivers or {}), seed, network
+        self.settings: dict[str, object] = {
+            **settings,
+            "seed": checked_seed(seed, "SUMO"),
+            "network": network,
+            "sumo": version("libsumo"),
+        }
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Say whether it can run here."""
+        try:
+            found = version("libsumo")
+        except PackageNotFoundError:
+            found = ""
+        return Availability(
+            version=found,
+            missing="" if found else _MISSING,
+            abilities=(
+                "pedestrians",
+                "car-following",
+                "right of way",
+                "collisions go on or end the run",
+                "deterministic",
+            ),
+        )
+
+    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        """Give one recording or one error per concrete scenario, in order.
+
+        Raises
+        ------
+        InputError
+            The scenario file cannot be used.
+        """
+        for concrete in concretes:
+            scenario = Scenario.read(concrete.path)
+            for entity in self._drivers:
+                scenario.require_entity(entity, "driven entity")
+            types = self._types(scenario)
+            network = sumo_network(scenario, self._network, concrete.values)
+            with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
+                drivers = {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}
+                batch = Batch(
+                    scenario,
+                    [concrete.values],
+                    self._time_step,
+                    self._duration,
+                    self._on_collision == "stop",
+                    drivers,
+                    coupling,
+                )
+                batch.run()
+            yield coupling.error or batch.result(0)
+
+    def require_means(self, scenario: Scenario) -> None:
+        """Refuse a scenario that asks for a driver that nobody knows."""
+        self._types(scenario)
+
+    def _types(self, scenario: Scenario) -> dict[str, str]:
+        """Vehicle type of each entity that SUMO drives."""
+        chosen = {**scenario.drivers, **self._drivers}
+        for name, driver in chosen.items():
+            if isinstance(driver, str) and driver not in TYPES and driver not in DRIVERS.names():
+                known = (*TYPES, *DRIVERS.names())
+                raise InputError(
+                    f"{scenario.path}: '{name}' asks for the driver '{driver}'; {suggestion(driver, known)}"
+                )
+        return {name: driver for name, driver in chosen.items() if isinstance(driver, str) and driver in TYPES}
+
+
+class _LeftToSumo:
+    """Driver that keeps the storyboard's hands off an entity."""
+
+    def __init__(self) -> None:
+        self.settings: dict[str, object] = {"driver": "sumo"}
+
+    def start(self, scenarios: int, others: int) -> None:
+        """Nothing to forget."""
+
+    def acceleration(self, situation: object) -> FloatArray:
+        """None; the coupling sets the speed."""
+        return np.zeros(1)

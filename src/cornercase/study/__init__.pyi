@@ -1,0 +1,4 @@
+from .importing import IMPORTED as IMPORTED
+from .importing import import_recordings as import_recordings
+from .store import Row as Row
+from .store import Study as Study

@@ -1,0 +1,189 @@
+"""Studies of recordings that were made elsewhere."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+from rich.progress import track
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.version import __version__
+from cornercase.metrics import METRICS, Metric, measured, threshold
+from cornercase.recordings import read_recording
+from cornercase.scenario import Parameter, ParameterSpace, Value
+from cornercase.study.store import Row, Study
+
+IMPORTED: Final = "imported"
+"""Simulator of a study whose recordings come from files."""
+
+TABLE: Final = "parameters.csv"
+_FILE: Final = "file"
+_MOST_CHOICES: Final = 50
+
+
+def import_recordings(
+    folder: Path | str,
+    path: Path | str,
+    *,
+    ego: str,
+    other: str,
+    metrics: Sequence[str],
+    table: Path | str | None = None,
+    critical: float | None = None,
+    progress: bool = False,
+) -> int:
+    """Make a study of recordings in files, or go on with one that was begun.
+
+    Parameters
+    ----------
+    folder : path
+        With the recordings, of any kind that `cornercase.recordings.recording.read_recording` reads.
+    path : path
+        Study to write.
+    ego, other : str
+        Names in the recordings.
+    metrics : sequence of str
+        The first is the one that counts.
+    table : path, optional
+        CSV with the column ``file``, relative to the folder, and one for each parameter; by default ``parameters.csv``
+        in the folder. A column of numbers is a range from its least to its largest, any other a set of choices.
+    critical : float, optional
+        Score from which a scenario is critical; the metric's own by default.
+    progress : bool, default False
+
+    Returns
+    -------
+    int
+        How many could be read; the study tells why the others could not.
+
+    Raises
+    ------
+    InputError
+        The table cannot be used, or the study is of something else.
+    """
+    folder = Path(folder)
+    table = folder / TABLE if table is None else Path(table)
+    files, values = _read_table(folder, table)
+    space = _space(values)
+    built = [METRICS.create(name) for name in dict.fromkeys(metrics)]
+    if not built:
+        raise InputError("`metrics`: there is none; name one at least.")
+    known = critical is not None or getattr(built[0], "critical", None) is not None
+    meta = {
+        "scenario": str(folder.resolve()),
+        "fingerprint": _fingerprint(table, folder, files),
+        "space": space.to_json(),
+        "ego": ego,
+        "other": other,
+        "metrics": [metric.name for metric in built],
+        "optimizer": "none",
+        "critical": threshold(built[0], critical) if known else None,
+        "weights": None,
+        "pareto": None,
+        "seed": 0,
+        "budget": len(files),
+        "batch": len(files),
+        "simulator": IMPORTED,
+        "settings": {"table": str(table.resolve())},
+        "files": files,
+        "version": __version__,
+    }
+    path = Path(path)
+    study = Study.open(path) if path.exists() else Study.create(path, meta)
+    with study:
+        for key in ("scenario", "fingerprint", "ego", "other", "metrics", "critical", "simulator"):
+            if study.meta.get(key) != meta[key]:
+                raise InputError(f"{path}: is a study of something else ({key} differs); name another one with -o.")
+        rows = study.rows() or study.propose(1, space.points(values), values)
+        pending = [row for row in rows if row.state == "pending"]
+        shown = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)
+        begun = time.monotonic()
+        for row in shown:
+            _measure(study, row, folder / files[row.id - 1], built)
+        study.add_elapsed("measure", time.monotonic() - begun)
+        return len(study.done())
+
+
+def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> None:
+    try:
+        recording = read_recording(file)
+        courses = measured(metrics, recording, study.meta["ego"], study.meta["other"])
+    except InputError as error:
+        study.fail(row.id, SimulationError(str(error)))
+        return
+    study.finish(row.id, recording, courses)
+
+
+def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Value]]]:
+    """Files and the values of their parameters."""
+    try:
+        with open(table, newline="", encoding="utf-8-sig") as opened:
+            reader = csv.DictReader(opened)
+            names = list(reader.fieldnames or ())
+            rows = [(reader.line_num, row) for row in reader]
+    except OSError as error:
+        raise InputError(
+            f"{table}: cannot be read ({error.strerror}); it holds the column '{_FILE}' and one for each parameter."
+        ) from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{table}: is no CSV table ({error}).") from error
+    if _FILE not in names or len(names) < 2 or len(set(names)) < len(names):
+        raise InputError(f"{table}: needs a header with '{_FILE}' and each parameter once, not {', '.join(names)}.")
+    if len(rows) < 2:
+        raise InputError(f"{table}: names {len(rows)} recordings; at least 2 can be compared.")
+    files: list[str] = []
+    values: list[dict[str, Value]] = []
+    for line, row in rows:
+        if None in row or None in row.values() or "" in row.values():
+            raise InputError(f"{table}, line {line}: has a field too many, or one is empty.")
+        if not (folder / row[_FILE]).is_file():
+            raise InputError(f"{table}, line {line}: there is no file {folder / row[_FILE]}.")
+        if row[_FILE] in files:
+            raise InputError(f"{table}, line {line}: names {row[_FILE]} a second time.")
+        files.append(row[_FILE])
+        values.append({name: row[name] for name in names if name != _FILE})
+    for name in names:
+        numbers = [_number(str(one[name])) for one in values] if name != _FILE else [None]
+        if all(number is not None for number in numbers):
+            for one, number in zip(values, numbers, strict=True):
+                one[name] = float(number or 0.0)
+    return files, values
+
+
+def _number(text: str) -> float | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
+    parameters = []
+    for name in values[0]:
+        found = [one[name] for one in values]
+        if isinstance(found[0], float):
+            low, high = min(map(float, found)), max(map(float, found))
+            # What is the same in all is a range of one value.
+            parameters.append(Parameter(name, low, high, None if low < high else 1.0))
+            continue
+        choices = tuple(sorted({str(one) for one in found}))
+        if len(choices) > _MOST_CHOICES:
+            raise InputError(f"The parameter '{name}' has {len(choices)} different texts; leave it out.")
+        parameters.append(Parameter(name, 0.0, float(len(choices) - 1), None, choices))
+    return ParameterSpace(parameters)
+
+
+def _fingerprint(table: Path, folder: Path, files: Sequence[str]) -> str:
+    """Hash of the table and of all recordings."""
+    digest = hashlib.sha256(table.read_bytes())
+    for file in files:
+        digest.update(hashlib.sha256((folder / file).read_bytes()).digest())
+    return digest.hexdigest()

@@ -1,0 +1,114 @@
+"""What is alike within a cluster, in words."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.metrics import adjusted_rand_score
+
+from command_line import cornercase
+from cornercase.clustering.profiles import agreement, outcome, rules
+from cornercase.recordings import Collision
+from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.study import Row
+from oracle import actor, recorded
+
+SPACE = ParameterSpace(
+    [
+        Parameter("start", 0.0, 10.0, unit="m"),
+        Parameter("kind", 0, 2, choices=("car", "truck", "bicycle")),
+        Parameter("wait", 0.0, 4.0, unit="s"),
+        Parameter("fixed", 0, 0, choices=("x",)),
+    ]
+)
+
+
+def rows(count=300, seed=0):
+    points = SPACE.snap(np.random.default_rng(seed).random((count, 4)))
+    return [
+        Row(k + 1, 1, point, values, "done", None)
+        for k, (point, values) in enumerate(zip(points, SPACE.values(points), strict=True))
+    ]
+
+
+def column(found, name):
+    return np.array([row.values[name] for row in found])
+
+
+def test_a_box_in_the_parameter_space_is_told_by_its_bounds():
+    ran = rows()
+    members = (column(ran, "start") > 3.0) & (column(ran, "start") <= 7.0) & (column(ran, "wait") <= 2.0)
+    (rule,) = rules(SPACE, ran, members)
+    low, _, rest = rule.text.partition(" < start <= ")
+    high, _, wait = rest.partition(" m and wait <= ")
+    assert float(low) == pytest.approx(3.0, abs=0.1)
+    assert float(high) == pytest.approx(7.0, abs=0.1)
+    assert float(wait.removesuffix(" s")) == pytest.approx(2.0, abs=0.05)
+    assert (rule.covers, rule.purity) == (1.0, 1.0)
+
+
+def test_names_stand_in_a_rule_and_what_touches_is_one_part():
+    ran = rows()
+    (rule,) = rules(SPACE, ran, column(ran, "kind") == "truck")
+    assert rule.text == "kind is truck"
+    others = rules(SPACE, ran, column(ran, "kind") != "truck")
+    assert [one.text for one in others] == ["kind is not truck"]
+
+
+def test_two_parts_are_two_rules_the_larger_first():
+    ran = rows(600)
+    start = column(ran, "start")
+    found = rules(SPACE, ran, (start < 1.0) | (start > 7.0))
+    assert [rule.text.split()[1] for rule in found] == [">", "<="]
+    assert sum(rule.covers for rule in found) == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("members", [np.ones(300, dtype=bool), np.random.default_rng(5).random(300) < 0.001])
+def test_what_nothing_sets_apart_is_everywhere_or_nowhere_pure(members):
+    members[0] = True
+    for rule in rules(SPACE, rows(), members):
+        assert 0.0 < rule.covers <= 1.0
+        assert 0.0 < rule.purity <= 1.0
+
+
+def test_agreement_does_not_look_at_the_names_of_clusters():
+    ids, one = np.arange(10, 22), np.repeat([0, 1, -1], 4)
+    same = agreement(ids, one, np.repeat([2, 0, 1], 4))
+    assert (same.rand, same.differ) == (1.0, ())
+    assert same.mutual == pytest.approx(1.0)
+    other = np.repeat([2, 0, 1], 4)
+    other[3] = 1
+    found = agreement(ids, one, other)
+    assert found.differ == (13,)
+    assert found.rand == pytest.approx(adjusted_rand_score(one, other))
+    # Three clusters against one: the largest is matched.
+    assert len(agreement(ids, one, np.zeros(12, dtype=int)).differ) == 8
+
+
+def test_outcomes_say_who_was_first_and_who_collides():
+    time = np.arange(0.0, 10.0, 0.1)
+    early, late = actor(x=-30, v=10), actor(y=-60, yaw=math.pi / 2, v=10)
+    recording = recorded([early, late], time)
+    assert outcome(recording, "0", "1") == outcome(recording, "1", "0") == "0 first"
+    assert outcome(recorded([late, early], time), "0", "1") == "1 first"
+    assert outcome(recorded([early, actor(y=200)], time), "0", "1") == "ways do not cross"
+    hit = replace(recording, collisions=(Collision(3.0, ("1", "0")),))
+    assert outcome(hit, "0", "1") == "0 and 1 collide"
+
+
+def test_show_and_report_tell_what_the_clusters_are(tmp_path):
+    done = cornercase("demo", "t-intersection", "--budget", "60", "--seed", "1", "-o", tmp_path)
+    assert done.returncode == 0, done.stderr
+    shown = json.loads(cornercase("show", tmp_path / "study.db", "--json").stdout)
+    clusters = [one for key, one in shown["clusters"]["ego-trajectory"].items() if key.startswith("cluster ")]
+    assert sum(one["scenarios"] for one in clusters) + shown["clusters"]["ego-trajectory"]["noise"] == 60
+    assert any("C first" in one["outcomes"] for one in clusters)
+    assert all(one["where"] for one in clusters)
+    assert "ego-trajectory and ttc" in shown["agreement"]
+    page = (tmp_path / "report.html").read_text()
+    assert "how it ends" in page
+    assert "adjusted Rand" in page

@@ -1,0 +1,110 @@
+"""Drivers by name, and drivers of one's own."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from closed_loop import Other, Run, straight
+from cornercase._common.errors import InputError
+from cornercase.drivers import (
+    AGGRESSIVE,
+    DRIVERS,
+    NORMAL,
+    BehaviourDriver,
+    DrivenPath,
+    load_driver,
+    named_driver,
+)
+
+
+def test_presets_by_name_state_all_their_parameters():
+    assert {"cautious", "normal", "aggressive"} <= set(DRIVERS.names())
+    assert named_driver("aggressive").settings == {"driver": "behaviour", **AGGRESSIVE._asdict()}
+    with pytest.raises(InputError, match="did you mean 'cautious'"):
+        named_driver("cautous")
+
+
+def test_unusable_parameters_are_named():
+    with pytest.raises(InputError, match="horizon is -1"):
+        BehaviourDriver(NORMAL._replace(horizon=-1))
+
+
+@pytest.fixture
+def own_module(tmp_path, monkeypatch):
+    (tmp_path / "own_drivers.py").write_text(
+        textwrap.dedent(
+            """
+            import numpy as np
+
+            class Steady:
+                settings = {"driver": "steady"}
+
+                def start(self, scenarios, others):
+                    pass
+
+                def acceleration(self, situation):
+                    return np.clip(situation.target_speed - situation.speed, -1.0, 1.0)
+
+            class Picky(Steady):
+                def __init__(self, level):
+                    self.level = level
+
+            class Engine:
+                pass
+
+            constant = 3
+            """
+        )
+    )
+    (tmp_path / "broken_drivers.py").write_text("raise RuntimeError('no licence')\n")
+    monkeypatch.chdir(tmp_path)
+    yield
+    for name in ("own_drivers", "broken_drivers"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.usefixtures("own_module")
+def test_a_users_own_driver_is_found_in_the_current_folder_and_drives():
+    before = list(sys.path)
+    driver = named_driver("own_drivers:Steady")
+    assert sys.path == before
+    assert driver.settings == {"driver": "steady"}
+    run = Run(driver, straight(), [Other("car", 150.0, 3.0)], speed=4.0, target=8.0, duration=20.0)
+    assert run.speed[-1, 0] == pytest.approx(8.0, abs=0.01)
+
+
+@pytest.mark.usefixtures("own_module")
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("own_drivers", "not of the form package.module:Class"),
+        ("own_drivers:", "not of the form package.module:Class"),
+        ("../own:Steady", "not of the form package.module:Class"),
+        ("no_such_module_here:Steady", "no module 'no_such_module_here'"),
+        ("broken_drivers:Steady", "its module fails: RuntimeError: no licence"),
+        ("own_drivers:Absent", "has no class 'Absent'"),
+        ("own_drivers:constant", "has no class 'constant'"),
+        ("own_drivers:Picky", "cannot be made without arguments"),
+        ("own_drivers:Engine", "is no driver"),
+    ],
+)
+def test_what_is_no_driver_is_refused_in_one_sentence(name, says):
+    with pytest.raises(InputError) as caught:
+        load_driver(name)
+    message = str(caught.value)
+    assert says in message
+    assert "\n" not in message
+    assert message.endswith(".")
+
+
+@pytest.mark.parametrize(
+    "distance",
+    [np.array([0.0]), np.array([0.0, 1.0, 1.0]), np.array([1.0, 2.0, 3.0])],
+)
+def test_paths_that_are_none_are_refused(distance):
+    with pytest.raises(ValueError, match="path"):
+        DrivenPath(distance, *(np.zeros_like(distance) for _ in range(4)))

@@ -1,0 +1,155 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from cornercase._common.errors import InputError
+from cornercase.dtw import disk, distance_matrix
+
+SIDE = 16
+
+
+@pytest.fixture(autouse=True)
+def small_squares(monkeypatch):
+    monkeypatch.setattr(disk, "SIDE", SIDE)
+
+
+def random_walks(n, seed=0, longest=40):
+    rng = np.random.default_rng(seed)
+    return [np.cumsum(rng.normal(size=(rng.integers(1, longest), 2)), axis=0) for _ in range(n)]
+
+
+def progress_of(path):
+    return path.with_name(path.name + ".progress")
+
+
+@pytest.mark.parametrize("options", [{}, {"dtype": "float32"}, {"window": 4}, {"local_cost": "squared"}])
+@pytest.mark.parametrize("n", [1, 16, 45])
+def test_a_file_holds_the_matrix_to_the_bit(tmp_path, n, options):
+    series = random_walks(n)
+    path = tmp_path / "matrix.npy"
+    written = distance_matrix(series, out=path, **options)
+    expected = distance_matrix(series, **options)
+    assert isinstance(written, np.memmap)
+    assert written.dtype == expected.dtype
+    assert np.array_equal(written, expected)
+    assert np.array_equal(np.load(path, mmap_mode="r"), expected)
+
+
+def test_fills_a_map_that_is_given(tmp_path):
+    series = random_walks(40)
+    path = tmp_path / "raw"
+    out = np.memmap(path, np.float64, "w+", offset=64, shape=(40, 40))
+    assert distance_matrix(series, out=out) is out
+    assert np.array_equal(out, distance_matrix(series))
+    # Without resume it is filled again, whatever it holds.
+    out[:] = -1.0
+    distance_matrix(series, out=out)
+    assert np.array_equal(out, distance_matrix(series))
+
+
+def test_goes_on_after_being_killed(tmp_path):
+    series = random_walks(500, longest=200)
+    path = tmp_path / "matrix.npy"
+    np.savez(tmp_path / "series.npz", *series)
+    program = (
+        "import sys, numpy as np; from cornercase.dtw import disk, distance_matrix; "
+        f"disk.SIDE = {SIDE}; stored = np.load(sys.argv[1]); "
+        "distance_matrix([stored[f'arr_{i}'] for i in range(500)], out=sys.argv[2])"
+    )
+    child = subprocess.Popen([sys.executable, "-c", program, str(tmp_path / "series.npz"), str(path)])
+    progress = progress_of(path)
+    deadline = time.monotonic() + 60
+    while not (progress.exists() and progress.read_bytes().count(b"\n") > 6):
+        assert child.poll() is None, "ended before it could be killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    squares = progress.read_text().splitlines()[1:]
+    assert 5 < len(squares) < 32 * 33 / 2
+
+    # What is noted is there; a mark shows that it is not computed again, and the last line is as good as torn.
+    whole = distance_matrix(series)
+    half = np.load(path, mmap_mode="r+")
+    for line in squares:
+        rows, columns = (slice(SIDE * int(a), SIDE * (int(a) + 1)) for a in line.split())
+        assert np.array_equal(half[rows, columns], whole[rows, columns])
+        assert np.array_equal(half[columns, rows], whole[columns, rows])
+    half[0, 1] = -1.0
+    half.flush()
+    with progress.open("a") as notes:
+        notes.write("31 3")
+    resumed = distance_matrix(series, out=path, resume=True)
+    assert resumed[0, 1] == -1.0
+    resumed[0, 1] = whole[0, 1]
+    assert np.array_equal(resumed, whole)
+    assert len(set(progress.read_text().splitlines()[1:])) == 32 * 33 // 2
+
+
+def test_resume_begins_where_nothing_is(tmp_path):
+    series = random_walks(20)
+    expected = distance_matrix(series)
+    path = tmp_path / "matrix.npy"
+    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    # The matrix lost, its progress kept.
+    path.unlink()
+    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    # Ended before the file had its size.
+    progress = progress_of(path)
+    progress.write_text(progress.read_text().splitlines()[0] + "\n")
+    path.write_bytes(b"")
+    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    # Ended before the first line was written.
+    progress.write_bytes(b"")
+    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+
+
+def test_does_not_mix_matrices(tmp_path):
+    series = random_walks(20)
+    path = tmp_path / "matrix.npy"
+    distance_matrix(series, out=path)
+    before = path.read_bytes()
+    other = [*series[:-1], series[-1] + 1.0]
+    for call in (
+        lambda: distance_matrix(series, out=path),
+        lambda: distance_matrix(other, out=path, resume=True),
+        lambda: distance_matrix(series, out=path, resume=True, window=3),
+        lambda: distance_matrix(series, out=path, resume=True, local_cost="squared"),
+        lambda: distance_matrix(series, out=path, resume=True, dtype="float32"),
+    ):
+        with pytest.raises(InputError):
+            call()
+        assert path.read_bytes() == before
+    foreign = tmp_path / "foreign.npy"
+    np.save(foreign, np.ones(3))
+    with pytest.raises(InputError, match="unknown"):
+        distance_matrix(series, out=foreign, resume=True)
+    assert np.load(foreign).tolist() == [1.0, 1.0, 1.0]
+
+
+def test_refuses_what_it_cannot_fill(tmp_path):
+    series = random_walks(3)
+    raw = np.memmap(tmp_path / "raw", np.float64, "w+", shape=(4, 3, 3))
+    for out, words in (
+        (np.zeros((3, 3)), "in memory"),
+        (raw, r"give float64 of shape \(3, 3\)"),
+        (raw[1], "whole file"),
+        (np.memmap(tmp_path / "raw", np.float64, "r", shape=(3, 3)), "mode 'r'"),
+        (np.memmap(tmp_path / "raw", np.float32, "r+", shape=(3, 3)), "float32"),
+        (np.memmap(tmp_path / "raw", np.float64, "r+", shape=(3, 3), order="F"), "whole file"),
+        (tmp_path / "nowhere" / "matrix.npy", "cannot be written"),
+    ):
+        with pytest.raises(InputError, match=words):
+            distance_matrix(series, out=out)
+    assert sorted(os.listdir(tmp_path)) == ["raw"]
+
+
+def test_names_the_pair_that_is_too_large(tmp_path):
+    series = [[0.0]] * 20 + [[1e200]]
+    with pytest.raises(InputError, match="series 0 and 20 is too large"):
+        distance_matrix(series, local_cost="squared", out=tmp_path / "matrix.npy")

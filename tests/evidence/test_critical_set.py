@@ -1,0 +1,148 @@
+"""What is said of a critical set, held against sets that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from cornercase._common.errors import InputError
+from cornercase.evidence import CriticalSet, GaussianProcess
+from cornercase.exploration.stopping import Criterion
+from cornercase.optimizers import LevelSetOptimizer
+from cornercase.scenario import Parameter, ParameterSpace
+from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
+
+TRUE = two_regions(EVERYWHERE) <= THRESHOLD
+
+
+def slab(points):
+    """Critical in a slanted slab of the cube, with a jump of the score at one of its sides."""
+    along = points @ (0.8, 0.5, 0.1)
+    return np.where(along > 0.9, 3.0, np.abs(along - 0.75)) - 0.1
+
+
+def test_leaving_one_out_is_learning_from_the_others():
+    rng = np.random.default_rng(0)
+    points, values = rng.random((30, 3)), rng.normal(size=30)
+    process = GaussianProcess().fit(points, values)
+    means, deviations = process.leave_one_out()
+    for i in (0, 7, 29):
+        others = np.delete(np.arange(30), i)
+        apart = np.linalg.norm((points[:, None] - points) / process.widths, axis=-1) * np.sqrt(5)
+        kernel = process.signal**2 * (1 + apart + apart**2 / 3) * np.exp(-apart)
+        within = kernel[np.ix_(others, others)] + process.noise**2 * np.eye(29)
+        weights = np.linalg.solve(within, kernel[others, i])
+        expected = values.mean() + weights @ (values[others] - values.mean())
+        variance = kernel[i, i] + process.noise**2 - weights @ kernel[others, i]
+        assert means[i] == pytest.approx(expected, abs=1e-6)
+        assert deviations[i] == pytest.approx(np.sqrt(variance), rel=1e-4)
+
+
+def test_the_intervals_hold_the_truth_about_as_often_as_they_say():
+    within = {"share": 0, "missed": 0}
+    runs = 0
+    for function, threshold in ((two_regions, THRESHOLD), (slab, 0.0)):
+        true = function(EVERYWHERE) <= threshold
+        for seed in range(8):
+            for count in (60, 120):
+                points = qmc.Sobol(3, seed=seed).random(128)[:count]
+                known = CriticalSet(CUBE, points, function(points), threshold, seed)
+                missed = (true & ~known.found(EVERYWHERE)).sum() / true.sum()
+                within["share"] += known.share.low <= true.mean() <= known.share.high
+                within["missed"] += missed <= known.missed.high
+                runs += 1
+    # Of 32 with a probability of 0.9, 25 to 32 in all but one of a hundred cases.
+    assert runs == 32
+    assert within["share"] >= 25
+    # One end of the interval: with a probability of 0.95.
+    assert within["missed"] >= 27
+
+
+def test_less_is_missed_and_more_is_known_the_longer_it_goes_on():
+    points = explored(LevelSetOptimizer(CUBE, 1, THRESHOLD), 200, function=two_regions)
+    early, late = (CriticalSet(CUBE, points[:n], two_regions(points[:n]), THRESHOLD) for n in (50, 200))
+    assert late.missed.high < 0.5 * early.missed.high
+    assert late.share.high - late.share.low < 0.5 * (early.share.high - early.share.low)
+    assert late.share.value == pytest.approx(TRUE.mean(), rel=0.03)
+    assert late.overlooked() < 0.02
+
+
+def test_a_region_in_which_nothing_was_run_is_reckoned_with():
+    points = qmc.Sobol(3, seed=3).random(128)
+    ball = np.linalg.norm(points - (0.8, 0.75, 0.5), axis=1) < 0.3
+    known, blind = (CriticalSet(CUBE, p, two_regions(p), THRESHOLD) for p in (points, points[~ball]))
+    # A ball of 0.3 is 11 % of the cube.
+    assert known.unvisited(0.02) < 0.04
+    assert known.unvisited(0.02) + 0.01 < blind.unvisited(0.02) < 0.11
+    assert blind.unvisited(0.005) > blind.unvisited(0.02) > blind.unvisited(0.12)
+
+
+def test_a_region_that_the_process_foretells_is_overlooked_until_something_is_run_there():
+    def waves(points):
+        return np.cos(4 * np.pi * points[:, 0]) + 0.5
+
+    points = qmc.Sobol(3, seed=3).random(128)
+    apart = np.abs(points[:, 0] - 0.75) > 0.12
+    known, blind = (CriticalSet(CUBE, p, waves(p), 0.0) for p in (points, points[apart]))
+    assert known.overlooked(0.02) < 0.05
+    assert blind.overlooked(0.02) > known.overlooked(0.02)
+
+
+def test_of_a_space_that_was_run_whole_all_is_known():
+    space = ParameterSpace(
+        [Parameter("a", 0, 9, 1.0), Parameter("kind", 0, 2, None, ("x", "y", "z")), Parameter("b", 0, 4, 1.0)]
+    )
+    points = space.lattice()
+    scores = np.abs(points[:, 0] - points[:, 2]) + (space.parameters[1].numbers(points[:, 1]) == 1)
+    known = CriticalSet(space, points, scores, 0.25)
+    assert known.share.low == known.share.high == pytest.approx((scores <= 0.25).mean(), abs=1e-3)
+    assert known.missed.high < 0.05
+    assert known.overlooked() == 0.0
+
+
+def test_failed_scenarios_do_not_count_and_too_few_say_nothing():
+    points = qmc.Sobol(3, seed=0).random(64)
+    scores = two_regions(points)
+    failed = np.where(points[:, 2] > 0.7, np.nan, scores)
+    kept = np.isfinite(failed)
+    with_failed, without = (
+        CriticalSet(CUBE, points, failed, THRESHOLD),
+        CriticalSet(CUBE, points[kept], scores[kept], THRESHOLD),
+    )
+    assert with_failed.to_json() == without.to_json()
+    for few in (scores[:9], np.ones(20)):
+        with pytest.raises(ValueError, match="10 different scores"):
+            CriticalSet(CUBE, points[: len(few)], few, THRESHOLD)
+
+
+def test_no_critical_scenario_at_all_leaves_a_small_share():
+    points = qmc.Sobol(3, seed=0).random(128)
+    known = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD)
+    assert known.share.high < 0.05
+    assert known.missed.low == 1.0
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_it_says_the_same_again_whatever_the_number_of_threads(monkeypatch, threads):
+    points = qmc.Sobol(3, seed=0).random(64)
+    expected = CriticalSet(CUBE, points, two_regions(points), THRESHOLD, 5).to_json()
+    monkeypatch.setattr("cornercase.evidence.gaussian_process.available_cpus", lambda: threads)
+    assert CriticalSet(CUBE, points, two_regions(points), THRESHOLD, 5).to_json() == expected
+
+
+def test_criteria_are_read():
+    assert Criterion.parse("missed<0.01") == Criterion("missed", 0.01)
+    assert Criterion.parse("overlooked( 0.02 ) < 0.05") == Criterion("overlooked", 0.05, 0.02)
+    for text in (
+        "missed",
+        "missed<",
+        "missed<1.5",
+        "lost<0.1",
+        "missed(0.1)<0.2",
+        "interval<-1",
+        "missed<nan",
+        "__import__<1",
+    ):
+        with pytest.raises(InputError, match="--stop-when"):
+            Criterion.parse(text)

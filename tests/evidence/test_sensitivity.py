@@ -1,0 +1,43 @@
+"""What matters, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from cornercase.evidence import estimate_sensitivity
+from cornercase.scenario import Parameter, ParameterSpace
+from searches import CUBE
+
+
+def test_the_indices_are_those_of_ishigamis_function():
+    """T. Ishigami, T. Homma (1990), with a = 7 and b = 0.1."""
+    a, b = 7.0, 0.1
+    points = qmc.Sobol(3, seed=0).random(512)
+    x, y, z = (2 * np.pi * points - np.pi).T
+    found = estimate_sensitivity(CUBE, points, np.sin(x) + a * np.sin(y) ** 2 + b * z**4 * np.sin(x))
+    variance = a**2 / 8 + b * np.pi**4 / 5 + b**2 * np.pi**8 / 18 + 0.5
+    both = b**2 * np.pi**8 * 8 / 225
+    first = np.array([0.5 * (1 + b * np.pi**4 / 5) ** 2, a**2 / 8, 0.0])
+    np.testing.assert_allclose(found.first, first / variance, atol=0.04)
+    np.testing.assert_allclose(found.total, (first + np.array([both, 0.0, both])) / variance, atol=0.04)
+    assert found.foretold > 0.95
+    assert found.little == ()
+
+
+def test_a_parameter_that_does_nothing_is_named_and_choices_count():
+    space = ParameterSpace([*CUBE.parameters, Parameter("kind", 0, 2, choices=("x", "y", "z"))])
+    points = space.snap(qmc.Sobol(4, seed=1).random(256))
+    kind = space.parameters[3].numbers(points[:, 3])
+    found = estimate_sensitivity(space, points, points[:, 0] + np.array([0.0, 1.0, 0.5])[kind])
+    assert found.little == ("b", "c")
+    # Variances of 1/12 and 1/6.
+    np.testing.assert_allclose(np.array(found.total)[[0, 3]], [1 / 3, 2 / 3], atol=0.04)
+
+
+def test_nothing_is_said_of_too_few_or_of_one_score():
+    points = qmc.Sobol(3, seed=0).random(32)
+    for scores in (np.where(np.arange(32) < 9, np.arange(32.0), np.nan), np.ones(32)):
+        with pytest.raises(ValueError, match="10 different"):
+            estimate_sensitivity(CUBE, points, scores)

@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import etree
+from scipy.stats import qmc
+
+from conftest import EXAMPLES
+from cornercase.drivers import named_driver
+from cornercase.exploration import demonstration, explore_scenario
+from cornercase.metrics import METRICS
+from cornercase.scenario import read_xml
+from cornercase.simulators import BuiltinSimulator
+from cornercase.study import Study
+
+
+@pytest.mark.parametrize("name", ["x_intersection", "t_intersection"])
+def test_examples_are_valid_openscenario(name):
+    import qc_openscenario
+
+    schema = Path(qc_openscenario.__file__).parent / "schema" / "1.2.0" / "OpenSCENARIO.xsd"
+    validator = etree.XMLSchema(etree.parse(schema))
+    for file in (f"{name}.xosc", f"{name}.space.xosc"):
+        validator.assertValid(read_xml(EXAMPLES / name / file).getroottree())
+
+
+def sample(logical, simulator, size):
+    points = logical.space.snap(qmc.Sobol(3, rng=np.random.default_rng(1)).random(size))
+    return points, list(simulator.run([logical.concrete(one) for one in logical.space.values(points)]))
+
+
+def outcome(recording, other):
+    """Return who is first where their ways meet: the ego, the other, or a collision."""
+    if any(set(c.entities) == {"Ego", other} for c in recording.collisions):
+        return "collision"
+    a, b = recording.center("Ego"), recording.center(other)
+    gaps = np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1))
+    i, j = np.unravel_index(np.argmin(gaps), gaps.shape)
+    return "ego first" if i < j else "other first"
+
+
+@pytest.mark.parametrize(("example", "other"), [("x_intersection", "Pedestrian"), ("t_intersection", "C")])
+def test_every_outcome_occurs(example, other, request):
+    _, recordings = sample(request.getfixturevalue(example), BuiltinSimulator(), 256)
+    assert {outcome(recording, other) for recording in recordings} == {"ego first", "other first", "collision"}
+    assert max(recording.time[-1] for recording in recordings) < 40
+
+
+def test_speed_of_the_car_has_next_to_no_influence_on_the_x_intersection(x_intersection):
+    # Total sensitivity indices by Jansen's estimator: Saltelli et al. 2010, table 2, (f).
+    size, metric = 128, METRICS.create("wttc")
+    base = qmc.Sobol(6, rng=np.random.default_rng(3)).random(size)
+    a, b = base[:, :3], base[:, 3:]
+    mixed = [np.where(np.arange(3) == j, b, a) for j in range(3)]
+    points = np.concatenate([a, *mixed])
+    concretes = [x_intersection.concrete(one) for one in x_intersection.space.values(points)]
+    scores = np.array([metric.score(metric.course(r, "Ego", "Pedestrian")) for r in BuiltinSimulator().run(concretes)])
+    f, others = scores[:size], scores[size:].reshape(3, size)
+    total = dict(zip(x_intersection.space.names, 0.5 * ((others - f) ** 2).mean(axis=1) / f.var(), strict=True))
+    assert total["p1_speed"] < 0.1
+    assert total["ego_start"] > 0.3
+    assert total["pedestrian_wait"] > 0.3
+
+
+@pytest.fixture(scope="module")
+def x_study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("x") / "study.db"
+    explore_scenario(demonstration("x-intersection", budget=200, seed=0), path)
+    return path
+
+
+def test_critical_scenarios_lie_along_a_diagonal(x_study):
+    with Study.open(x_study, readonly=True) as study:
+        points, scores = study.points(), study.scores("wttc")
+    start, wait = points[scores < 0.1, :2].T
+    assert len(start) >= 20
+    assert np.corrcoef(start, wait)[0, 1] < -0.95
+    assert np.ptp(start) > 0.5
+    assert scores[(points[:, 0] < 0.4) & (points[:, 1] < 0.4)].min() > 0.3
+
+
+def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
+    from cornercase.clustering import analyze_study
+
+    with Study.open(x_study) as study:
+        labels = analyze_study(study, ["wttc"])["wttc"].clustering.labels
+        scores = study.scores("wttc")
+    medians = [np.median(scores[labels == k]) for k in range(labels.max() + 1)]
+    assert len(medians) >= 2
+    harmless = scores[labels == int(np.argmax(medians))]
+    # The least critical cluster holds nothing critical, and the critical ones are elsewhere.
+    assert harmless.min() > 0.5
+    assert np.min(medians) < 0.3
+    assert np.median(harmless) > 5 * np.min(medians)
+
+
+def test_accidents_form_a_cluster_of_their_own_by_ego_trajectory(tmp_path):
+    from cornercase.clustering import analyze_study
+
+    path = tmp_path / "study.db"
+    explore_scenario(demonstration("t-intersection", budget=100, seed=0), path)
+    with Study.open(path) as study:
+        labels = analyze_study(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
+        crashed = np.array([bool(study.recording(row.id).collisions) for row in study.done()])
+    assert 0 < crashed.sum() < len(crashed)
+    of_crashes = set(labels[crashed].tolist())
+    assert len(of_crashes) == 1
+    assert crashed[labels == of_crashes.pop()].all()
+
+
+def test_the_more_aggressive_the_ego_the_more_collisions(t_intersection):
+    collisions = []
+    for preset in ("cautious", "normal", "aggressive"):
+        simulator = BuiltinSimulator(on_collision="stop", drivers={"Ego": named_driver(preset)})
+        _, recordings = sample(t_intersection, simulator, 256)
+        collisions.append(sum(bool(recording.collisions) for recording in recordings))
+    assert collisions[0] < collisions[1] < collisions[2]
+    assert collisions[2] >= 10

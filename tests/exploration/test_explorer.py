@@ -1,0 +1,394 @@
+from __future__ import annotations
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import synthetic
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.interrupts import noted_interrupts
+from cornercase.exploration import ScenarioExplorer, demonstration, explore_scenario
+from cornercase.metrics import METRICS
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.report import summarize, write_report
+from cornercase.scenario import ParameterSpace
+from cornercase.study import Study
+from fake_simulators import NoisySimulator
+from synthetic import Synthetic, explorer, opened
+
+SPACE = ParameterSpace.from_ranges(["a=0:1:0.02", "b=0:1:0.02", "c=0:1"])
+
+
+def ridge(points):
+    return np.minimum(5 * np.abs(points[:, 0] - points[:, 1]), 1.0)
+
+
+@pytest.mark.parametrize("name", ["bayes", "sobol", "random", "grid"])
+def test_an_optimizer_that_is_told_again_asks_the_same(name):
+    first = OPTIMIZERS.create(name, space=SPACE, seed=3)
+    rounds = []
+    for _ in range(4):
+        points = first.ask(10)
+        first.tell(points, ridge(points))
+        rounds.append(points)
+    second = OPTIMIZERS.create(name, space=SPACE, seed=3)
+    for points in rounds:
+        np.testing.assert_array_equal(second.ask(10), points)
+        second.tell(points, ridge(points))
+    every = np.concatenate(rounds)
+    assert len(np.unique(every, axis=0)) == len(every)
+    np.testing.assert_array_equal(SPACE.snap(every), every)
+
+
+@pytest.mark.parametrize("name", ["bayes", "sobol", "random", "grid"])
+def test_a_small_space_is_run_whole_and_then_over(name):
+    space = ParameterSpace.from_ranges(["a=0:3:1", "b=0:7:1"])
+    optimizer, every = OPTIMIZERS.create(name, space=space, seed=1), []
+    while len(points := optimizer.ask(5)):
+        optimizer.tell(points, ridge(points))
+        every.append(points)
+    assert len(np.unique(np.concatenate(every), axis=0)) == len(np.concatenate(every)) == 32
+
+
+def test_bayes_finds_the_ridge_from_end_to_end():
+    optimizer = OPTIMIZERS.create("bayes", space=SPACE, seed=2)
+    every = []
+    for _ in range(16):
+        points = optimizer.ask(10)
+        optimizer.tell(points, ridge(points))
+        every.append(points)
+    found = np.concatenate(every)
+    critical = found[ridge(found) < 0.25]
+    assert len(critical) > 2 * 160 * 0.1
+    assert critical[:, 0].min() < 0.2
+    assert critical[:, 0].max() > 0.8
+
+
+def test_bayes_stands_failures_and_equal_scores():
+    optimizer = OPTIMIZERS.create("bayes", space=SPACE, seed=2)
+    for scores in (np.zeros(10), np.full(10, np.nan), np.zeros(10), np.ones(10)):
+        points = optimizer.ask(10)
+        assert len(points) == 10
+        optimizer.tell(points, scores)
+
+
+def results(path):
+    with Study.open(path, readonly=True) as study:
+        rows = study.rows()
+        return [(r.id, r.round, r.values, r.state) for r in rows], study.scores("wttc").tolist()
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    path = tmp_path_factory.mktemp("studies") / "study.db"
+    explore_scenario(demonstration("x-intersection", budget=40, seed=1), path)
+    return path
+
+
+def test_a_killed_exploration_goes_on_as_if_undisturbed(undisturbed, tmp_path):
+    path = tmp_path / "killed" / "study.db"
+    command = [sys.executable, "-c", "from cornercase.cli import main; main()", "demo", "x-intersection",
+               "--budget", "40", "--seed", "1", "-o", str(path.parent)]  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as reader:
+                if reader.execute("SELECT count(*) FROM scenarios WHERE state = 'done'").fetchone()[0] >= 13:
+                    break
+        except sqlite3.Error:
+            pass
+        time.sleep(0.002)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    interrupted, _ = results(path)
+    assert 13 <= sum(state == "done" for *_, state in interrupted) < 40
+    result = explore_scenario(demonstration("x-intersection", budget=40, seed=1), path)
+    assert result.done == 40
+    assert results(path) == results(undisturbed)
+
+
+def test_workers_change_nothing(undisturbed, tmp_path):
+    from dataclasses import replace
+
+    explore_scenario(replace(demonstration("x-intersection", budget=40, seed=1), workers=2), tmp_path / "s.db")
+    assert results(tmp_path / "s.db") == results(undisturbed)
+
+
+def test_a_larger_budget_goes_on(tmp_path):
+    path = tmp_path / "s.db"
+    explore_scenario(demonstration("x-intersection", budget=10), path)
+    assert explore_scenario(demonstration("x-intersection", budget=20), path).done == 20
+
+
+def test_patience_ends_it(tmp_path):
+    from dataclasses import replace
+
+    exploration = replace(demonstration("x-intersection", budget=400), optimizer="sobol", patience=2, batch=3)
+    result = explore_scenario(exploration, tmp_path / "s.db")
+    assert result.done < 400
+    assert "nothing new" in result.reason
+
+
+def test_a_study_of_something_else_is_refused_and_kept(undisturbed):
+    before = results(undisturbed)
+    with pytest.raises(InputError, match="another seed"):
+        explore_scenario(demonstration("x-intersection", budget=40, seed=2), undisturbed)
+    with pytest.raises(InputError, match="another scenario"):
+        explore_scenario(demonstration("t-intersection", budget=40, seed=1), undisturbed)
+    assert results(undisturbed) == before
+
+
+def test_two_explorers_never_write_at_once(undisturbed):
+    with Study.open(undisturbed), pytest.raises(InputError, match="another cornercase"):
+        Study.open(undisturbed)
+
+
+def test_a_recording_comes_back_bit_for_bit(undisturbed):
+    from conftest import same_recording
+    from cornercase.scenario import ConcreteScenario
+    from cornercase.simulators import BuiltinSimulator
+
+    with Study.open(undisturbed, readonly=True) as study:
+        row = study.done()[17]
+        (again,) = BuiltinSimulator().run([ConcreteScenario(study.meta["scenario"], row.values)])
+        assert same_recording(study.recording(row.id), again)
+
+
+def test_what_is_no_study_is_refused(tmp_path):
+    (tmp_path / "text.db").write_text("hello")
+    with pytest.raises(InputError, match=r"text\.db"):
+        Study.open(tmp_path / "text.db")
+    with sqlite3.connect(tmp_path / "other.db") as connection:
+        connection.execute("CREATE TABLE a (b)")
+    with pytest.raises(InputError, match="no cornercase study"):
+        Study.open(tmp_path / "other.db")
+    with pytest.raises(InputError, match="no such study"):
+        Study.open(tmp_path / "absent.db")
+
+
+def contents(path):
+    """All that must not depend on when it was computed, to the last bit."""
+    with sqlite3.connect(path) as connection:
+        return [connection.execute(f"SELECT * FROM {table}").fetchall() for table in ("meta", "scenarios", "courses")]
+
+
+def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
+    with opened(tmp_path / "whole.db") as study:
+        result = explorer(study, metrics=("distance", "wttc")).run()
+    assert (result.done, result.reason, result.interrupted) == (47, "the budget of 47 scenarios is used up", False)
+    with Study.open(tmp_path / "whole.db", readonly=True) as study:
+        # Seven are left for the last round.
+        assert [row.round for row in study.rows()] == [1 + k // 10 for k in range(47)]
+        assert [row.error for row in study.failed()] == [f"a is {row.values['a']}" for row in study.failed()]
+        assert len(study.failed()) > 0
+        values = [row.values for row in study.done()]
+        np.testing.assert_allclose(study.scores("distance"), [10 * abs(v["a"] - v["b"]) for v in values], atol=1e-12)
+    deaths = 0
+    for survives in (1, 13, 3, 9, 100):
+        process = subprocess.run(
+            [sys.executable, synthetic.__file__, tmp_path / "killed.db", str(survives)], check=False
+        )
+        deaths += process.returncode == -signal.SIGKILL
+        with Study.open(tmp_path / "killed.db", readonly=True) as study:
+            assert len(study.rows()) <= 47
+    assert deaths == 4
+    assert contents(tmp_path / "killed.db") == contents(tmp_path / "whole.db")
+
+
+def test_interrupted_it_keeps_what_ended_and_says_so(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        result = explorer(study, Synthetic(interrupts=14), "sobol").run()
+        assert (result.done, result.interrupted) == (14, True)
+        assert [row.state for row in study.rows()].count("pending") == 6
+        assert explorer(study, optimizer="sobol").run().done == 47
+
+
+def test_a_simulator_that_ends_early_fails_the_rest_of_its_round(tmp_path):
+    class Short(Synthetic):
+        def run(self, concretes):
+            yield from super().run(concretes[:4])
+
+    with opened(tmp_path / "s.db") as study:
+        assert explorer(study, Short(), "sobol", budget=20).run().done == 20
+        assert all("without a result" in row.error for row in study.rows() if (row.id - 1) % 10 >= 4)
+
+
+class Largest:
+    """The same distance, but large is critical."""
+
+    name, unit, lower_is_critical, cap, source = "distance", "m", False, 0.0, ""
+
+    def course(self, recording, ego, other):
+        return np.abs(recording.x[1] - recording.x[0])
+
+    def score(self, course):
+        return float(course.max())
+
+
+def test_the_optimizer_is_told_that_lower_is_critical(tmp_path):
+    found = {}
+    for metric in ("distance", Largest()):
+        with opened(tmp_path / f"{metric}.db") as study:
+            explorer(study, metrics=(metric,), budget=60).run()
+            found[type(metric)] = np.median(study.scores("distance")[-30:])
+    assert found[Largest] > 4.0
+    assert found[str] < 1.5
+
+
+def scripted(rounds):
+    """An optimizer that lets the round with number k reach the distance rounds[k]."""
+
+    class Scripted:
+        name = "scripted"
+
+        def __init__(self):
+            self.told = 0
+
+        def ask(self, n):
+            if self.told == len(rounds):
+                return np.zeros((0, 2))
+            away = rounds[self.told] / 10
+            return np.array([[0.005 + 0.01 * k, 0.01 * k + away] for k in range(n)])
+
+        def tell(self, points, scores):
+            self.told += 1
+
+    return Scripted()
+
+
+@pytest.mark.parametrize(
+    ("rounds", "told"),
+    [
+        ([5, 4, 3, 3.5, 3.6, 2], 5),  # two rounds that are worse than the third
+        ([5, 4, 4, 4, 6, 4, 4.5, 4.5, 4], 8),  # as critical as the best before is another critical scenario
+        ([3, 2, 1], 3),  # the space is used up
+    ],
+)
+def test_patience_counts_rounds_without_news(tmp_path, rounds, told):
+    with opened(tmp_path / "s.db") as study:
+        one = explorer(study, budget=1000, batch=1, patience=2)
+        one._optimizer = scripted(rounds)
+        result = one.run()
+    assert result.done == told
+    assert ("nothing new" in result.reason) == (told < len(rounds))
+
+
+def test_scores_at_the_cap_are_no_news(tmp_path):
+    class Nothing(Largest):
+        def course(self, recording, ego, other):
+            return np.zeros(len(recording.time))
+
+    with opened(tmp_path / "s.db") as study:
+        assert explorer(study, metrics=(Nothing(),), optimizer="sobol", budget=400, patience=3).run().done == 40
+
+
+def test_time_is_a_criterion_and_is_noted(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        result = explorer(study, max_seconds=0.0).run()
+        assert (result.done, result.reason) == (0, "0 s have passed")
+        explorer(study, optimizer="sobol", budget=20).run()
+        assert set(study.elapsed()) == {"optimize", "simulate", "measure"}
+
+
+def test_progress_in_a_file_is_a_line_with_the_best_score(tmp_path, capfd):
+    with opened(tmp_path / "s.db") as study:
+        explorer(study, optimizer="sobol", budget=20).run(progress=True)
+        best = study.scores("distance").min()
+    said = capfd.readouterr().err
+    assert "20 of 20 scenarios" in said
+    assert f"best {best:.3g} m" in said
+    assert "\x1b" not in said
+
+
+def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
+    one, simulator = demonstration("t-intersection", budget=6, seed=1), NoisySimulator()
+    meta = {
+        "scenario": str(one.logical.path), "space": one.logical.space.to_json(), "metrics": ["distance"], "repeats": 3,
+        "ego": "Ego", "other": "C", "optimizer": "sobol", "seed": 1, "simulator": "noisy", "settings": {}, "fingerprint": "", "version": "", "budget": 6, "batch": 6,
+    }  # fmt: skip
+    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        ScenarioExplorer(
+            one.logical, simulator, optimizer, [METRICS.create("distance")], "Ego", "C", study, budget=6, repeats=3
+        ).run()
+        runs = [[k for k in simulator.given[i : i + 3] if k is not None] for i in range(0, 18, 3)]
+        expected = [sorted(run)[(len(run) - 1) // 2] for run in runs]
+        assert min(map(len, runs)) == 2
+        np.testing.assert_allclose(study.scores("distance"), expected)
+        np.testing.assert_allclose(study.spread("distance"), [[min(run), max(run)] for run in runs])
+        for row, score in zip(study.done(), expected, strict=True):
+            assert study.recording(row.id).x[1, 0] == pytest.approx(score)
+            assert study.course(row.id, "distance")[0] == pytest.approx(score)
+        said = summarize(study)["metrics"]["distance"]
+        assert said["spread of the runs, largest"] == pytest.approx(max(max(run) - min(run) for run in runs))
+        write_report(study, tmp_path / "r.html")
+        assert "Each was run 3 times" in (tmp_path / "r.html").read_text()
+        study.export(tmp_path / "csv")
+        head = (tmp_path / "csv" / "scenarios.csv").read_text().splitlines()[0]
+        assert "lowest distance,highest distance" in head
+
+
+def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):
+    class Failing(NoisySimulator):
+        def run(self, concretes):
+            for number, run in enumerate(super().run(concretes)):
+                yield SimulationError(f"run {number}") if number < 3 else run
+
+    one = demonstration("t-intersection", budget=2, seed=1)
+    meta = {"space": one.logical.space.to_json(), "metrics": ["distance"]}
+    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        ScenarioExplorer(
+            one.logical, Failing(), optimizer, [METRICS.create("distance")], "Ego", "C", study, budget=2, repeats=3
+        ).run()
+        assert [row.state for row in study.rows()] == ["failed", "done"]
+        assert study.failed()[0].error == "run 0"
+
+
+def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
+    one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2)
+    explore_scenario(one, tmp_path / "s.db")
+    with pytest.raises(InputError, match="another number of repeats"):
+        explore_scenario(replace(one, repeats=3), tmp_path / "s.db")
+    with Study.open(tmp_path / "s.db") as study:
+        # The builtin simulator gives the same each time.
+        np.testing.assert_array_equal(*study.spread("ttc").T)
+
+
+def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path, monkeypatch):
+    one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol")
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cornercase.exploration.configuration.ScenarioExplorer", interrupted)
+    result = explore_scenario(one, tmp_path / "s.db")
+    assert (result.done, result.interrupted) == (0, True)
+    monkeypatch.undo()
+    assert explore_scenario(one, tmp_path / "s.db").done == 2
+    # Before there is a study there is nothing to go on with.
+    monkeypatch.setattr("cornercase.exploration.configuration.Study.create", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        explore_scenario(one, tmp_path / "other.db")
+
+
+def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
+    def compare():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+        except KeyboardInterrupt:
+            raise TypeError("cannot compare") from None
+
+    with pytest.raises(KeyboardInterrupt), noted_interrupts():
+        compare()
+    with pytest.raises(TypeError, match="of its own"), noted_interrupts():
+        raise TypeError("of its own")

@@ -1,0 +1,153 @@
+"""The search for the whole critical set, and the Gaussian process behind it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+from scipy.stats import qmc
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+
+from command_line import SPACE, X, cornercase
+from cornercase.evidence import CriticalSet, GaussianProcess, encoded
+from cornercase.evidence.gaussian_process import _loss
+from cornercase.metrics import METRICS
+from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SequenceOptimizer
+from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.study import Study
+from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
+
+
+def found(points, scores):
+    """Recall and precision of the critical set that a process of these scenarios tells."""
+    told, true = CriticalSet(CUBE, points, scores, THRESHOLD).found(EVERYWHERE), two_regions(EVERYWHERE) <= THRESHOLD
+    return (told & true).sum() / true.sum(), (told & true).sum() / max(told.sum(), 1)
+
+
+def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
+    """A region that no other search meets well: the wall of a tube, 3.6 % of the cube."""
+
+    def tube(points):
+        return THRESHOLD + 5 * (np.abs(np.hypot(points[:, 0] - 0.5, points[:, 1] - 0.5) - 0.3) - 0.02)
+
+    true = tube(EVERYWHERE) <= THRESHOLD
+    recall = {}
+    for optimizer in (
+        LevelSetOptimizer(CUBE, 3, THRESHOLD),
+        BayesOptimizer(CUBE, 3),
+        SequenceOptimizer(CUBE, 3, "sobol"),
+    ):
+        points = explored(optimizer, 200, function=tube)
+        told = CriticalSet(CUBE, points, tube(points), THRESHOLD).found(EVERYWHERE)
+        recall[optimizer.name] = (told & true).sum() / true.sum()
+        if optimizer.name == "level-set":
+            assert (told & true).sum() / told.sum() > 0.9
+    assert recall["level-set"] > 0.9
+    assert recall["level-set"] > max(recall["bayes"], recall["sobol"])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_finds_both_regions(seed):
+    points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 150, function=two_regions)
+    recall, precision = found(points, two_regions(points))
+    assert recall > 0.98
+    assert precision > 0.98
+    assert len(np.unique(points, axis=0)) == 150
+
+
+def test_it_goes_on_as_if_it_had_never_stopped():
+    whole = explored(LevelSetOptimizer(CUBE, 5, THRESHOLD), 80, function=two_regions)
+    again = LevelSetOptimizer(CUBE, 5, THRESHOLD)
+    for first in range(0, 60, 10):
+        again.tell(whole[first : first + 10], two_regions(whole[first : first + 10]))
+    np.testing.assert_array_equal(again.ask(10), whole[60:70])
+    np.testing.assert_array_equal(again.ask(10), whole[60:70])
+
+
+def test_failed_scenarios_choices_and_finite_spaces():
+    space = ParameterSpace(
+        [Parameter("a", 0, 9, 1.0), Parameter("kind", 0, 2, None, ("car", "truck", "bicycle")), Parameter("b", 0, 1)]
+    )
+
+    def scores(points):
+        truck = space.parameters[1].numbers(points[:, 1]) == 1
+        return np.where(points[:, 0] > 0.8, np.nan, np.where(truck, points[:, 2] + points[:, 0], 3.0))
+
+    optimizer = LevelSetOptimizer(space, 0, 0.6)
+    points = explored(optimizer, 120, function=scores)
+    assert len(np.unique(points, axis=0)) == 120
+    later = space.parameters[1].numbers(points[40:, 1])
+    # The boundary lies among the trucks.
+    assert (later == 1).mean() > 0.6
+    small = ParameterSpace.from_ranges(["a=0:4:1", "b=0:9:1"])
+    optimizer = LevelSetOptimizer(small, 0, 0.1)
+    assert len(explored(optimizer, 50, function=lambda p: p[:, 0] - p[:, 1])) == 50
+    assert len(optimizer.ask(5)) == 0
+
+
+def test_choices_are_as_far_from_each_other():
+    space = ParameterSpace([Parameter("kind", 0, 3, None, ("a", "b", "c", "d")), Parameter("x", 0, 1)])
+    places = encoded(space, np.stack([(np.arange(4) + 0.5) / 4, np.full(4, 0.3)], -1))
+    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    np.testing.assert_allclose(apart, 1.0 - np.eye(4))
+
+
+def test_the_process_is_that_of_scikit_learn():
+    rng = np.random.default_rng(0)
+    points, values = rng.random((60, 3)), rng.normal(size=60)
+    process = GaussianProcess().fit(points, values)
+    kernel = ConstantKernel(process.signal**2) * Matern(process.widths, nu=2.5)
+    other = GaussianProcessRegressor(kernel, alpha=process.noise**2, optimizer=None)
+    other.fit(points, values - values.mean())
+    new = rng.random((500, 3))
+    (mean, deviation), rows = process.predict(new), process.projections(new)
+    expected, spread = other.predict(new, return_std=True)
+    np.testing.assert_allclose(mean, expected + values.mean(), atol=1e-3)
+    np.testing.assert_allclose(deviation, spread, atol=2e-3)
+    covariance = other.predict(new, return_cov=True)[1]
+    np.testing.assert_allclose(process.covariance(new, rows, 7), covariance[7], atol=2e-3)
+
+
+def test_the_gradient_of_the_likelihood_is_its_derivative():
+    rng = np.random.default_rng(1)
+    points, values = rng.random((20, 2)), rng.normal(size=20)
+    squares = (points[:, None] - points) ** 2
+    at = np.log([0.3, 0.8, 1.2, 0.2])
+    numeric = approx_fprime(at, lambda p: _loss(p, squares, values)[0], 1e-6)
+    np.testing.assert_allclose(_loss(at, squares, values)[1], numeric, rtol=1e-4, atol=1e-4)
+
+
+def test_the_number_of_threads_does_not_show(monkeypatch):
+    points = qmc.Sobol(3, seed=2).random(128)
+    process = GaussianProcess().fit(points, two_regions(points))
+    results = []
+    for threads in (1, 2, 5):
+        monkeypatch.setattr("cornercase.evidence.gaussian_process.available_cpus", lambda threads=threads: threads)
+        results.append(process.predict(EVERYWHERE))
+    for mean, deviation in results[1:]:
+        np.testing.assert_array_equal(mean, results[0][0])
+        np.testing.assert_array_equal(deviation, results[0][1])
+
+
+def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp_path):
+    common = ["explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--optimizer", "level-set"]
+    own = cornercase(*common, "--metric", "wttc", "--budget", "40", "-o", tmp_path / "own.db")
+    assert own.returncode == 0, own.stderr
+    with Study.open(tmp_path / "own.db", readonly=True) as study:
+        assert study.meta["critical"] == METRICS.create("wttc").critical == 1.0
+        expected = int((study.scores("wttc") <= 1.0).sum())
+    shown = json.loads(cornercase("show", tmp_path / "own.db", "--json").stdout)
+    assert shown["critical"]["is"] == "wttc <= 1 s"
+    assert shown["critical"]["scenarios"] == expected
+    other = cornercase(*common, "--metric", "wttc", "--critical", "0.5", "--budget", "40", "-o", tmp_path / "own.db")
+    assert other.returncode == 2
+    assert "another threshold" in other.stderr
+    none = cornercase(*common, "--metric", "distance", "--budget", "40", "-o", tmp_path / "d.db")
+    assert none.returncode == 2
+    assert "say with --critical what is critical" in none.stderr
+    assert not (tmp_path / "d.db").exists()
+    high = cornercase(*common, "--metric", "drac", "--critical", "3.4", "--budget", "30", "-o", tmp_path / "h.db")
+    assert high.returncode == 0, high.stderr

@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from cornercase.optimizers import OPTIMIZERS, BayesOptimizer, GridOptimizer, SequenceOptimizer
+from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.scenario.distributions import Distribution
+from searches import CUBE, explored, ridge
+
+
+def test_sobol_is_scipys_scrambled_sequence_of_the_seed():
+    expected = qmc.Sobol(3, scramble=True, seed=np.random.default_rng(4)).random(1024)
+    np.testing.assert_array_equal(explored(SequenceOptimizer(CUBE, 4, "sobol"), 1000), expected[:1000])
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: SequenceOptimizer(CUBE, 1, "sobol"),
+        lambda: SequenceOptimizer(CUBE, 1, "random"),
+        lambda: GridOptimizer(CUBE, 1, 400),
+    ],
+)
+def test_the_sequence_does_not_depend_on_the_size_of_the_rounds(make):
+    np.testing.assert_array_equal(explored(make(), 330, batch=7), explored(make(), 330, batch=100))
+
+
+def test_asking_again_without_telling_gives_the_same():
+    optimizer = SequenceOptimizer(CUBE, 1, "sobol")
+    np.testing.assert_array_equal(optimizer.ask(30)[:10], optimizer.ask(10))
+
+
+@pytest.mark.parametrize("kind", ["sobol", "random"])
+def test_rare_values_of_a_finite_space_are_run_in_the_end(kind):
+    rare = Distribution("set", 0.0, 2.0, (1.0, 1e-9, 1e3))
+    space = ParameterSpace(
+        [Parameter("s", 0.0, 2.0, choices=("x", "y", "z"), distribution=rare), Parameter("t", 0.0, 9.0, 1.0)]
+    )
+    optimizer, seen = SequenceOptimizer(space, 0, kind), set()
+    while len(points := optimizer.ask(4)):
+        optimizer.tell(points, np.zeros(len(points)))
+        seen.update((v["s"], v["t"]) for v in space.values(points))
+    assert seen == {(s, float(t)) for s in "xyz" for t in range(10)}
+
+
+def test_a_grid_has_every_combination_once():
+    points = GridOptimizer(CUBE, 0, budget=30).ask(100)
+    middles = (1 / 6, 1 / 2, 5 / 6)
+    assert {tuple(p) for p in points.round(9)} == {
+        (round(a, 9), round(b, 9), round(c, 9)) for a in middles for b in middles for c in middles
+    }
+    assert len(points) == 27
+
+
+def test_a_grid_gives_the_steps_that_one_parameter_lacks_to_the_others():
+    space = ParameterSpace.from_ranges(["a=0:1:1", "b=0:1"])
+    points = GridOptimizer(space, 0, budget=100).ask(1000)
+    assert [len(np.unique(points[:, j])) for j in range(2)] == [2, 50]
+
+
+@pytest.mark.parametrize("n", [4, 16])
+def test_the_first_part_of_a_grid_covers_the_space(n):
+    square = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
+    points = GridOptimizer(square, 0, budget=64).ask(n)
+    quadrants = np.unique(np.floor(points * 2).astype(int), axis=0, return_counts=True)[1]
+    assert len(quadrants) == 4
+    assert quadrants.max() <= 2 * quadrants.min()
+
+
+def test_bayes_covers_the_critical_region_and_the_rest():
+    points = explored(BayesOptimizer(CUBE, seed=0), 120)
+    critical = ridge(points) == 0.0
+    # A tenth of the cube is critical.
+    assert critical.mean() > 0.3
+    along = {(int(a * 6), int(c * 6)) for a, _, c in points[critical]}
+    sobol = SequenceOptimizer(CUBE, 0, "sobol").ask(120)
+    assert len(along) > len({(int(a * 6), int(c * 6)) for a, _, c in sobol[ridge(sobol) == 0.0]})
+    assert len({tuple(cell) for cell in (points * 3).astype(int)}) >= 25
+
+
+@pytest.mark.parametrize("n", [1, 3, 17])
+@pytest.mark.parametrize("filling", [0.0, 0.3, 1.0])
+def test_bayes_gives_as_many_points_as_asked_and_none_twice(n, filling):
+    optimizer = BayesOptimizer(CUBE, seed=0, candidates=100, filling=filling)
+    start = explored(optimizer, 24)
+    points = optimizer.ask(n)
+    assert points.shape == (n, 3)
+    assert len(np.unique(np.concatenate([start, points]), axis=0)) == 24 + n
+
+
+def test_bayes_never_proposes_a_failed_scenario_again():
+    optimizer = BayesOptimizer(ParameterSpace.from_ranges(["a=0:9:1", "b=0:9:1"]), seed=0)
+
+    def fails(points):
+        return np.where(points[:, 0] > 0.5, np.nan, ridge(points))
+
+    points = explored(optimizer, 90, function=fails)
+    assert len(np.unique(points, axis=0)) == 90
+
+
+@pytest.mark.parametrize(
+    "scores", [lambda p: np.full(len(p), 3.0), lambda p: 1e-12 * ridge(p), lambda p: 1e12 * ridge(p)]
+)
+def test_bayes_stands_any_scale_of_scores(scores):
+    points = explored(BayesOptimizer(CUBE, seed=0), 50, function=scores)
+    assert np.isfinite(points).all()
+    assert len(np.unique(points, axis=0)) == 50
+
+
+def test_bayes_leaves_the_global_generator_and_the_terminal_alone(capfd):
+    optimizer = BayesOptimizer(CUBE, seed=0)
+    explored(optimizer, 20)
+    np.random.seed(5)  # noqa: NPY002
+    expected = np.random.rand(3)  # noqa: NPY002
+    np.random.seed(5)  # noqa: NPY002
+    first = optimizer.ask(10)
+    np.testing.assert_array_equal(np.random.rand(3), expected)  # noqa: NPY002
+    np.random.seed(6)  # noqa: NPY002
+    np.testing.assert_array_equal(optimizer.ask(10), first)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", [name for name in OPTIMIZERS.names() if name not in ("grid", "random", "sobol")])
+def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_twice(name):
+    parameters = [
+        Parameter("a", 0, 1),
+        Parameter("kind", 0, 2, choices=("car", "truck", "bicycle")),
+        Parameter("b", 0, 9, 1.0),
+    ]
+    space = ParameterSpace(parameters).limited(lambda points: points[:, 0] + points[:, 2] < 1.2)
+
+    def scores(points):
+        kind = parameters[1].numbers(points[:, 1])
+        return np.where(points[:, 0] > 0.95, np.nan, np.abs(points[:, 0] - points[:, 2]) + 0.2 * kind)
+
+    options = {"threshold": 0.3} if name == "level-set" else {}
+    first = OPTIMIZERS.create(name, space=space, seed=3, **options)
+    again = OPTIMIZERS.create(name, space=space, seed=3, **options)
+    everything = []
+    for size in (10, 10, 10, 10, 10, 13, 1, 10):
+        points = first.ask(size)
+        assert points.shape == (size, 3)
+        first.tell(points, scores(points))
+        again.tell(points, scores(points))
+        everything.append(points)
+    met = np.concatenate(everything)
+    assert space.admits(met).all()
+    np.testing.assert_array_equal(space.snap(met), met)
+    assert len(np.unique(met, axis=0)) == len(met)
+    np.testing.assert_array_equal(first.ask(5), again.ask(5))

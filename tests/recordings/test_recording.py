@@ -1,0 +1,144 @@
+"""Recordings as CSV: nothing lost on the way, and clear words for what cannot be read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cornercase._common.errors import InputError
+from cornercase.recordings import Collision, Recording, read_recording
+from cornercase.recordings.recording import COLUMNS
+
+HEADER = ",".join(COLUMNS)
+FIELDS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
+
+
+def recording() -> Recording:
+    time = np.array([0.0, 0.1, 0.2, 0.30000000000000004])
+    shape = np.arange(8.0).reshape(2, 4)
+    x = shape / 3
+    motion = {"x": x, "y": -x, "heading": x / 7, "speed": x + 1e-17, "acceleration": x - 0.1}
+    for values in motion.values():
+        values[1, 2:] = np.nan
+    return Recording(
+        time,
+        ("ego", "walker"),
+        ("car", "pedestrian"),
+        **motion,
+        length=np.array([4.5, 0.5]),
+        width=np.array([1.8, 0.6]),
+        center_x=np.array([1.4, 0.0]),
+        collisions=(Collision(0.1, ("ego", "walker")),),
+    )
+
+
+def same(a: Recording, b: Recording) -> None:
+    assert (a.names, a.kinds, a.collisions) == (b.names, b.kinds, b.collisions)
+    for field in FIELDS:
+        one, two = getattr(a, field), getattr(b, field)
+        assert one.shape == two.shape
+        assert one.tobytes() == two.tobytes() or np.array_equal(one, two, equal_nan=True)
+
+
+def write(path, *rows, header=HEADER):
+    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_a_written_recording_is_read_back_bit_by_bit(tmp_path):
+    recording().to_csv(tmp_path / "new" / "r.csv")
+    same(recording(), read_recording(tmp_path / "new" / "r.csv"))
+    assert (tmp_path / "new" / "r.csv").read_text().startswith(HEADER + ",collision\n")
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.floats(-1e9, 1e9), min_size=4, max_size=4))
+def test_any_number_survives(tmp_path_factory, values):
+    path = tmp_path_factory.mktemp("any") / "r.csv"
+    speed = np.array([values, values])
+    replace(recording(), speed=speed).to_csv(path)
+    np.testing.assert_array_equal(read_recording(path).speed, speed)
+
+
+def test_the_centre_lies_ahead_of_the_reference_point():
+    shifted = recording()
+    ahead = 1.4 * np.array([np.cos(shifted.heading[0]), np.sin(shifted.heading[0])]).T
+    reference = np.stack([shifted.x[0], shifted.y[0]], -1)
+    np.testing.assert_allclose(shifted.center("ego"), reference + ahead)
+
+
+def test_rows_of_other_tools_in_any_order_with_more_columns_and_a_byte_order_mark(tmp_path):
+    rows = [
+        "0.5,b,car,1,2,0,3,0,4,2,0,note",
+        "0,a,bicycle,5,6,1,7,,1.8,0.6,0,",
+        "0.5,a,bicycle,6,6,1,7,,1.8,0.6,0,",
+    ]
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join([HEADER + ",remark", *rows]), encoding="utf-8-sig")
+    read = read_recording(path)
+    assert read.names == ("b", "a")
+    assert read.kinds == ("car", "bicycle")
+    np.testing.assert_array_equal(read.time, [0, 0.5])
+    np.testing.assert_array_equal(read.x, [[np.nan, 1], [5, 6]])
+    assert np.isnan(read.acceleration[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("rows", "header", "words"),
+    [
+        ([], HEADER, "no rows"),
+        (["0,a,car"], "time,entity,kind", "lacks x, y, heading"),
+        (["0,a,car,1,2,0,3,0,4,2,0", "0.1,a,car,1,north,0,3,0,4,2,0"], HEADER, "line 3: y is 'north'"),
+        (["nan,a,car,1,2,0,3,0,4,2,0"], HEADER, "finite time"),
+        ([",a,car,1,2,0,3,0,4,2,0"], HEADER, "finite time"),
+        (["0,a,car,1,2,0,3,0,-4,2,0"], HEADER, "not negative"),
+        (["0,a,car,1,2,0,3,0,,2,0"], HEADER, "length and width"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path, rows, header, words):
+    path = write(tmp_path / "bad.csv", *rows, header=header)
+    with pytest.raises(InputError, match=words) as error:
+        read_recording(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_and_one_that_is_no_text_are_named(tmp_path):
+    with pytest.raises(InputError, match=r"none\.csv: cannot be read"):
+        read_recording(tmp_path / "none.csv")
+    (tmp_path / "image.csv").write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(InputError, match=r"image\.csv"):
+        read_recording(tmp_path / "image.csv")
+
+
+def test_an_unknown_entity_is_answered_with_the_known_ones():
+    with pytest.raises(InputError, match="did you mean 'walker'"):
+        recording().index("walkr")
+
+
+def test_a_folder_that_cannot_be_written_leaves_nothing(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="cannot be written"):
+        recording().to_csv(tmp_path / "file" / "r.csv")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_names_with_spaces_keep_their_collisions(tmp_path):
+    named = replace(recording(), names=("my ego", "a walker"), collisions=(Collision(0.1, ("my ego", "a walker")),))
+    named.to_csv(tmp_path / "r.csv")
+    assert read_recording(tmp_path / "r.csv").collisions == named.collisions
+    with pytest.raises(InputError, match="semicolon"):
+        replace(named, names=("a", "b;c"), collisions=(Collision(0.1, ("a", "b;c")),)).to_csv(tmp_path / "s.csv")
+    assert not (tmp_path / "s.csv").exists()
+
+
+def test_a_second_row_of_one_entity_and_time_is_refused(tmp_path):
+    recording().to_csv(tmp_path / "r.csv")
+    lines = (tmp_path / "r.csv").read_text().splitlines()
+    (tmp_path / "r.csv").write_text("\n".join([*lines, lines[2]]) + "\n")
+    with pytest.raises(InputError, match=rf"r.csv, line {len(lines) + 1}: .* line 3 already"):
+        read_recording(tmp_path / "r.csv")

@@ -1,0 +1,243 @@
+"""Reduced sets of a wanted size or coverage."""
+
+from __future__ import annotations
+
+import json
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
+
+from command_line import SPACE, X, cornercase
+from cornercase._common.errors import InputError
+from cornercase.reduction.coverage import coverage, medoids
+from cornercase.reduction.selection import choose
+from cornercase.study import Study
+
+
+def two_clusters(count=120, seed=0):
+    """Points of two clusters of one size and three odd ones, with distances by place and by one coordinate."""
+    rng = np.random.default_rng(seed)
+    half = (count - 3) // 2
+    points = np.concatenate([0.3 * rng.random((half, 3)), 0.7 + 0.3 * rng.random((half, 3)), rng.random((3, 3))])
+    labels = np.repeat([0, 1, -1], [half, half, 3])
+    return points, [cdist(points, points), cdist(points[:, :1], points[:, :1])], labels
+
+
+@given(size=st.integers(1, 40), seed=st.integers(0, 5))
+@settings(max_examples=30, deadline=None)
+def test_it_has_the_size_that_is_asked_for_and_nothing_twice(size, seed):
+    points, distances, labels = two_clusters(seed=seed)
+    kept = choose(points, distances, labels, size=size)
+    assert len(kept) == len({one.index for one in kept}) == size
+    assert all(one.cluster == labels[one.index] for one in kept)
+    assert choose(points, distances, labels, size=size) == kept
+
+
+def test_critical_clusters_come_first_and_have_more_archetypes():
+    points, distances, labels = two_clusters()
+    kept = choose(points, distances, labels, critical=[1], size=16)
+    assert [(one.cluster, one.role) for one in kept[:2]] == [(1, "prototype"), (0, "prototype")]
+    archetypes = [one.cluster for one in kept if one.role == "archetype"]
+    assert (archetypes.count(1), archetypes.count(0)) == (2, 1)
+    assert sum(one.role == "gap" for one in kept) == 11
+
+
+def test_critical_clusters_are_covered_more_closely():
+    points, distances, labels = two_clusters(300)
+    left = []
+    for critical in ([0], [1]):
+        kept = [one.index for one in choose(points, distances, labels, critical, size=30)]
+        left.append(distances[0][labels == 1][:, kept].min(axis=1).mean())
+    assert left[1] < 0.95 * left[0]
+
+
+def test_each_that_fills_a_gap_is_where_it_leaves_least():
+    points, distances, labels = two_clusters(60)
+    kept = [one.index for one in choose(points, distances[:1], labels, size=12)]
+
+    def left(indices):
+        return (distances[0][:, indices].min(axis=1) ** 3).sum()
+
+    gaps = [k for k, one in enumerate(choose(points, distances[:1], labels, size=12)) if one.role == "gap"]
+    assert gaps
+    for k in gaps:
+        for other in range(len(points)):
+            assert left([*kept[:k], other, *kept[k + 1 :]]) >= left(kept) * (1.0 - 1e-6)
+
+
+@pytest.mark.parametrize("cover", [0.4, 0.2, 0.1])
+def test_a_coverage_is_reached_in_every_clustering_and_noise_counts(cover):
+    points, distances, labels = two_clusters()
+    kept = [one.index for one in choose(points, distances, labels, cover=cover)]
+    for matrix in distances:
+        assert matrix[:, kept].min(axis=1).max() <= cover * matrix.max() + 1e-12
+    # One less, and something is like none of them by both.
+    apart = np.maximum(*(m / m.max() for m in distances))
+    assert apart[:, kept[:-1]].min(axis=1).max() > cover
+
+
+def test_what_is_alike_is_kept_once():
+    points, distances, labels = two_clusters(23)
+    twice = np.concatenate([np.arange(23)] * 2)
+    kept = choose(points[twice], [m[np.ix_(twice, twice)] for m in distances], labels[twice], size=46)
+    assert len(kept) == 23
+
+
+def test_it_covers_better_than_chance():
+    points, distances, labels = two_clusters(300)
+    found = coverage(distances[0], [one.index for one in choose(points, distances[:1], labels, size=30)])
+    assert found.better_largest >= 0.95
+    assert found.largest < found.random_largest
+
+
+def test_medoids_leave_nearly_the_smallest_mean_there_is():
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        points = rng.random((14, 2))
+        distances = cdist(points, points)
+        found = medoids(distances, 3)
+        best = min(distances[:, list(each)].min(axis=1).mean() for each in combinations(range(14), 3))
+        assert distances[:, found].min(axis=1).mean() <= 1.25 * best
+    blobs = np.concatenate([0.01 * rng.random((10, 2)) + place for place in ((0, 0), (1, 0), (0, 1))])
+    assert (medoids(cdist(blobs, blobs), 3) // 10).tolist() == [0, 1, 2]
+    assert medoids(np.zeros((4, 4)), 4).tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "either a size or"),
+        ({"size": 3, "cover": 0.1}, "either"),
+        ({"size": 0}, "keeps nothing"),
+        ({"cover": 2.0}, "cannot be"),
+    ],
+)
+def test_refuses_in_one_sentence(options, words):
+    with pytest.raises(InputError, match=words):
+        choose(*two_clusters(), **options)
+
+
+def test_the_command_line_keeps_as_many_as_it_is_told(tmp_path):
+    study = tmp_path / "s.db"
+    common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--budget", "40"]
+    assert cornercase("explore", X, "--space", SPACE, *common, "-o", study).returncode == 0
+    assert cornercase("analyze", study).returncode == 0
+    for k, (option, count) in enumerate(((["--size", "9"], 9), (["--share", "0.25"], 10))):
+        done = cornercase("reduce", study, *option, "-o", tmp_path / str(k))
+        assert done.returncode == 0, done.stderr
+        manifest = json.loads((tmp_path / str(k) / "manifest.json").read_text())
+        assert manifest["kept"] == len(manifest["scenarios"]) == count
+        assert "gap" in {one["role"] for one in manifest["scenarios"]}
+        assert len(list((tmp_path / str(k)).glob("*.xosc"))) == count
+    done = cornercase("reduce", study, "--cover", "0.3", "-o", tmp_path / "c")
+    assert done.returncode == 0, done.stderr
+    covered = json.loads((tmp_path / "c" / "manifest.json").read_text())["coverage"]
+    assert max(one["largest_relative"] for one in covered.values()) <= 0.3
+    for option in (["--size", "3", "--cover", "0.1"], ["--share", "1.5"], ["--size", "3", "--archetypes", "2"]):
+        assert cornercase("reduce", study, *option, "-o", tmp_path / "x").returncode == 2
+    for option, words in (
+        (["--within", "0"], "give a number above 0"),
+        (["--archetypes-by", "hul"], "did you mean 'hull'"),
+    ):
+        done = cornercase("reduce", study, *option, "-o", tmp_path / "x")
+        assert (done.returncode, words in done.stderr) == (2, True), done.stderr
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory):
+    """Study of 120 scenarios of the X-intersection, analysed, reduced and reported, and its folder."""
+    folder = tmp_path_factory.mktemp("explored")
+    study = folder / "s.db"
+    common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--critical", "0.5"]
+    for command in (
+        ["explore", X, "--space", SPACE, *common, "--budget", "120", "-o", study],
+        ["analyze", study],
+        ["reduce", study, "-o", folder / "reduced"],
+        ["report", study, "-o", folder / "r.html"],
+    ):
+        done = cornercase(*command)
+        assert done.returncode == 0, done.stderr
+    return folder, json.loads((folder / "reduced" / "manifest.json").read_text())
+
+
+def test_a_tenth_is_kept_and_leaves_less_than_random_choices(explored):
+    _, manifest = explored
+    assert manifest["kept"] == 12
+    for found in manifest["coverage"].values():
+        assert found["better_largest"] >= 0.95
+        assert found["better_mean"] >= 0.95
+
+
+def test_the_manifest_tells_the_shape_of_each_cluster_and_what_is_unlike_all_kept(explored):
+    folder, manifest = explored
+    with Study.open(folder / "s.db", readonly=True) as study:
+        labels = study.analysis("wttc", "labels")[0]["labels"]
+    assert [one["cluster"] for one in manifest["shapes"]] == list(range(labels.max() + 1))
+    for one in manifest["shapes"]:
+        assert 0.0 <= one["convexity"] <= 1.0
+        assert one["archetypes by"] in ("hull", "parts", "kernel")
+    assert set(manifest["critical"]) == {"ego-trajectory", "wttc"}
+    for found in manifest["critical"].values():
+        assert found["within"] > 0.0
+        assert all(0.0 <= found[key] <= 1.0 for key in ("critical", "boundary", "random", "medoids"))
+        assert 0.0 <= found["unlike"]["low"] <= found["unlike"]["high"] <= 1.0
+
+
+def test_the_page_and_the_summary_tell_it_too(explored):
+    folder, _ = explored
+    page = (folder / "r.html").read_text()
+    for words in ("k-medoids", "stability", "Shapes of the clusters", "on the boundary", "better than random"):
+        assert words in page
+    assert (folder / "r-figures" / "coverage.png").stat().st_size > 5000
+    shown = cornercase("show", folder / "s.db", "--json")
+    summary = json.loads(shown.stdout)
+    told = summary["coverage"]["wttc"]
+    assert told["random subsets with a larger mean"] >= 0.95
+    assert "one of the space is unlike all kept" in told["critical scenarios"]
+    assert summary["shapes"]["cluster 0"]["convexity"] <= 1.0
+
+
+def test_reduced_twice_gives_the_same_bytes(explored):
+    folder, _ = explored
+    again = folder / "again"
+    assert cornercase("reduce", folder / "s.db", "-o", again).returncode == 0
+    first = {path.name: path.read_bytes() for path in (folder / "reduced").iterdir()}
+    assert first == {path.name: path.read_bytes() for path in again.iterdir()}
+
+
+def test_the_papers_way_keeps_archetypes_alone(explored):
+    folder, _ = explored
+    done = cornercase(
+        "reduce", folder / "s.db", "--archetypes", "auto", "--archetypes-by", "hull", "-o", folder / "paper"
+    )
+    assert done.returncode == 0, done.stderr
+    manifest = json.loads((folder / "paper" / "manifest.json").read_text())
+    assert {one["role"] for one in manifest["scenarios"]} == {"prototype", "archetype"}
+    assert {one["archetypes by"] for one in manifest["shapes"]} == {"hull"}
+
+
+def test_new_scenarios_join_the_clusters_that_are_kept(explored, tmp_path):
+    folder, _ = explored
+    study = tmp_path / "s.db"
+    study.write_bytes((folder / "s.db").read_bytes())
+    with Study.open(study, readonly=True) as opened:
+        before = opened.analysis("wttc", "ids", "labels")[0]
+    common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--critical", "0.5"]
+    assert cornercase("explore", X, "--space", SPACE, *common, "--budget", "132", "-o", study).returncode == 0
+    for _ in range(2):
+        done = cornercase("analyze", study, "--keep")
+        assert done.returncode == 0, done.stderr
+        with Study.open(study, readonly=True) as opened:
+            after, info = opened.analysis("wttc", "ids", "labels", "embedding")
+        assert len(after["ids"]) == len(after["labels"]) == len(after["embedding"]) == 132
+        assert after["labels"][:120].tolist() == before["labels"].tolist()
+        assert set(after["labels"][120:].tolist()) <= {-1, *before["labels"].tolist()}
+        assert (after["labels"][120:] >= 0).mean() > 0.5
+        assert info["fitted"] == list(range(1, 121))
+    assert cornercase("report", study, "-o", tmp_path / "r.html").returncode == 0
+    assert "Found of 120 scenarios; 12 have joined them since." in (tmp_path / "r.html").read_text()

@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import etree
+from scipy.integrate import quad
+
+from conftest import EXAMPLES, ROAD
+from cornercase._common.errors import InputError
+from cornercase.roads import RoadNetwork
+from cornercase.roads.reference_line import Geometry
+
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
+
+
+def test_arc_is_a_circle():
+    x, y, heading = Geometry(0, 1, 2, 0.3, 50, "arc", (0.02,)).at(np.linspace(0, 50, 7))
+    center = np.array([1 - 50 * np.sin(0.3), 2 + 50 * np.cos(0.3)])
+    np.testing.assert_allclose(np.hypot(x - center[0], y - center[1]), 50, rtol=1e-12)
+    np.testing.assert_allclose(heading, 0.3 + 0.02 * np.linspace(0, 50, 7))
+
+
+@pytest.mark.parametrize("curvatures", [(0.0, 0.05), (0.05, 0.0), (-0.02, 0.04), (0.01, 0.01), (0.03, 0.03 + 1e-9)])
+def test_spiral_against_numeric_integration(curvatures):
+    start, end = curvatures
+    length = 40.0
+    spiral = Geometry(0, 0, 0, 0.5, length, "spiral", curvatures)
+
+    def heading(s):
+        return 0.5 + start * s + 0.5 * (end - start) / length * s * s
+
+    for along in (5.0, 23.0, 40.0):
+        x, y, h = spiral.at(np.array([along]))
+        assert x[0] == pytest.approx(quad(lambda s: np.cos(heading(s)), 0, along)[0], abs=1e-6)
+        assert y[0] == pytest.approx(quad(lambda s: np.sin(heading(s)), 0, along)[0], abs=1e-6)
+        assert h[0] == pytest.approx(heading(along))
+
+
+def test_parametric_cubic_of_a_straight_line():
+    cubic = Geometry(0, 0, 0, 0, 10, "paramPoly3", (1.0, 0, 10, 0, 0, 0, 5, 0, 0))
+    x, y, h = cubic.at(np.array([5.0]))
+    assert (x[0], y[0], h[0]) == pytest.approx((5.0, 2.5, np.arctan2(5, 10)))
+
+
+@pytest.mark.parametrize("name", ["x_intersection", "t_intersection"])
+def test_examples_are_valid_opendrive(name):
+    import qc_opendrive
+
+    schema = Path(qc_opendrive.__file__).parent / "schema" / "1.7.0" / "opendrive_17_core.xsd"
+    etree.XMLSchema(etree.parse(schema)).assertValid(etree.parse(EXAMPLES / name / f"{name}.xodr"))
+
+
+def test_right_turn_is_smooth_and_ends_in_the_eastern_arm():
+    network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
+    path = network.path_of_lane(network.index_of("1"), -1, 0.0, True, ((network.index_of("2"), 1, 20.0),))
+    assert (path.x[-1], path.y[-1]) == pytest.approx((112.0, -1.75))
+    assert np.hypot(np.diff(path.x), np.diff(path.y)).max() < 0.11
+    assert np.abs(path.curvature).max() == pytest.approx(1 / 7, rel=1e-3)
+    # 100 m, the turn of two straights and a quarter circle, 100 m.
+    assert path.distance[-1] == pytest.approx(200 + 2 * 3.25 + 7 * np.pi / 2, abs=1e-3)
+
+
+def test_without_a_route_the_way_goes_straight_on():
+    network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
+    path = network.path_of_lane(network.index_of("1"), -1, 0.0, True)
+    assert (path.x[-1], path.y[-1]) == pytest.approx((1.75, 112.0))
+
+
+def test_locate_inverts_world():
+    network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
+    rng = np.random.default_rng(1)
+    for road in ("1", "2", "3", "4"):
+        r = network.index_of(road)
+        s, offset = rng.uniform(1, 95, 20), rng.uniform(-1.5, 1.5, 20)
+        for lane in (-1, 1):
+            x, y, _ = network.world(r, lane, s, offset)
+            place = network.locate(x, y)
+            assert (place.road == r).all()
+            assert (place.lane == lane).all()
+            np.testing.assert_allclose(place.s, s, atol=1e-6)
+            np.testing.assert_allclose(place.offset, offset, atol=1e-6)
+
+
+def test_roads_of_others_load_and_join():
+    files = sorted(REFERENCE.glob("**/*.xodr"))
+    if not REFERENCE.is_dir():
+        files = [EXAMPLES / "x_intersection" / "x_intersection.xodr"]
+    assert files
+    gaps = []
+    for file in files:
+        network = RoadNetwork.read(file)
+        for r, road in enumerate(network.roads):
+            link = road.successor
+            if link is None or link.kind != "road" or link.contact != "start":
+                continue
+            other = network.index_of(link.element)
+            for lane, one in road.sections[-1][1].items():
+                if one.kind != "driving" or one.successor is None or not network.has_lane(other, one.successor):
+                    continue
+                if road.width(len(road.sections) - 1, lane, np.array([road.length]))[0] < 0.1:
+                    continue
+                zero = np.zeros(1)
+                end = network.world(r, lane, np.array([road.length]), zero)
+                start = network.world(other, one.successor, zero, zero)
+                gaps.append(float(np.hypot(end[0] - start[0], end[1] - start[1])[0]))
+    assert len(gaps) > 20 or not REFERENCE.is_dir()
+    assert np.quantile([0.0, *gaps], 0.95) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            '<geometry s="0" x="0" y="0" hdg="0" length="500">',
+            '<geometry s="0" x="0" y="0" hdg="0" length="0">',
+            "above 0",
+        ),
+        ('id="1" length="500"', 'id="1" length="nan"', "finite"),
+        ("<line/>", "<wave/>", "no line, arc"),
+        ('x="0"', 'x="NaN"', "finite"),
+        (
+            "<planView>",
+            '<link><successor elementType="road" elementId="7"/></link><planView>',
+            "does not exist",
+        ),
+    ],
+)
+def test_bad_roads_are_refused(tmp_path, old, new, words):
+    path = tmp_path / "road.xodr"
+    path.write_text(ROAD.replace(old, new))
+    with pytest.raises(InputError, match=words):
+        RoadNetwork.read(path)
+
+
+def test_a_ring_of_roads_ends(tmp_path):
+    path = tmp_path / "ring.xodr"
+    ring = ROAD.replace(
+        "<planView>",
+        '<link><successor elementType="road" elementId="1" contactPoint="start"/></link><planView>',
+    )
+    path.write_text(
+        ring.replace('<lane id="-1" type="driving">', '<lane id="-1" type="driving"><link><successor id="-1"/></link>')
+    )
+    network = RoadNetwork.read(path)
+    assert network.path_of_lane(0, -1, 0.0, True).distance[-1] < 12_000

@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conftest import EXAMPLES
+from cornercase._common.errors import InputError
+from cornercase.scenario import ParameterSpace, read_xml
+from cornercase.scenario.expressions import evaluate
+
+
+def distribution(body: str) -> str:
+    return f"""<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a" description="d"/>
+<ParameterValueDistribution><ScenarioFile filepath="s.xosc"/>{body}</ParameterValueDistribution></OpenSCENARIO>"""
+
+
+def test_steps_give_round_values():
+    space = ParameterSpace.from_ranges(["a=0:1:0.1", "b=-1:1"])
+    assert space.parameters[0].size == 11
+    values = [one["a"] for one in space.values(np.array([[(k + 0.5) / 11, 0.5] for k in range(11)]))]
+    assert values == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
+    assert space.size is None
+
+
+@given(st.lists(st.floats(0, 1), min_size=3, max_size=3))
+def test_values_and_points_are_inverse(u):
+    space = ParameterSpace.from_ranges(["a=2:7:0.5", "b=-1:1", "c=0:3:1"])
+    point = space.snap(np.array([u]))
+    np.testing.assert_allclose(space.points(space.values(point)), point, atol=1e-12)
+    np.testing.assert_array_equal(space.snap(point), point)
+
+
+def test_space_survives_json():
+    space = ParameterSpace.from_file(EXAMPLES / "x_intersection" / "x_intersection.space.xosc")
+    again = ParameterSpace.from_json(space.to_json())
+    assert again.parameters == space.parameters
+    assert [p.unit for p in again.parameters] == ["m", "s", "m/s"]
+
+
+def test_sets_and_stochastic_distributions(tmp_path):
+    path = tmp_path / "d.xosc"
+    path.write_text(
+        distribution(
+            """<Stochastic numberOfTestRuns="10" randomSeed="1">
+<StochasticDistribution parameterName="n"><NormalDistribution expectedValue="10" variance="4">
+<Range lowerLimit="6" upperLimit="14"/></NormalDistribution></StochasticDistribution>
+<StochasticDistribution parameterName="p"><ProbabilityDistributionSet><Element value="x" weight="1"/>
+<Element value="y" weight="3"/></ProbabilityDistributionSet></StochasticDistribution></Stochastic>"""
+        )
+    )
+    space = ParameterSpace.from_file(path)
+    values = space.values(np.array([[0.0, 0.1], [0.5, 0.9], [1.0, 0.9]]))
+    assert [round(float(v["n"]), 6) for v in values] == [6.0, 10.0, 14.0]
+    assert [v["p"] for v in values] == ["x", "y", "y"]
+    assert ParameterSpace.scenario_file(path) == tmp_path / "s.xosc"
+
+
+@pytest.mark.parametrize(
+    "text", ["a=1:1", "a=2:1", "a=0:inf", "a=0", "a", "=0:1", "a=x:1", "a=0:1:0", "a=0:1:2", "a=0:1:-1"]
+)
+def test_bad_ranges_are_refused(text):
+    with pytest.raises(InputError):
+        ParameterSpace.from_ranges([text])
+
+
+def test_hostile_xml_is_refused(tmp_path):
+    bomb = tmp_path / "bomb.xosc"
+    bomb.write_text('<!DOCTYPE a [<!ENTITY b "bbbb"><!ENTITY c "&b;&b;">]><a>&c;</a>')
+    with pytest.raises(InputError, match="document type"):
+        read_xml(bomb)
+    deep = tmp_path / "deep.xosc"
+    deep.write_text("<a>" * 10_000 + "</a>" * 10_000)
+    with pytest.raises(InputError):
+        read_xml(deep)
+    text = tmp_path / "text.xosc"
+    text.write_text("hello")
+    with pytest.raises(InputError, match="not well-formed"):
+        read_xml(text)
+
+
+@pytest.mark.parametrize(
+    ("expression", "value"),
+    [
+        ("1 + 2 * 3", 7), ("-2 - -3", 1), ("(1 + 2) * 3 / 2", 4.5), ("7 % 3", 1), ("pow(2, 3) - sqrt(16)", 4),
+        ("round(2.5) + floor(-0.5) + ceil(0.2)", 3), ("max($a, 1) - min($a, 1)", 1), ("$a-$a", 0),
+        ("1 < 2 and not 3 <= 2", True), ("1 == 2 or 2 != 2", False), ("abs(-$a) == $a", True), ("sign(-3)", -1),
+    ],
+)  # fmt: skip
+def test_expressions(expression, value):
+    assert evaluate(expression, {"a": 2.0}) == value
+
+
+@pytest.mark.parametrize(
+    "expression", ["__import__('os')", "1+", "(" * 500, "a" * 20_000, "$b", "1 2", "a.b()", "lambda: 1"]
+)
+def test_bad_expressions_are_refused(expression):
+    with pytest.raises(InputError):
+        evaluate(expression, {"a": 1.0})
+
+
+def stochastic(tmp_path, law: str) -> ParameterSpace:
+    path = tmp_path / "d.xosc"
+    body = f'<StochasticDistribution parameterName="n">{law}</StochasticDistribution>'
+    path.write_text(distribution(f'<Stochastic numberOfTestRuns="10" randomSeed="1">{body}</Stochastic>'))
+    return ParameterSpace.from_file(path)
+
+
+RANGE = '<Range lowerLimit="{}" upperLimit="{}"/>'
+
+
+@pytest.mark.parametrize(
+    ("law", "low", "high", "draw"),
+    [
+        ("UniformDistribution", -1, 3, lambda r, n: r.uniform(-1, 3, n)),
+        ('NormalDistribution expectedValue="2" variance="9"', 1, 8, lambda r, n: r.normal(2, 3, n)),
+        ('LogNormalDistribution expectedValue="0.5" variance="0.25"', 0, 4, lambda r, n: r.lognormal(0.5, 0.5, n)),
+        ('PoissonDistribution expectedValue="3"', 1, 6, lambda r, n: r.poisson(3, n).astype(float)),
+    ],
+)
+def test_values_are_distributed_as_random_numbers_within_the_bounds(tmp_path, law, low, high, draw):
+    space = stochastic(tmp_path, f"<{law}>{RANGE.format(low, high)}</{law.split()[0]}>")
+    drawn = draw(np.random.default_rng(0), 200_000)
+    drawn = np.sort(drawn[(drawn >= low) & (drawn <= high)])
+    places = (np.arange(200) + 0.5) / 200
+    values = np.array([one["n"] for one in space.values(places[:, None])])
+    expected = drawn[(places * len(drawn)).astype(int)]
+    # The one place at which a count ends may fall on either side.
+    assert np.mean(np.abs(values - expected) > 0.02 * (high - low)) <= 0.02
+    np.testing.assert_allclose(space.values(space.points(space.values(places[:, None])))[7]["n"], values[7])
+
+
+def test_bounds_far_in_the_tail_are_kept(tmp_path):
+    law = f'<NormalDistribution expectedValue="0" variance="1">{RANGE.format(20, 21)}</NormalDistribution>'
+    space = stochastic(tmp_path, law)
+    values = [one["n"] for one in space.values(np.linspace(0, 1, 11)[:, None])]
+    assert values[0] == 20
+    assert values == sorted(values)
+    # Beyond x, the tail falls by e in about 1 / x.
+    assert values[5] == pytest.approx(20 + np.log(2) / 20, rel=1e-3)
+
+
+def test_histogram_and_set_share_the_unit_interval_by_weight(tmp_path):
+    bins = f'<Bin weight="1">{RANGE.format(0, 1)}</Bin><Bin weight="3">{RANGE.format(1, 2)}</Bin>'
+    space = stochastic(tmp_path, f"<Histogram>{bins}</Histogram>")
+    assert [one["n"] for one in space.values(np.array([[0.125], [0.25], [0.625]]))] == [0.5, 1.0, 1.5]
+    elements = "".join(f'<Element value="{v}" weight="{w}"/>' for v, w in (("x", 1), ("y", 0), ("z", 3)))
+    space = stochastic(tmp_path, f"<ProbabilityDistributionSet>{elements}</ProbabilityDistributionSet>")
+    assert [one["n"] for one in space.values(np.array([[0.2], [0.3], [0.9]]))] == ["x", "z", "z"]
+    assert space.size == 2
+    np.testing.assert_array_equal(space.snap(np.array([[0.1], [0.9]])), [[0.125], [0.625]])
+    assert ParameterSpace.from_json(space.to_json()).parameters == space.parameters
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        '<UserDefinedDistribution type="python" content="import os"/>',
+        '<NormalDistribution expectedValue="0" variance="-1"/>',
+        '<NormalDistribution expectedValue="nan" variance="1"/>',
+        f'<PoissonDistribution expectedValue="0">{RANGE.format(0, 3)}</PoissonDistribution>',
+        f'<PoissonDistribution expectedValue="3">{RANGE.format(500, 600)}</PoissonDistribution>',
+        f'<PoissonDistribution expectedValue="3">{RANGE.format(0, 1e12)}</PoissonDistribution>',
+        f'<LogNormalDistribution expectedValue="3" variance="1">{RANGE.format(-3, -1)}</LogNormalDistribution>',
+        f'<UniformDistribution>{RANGE.format(3, 3)}</UniformDistribution>',
+        "<UniformDistribution/>",
+        f'<Histogram><Bin weight="-1">{RANGE.format(0, 1)}</Bin></Histogram>',
+        f'<Histogram><Bin weight="0">{RANGE.format(0, 1)}</Bin></Histogram>',
+        '<ProbabilityDistributionSet><Element value="a" weight="0"/></ProbabilityDistributionSet>',
+        "",
+    ],
+)  # fmt: skip
+def test_bad_distributions_are_refused_by_file_and_parameter(tmp_path, law):
+    with pytest.raises(InputError, match=r"d\.xosc, parameter n"):
+        stochastic(tmp_path, law)
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("", "varies no parameter"),
+        ('<Deterministic><DeterministicMultiParameterDistribution/></Deterministic>', "must set the same parameters"),
+        (2 * '<Deterministic><DeterministicSingleParameterDistribution parameterName="a"><DistributionSet><Element '
+         'value="1"/></DistributionSet></DeterministicSingleParameterDistribution></Deterministic>', "a is varied twice"),
+        ('<Deterministic><DeterministicSingleParameterDistribution parameterName="a"><DistributionRange stepWidth="x">'
+         '<Range lowerLimit="0" upperLimit="1"/></DistributionRange></DeterministicSingleParameterDistribution>'
+         '</Deterministic>', "'x' is not a number"),
+    ],
+)  # fmt: skip
+def test_bad_files_are_refused(tmp_path, body, says):
+    path = tmp_path / "d.xosc"
+    path.write_text(distribution(body))
+    with pytest.raises(InputError, match=rf"d\.xosc.*{says}"):
+        ParameterSpace.from_file(path)
+
+
+@pytest.mark.parametrize("name", ["http://example.org/s.xosc", "file:///etc/passwd", ""])
+def test_scenarios_elsewhere_are_refused(tmp_path, name):
+    path = tmp_path / "d.xosc"
+    path.write_text(distribution("").replace("s.xosc", name))
+    with pytest.raises(InputError, match="local file"):
+        ParameterSpace.scenario_file(path)
+
+
+def test_ranges_add_and_replace_and_keep_the_unit():
+    space = ParameterSpace.from_file(EXAMPLES / "x_intersection" / "x_intersection.space.xosc")
+    name = space.names[0]
+    merged = space.with_ranges([f"{name}=1:2", "new=0:1"])
+    assert merged.names == (*space.names, "new")
+    assert (merged.parameters[0].low, merged.parameters[0].high, merged.parameters[0].unit) == (1, 2, "m")
+    assert space.with_ranges([]).parameters == space.parameters
+    with pytest.raises(InputError, match="a is varied twice"):
+        ParameterSpace.from_ranges(["a=0:1", "a=0:2"])
+
+
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
+
+
+@pytest.mark.skipif(not REFERENCE.is_dir(), reason="the published scenarios are not beside the checkout")
+@pytest.mark.parametrize(
+    ("file", "size"),
+    [
+        ("alks/logical_scenarios/alks_scenario_4_1_1_free_driving_variation.xosc", 12),
+        ("ncap/OpenSCENARIO/NCAP/AEB_VRU_2023/Variations/NCAP_AEB_VRU_CPNA-25_Variation_2023.xosc", 11),
+    ],
+)
+def test_published_variations_are_read(file, size):
+    space = ParameterSpace.from_file(REFERENCE / file)
+    assert space.size == size
+    assert len({tuple(one.items()) for one in space.values(space.lattice())}) == size
+    assert ParameterSpace.scenario_file(REFERENCE / file).is_file()
+
+
+def test_endless_files_are_refused():
+    with pytest.raises(InputError, match="not a file"):
+        read_xml("/dev/zero")
+
+
+@pytest.mark.parametrize("name", ["content", "attribute", "default", "external"])
+def test_entities_are_never_expanded(tmp_path, name):
+    entities = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10}">' for i in range(1, 12))
+    inner = f'[<!ENTITY e0 "lol">{entities}<!ATTLIST b c CDATA "&e11;">]'
+    path = tmp_path / "bomb.xosc"
+    path.write_text(
+        {
+            "content": f"<!DOCTYPE a {inner}><a>&e11;</a>",
+            "attribute": f'<!DOCTYPE a {inner}><a d="&e11;"/>',
+            "default": f"<!DOCTYPE a {inner}><a><b/></a>",
+            "external": '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]><a>&x;</a>',
+        }[name]
+    )
+    with pytest.raises(InputError, match=r"bomb\.xosc"):
+        read_xml(path)

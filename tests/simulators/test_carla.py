@@ -1,0 +1,577 @@
+"""The CARLA adapter against a stand-in that speaks CARLA's protocol: the protocol only, no CARLA.
+
+With CARLA_HOST set to a host or host:port, the tests of runs use the CARLA that listens there instead.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import os
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+from lxml import etree
+
+from command_line import cornercase
+from conftest import AXLES
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.recordings import Collision
+from cornercase.scenario import ConcreteScenario, Scenario, read_xml
+from cornercase.simulators import CarlaSimulator, WorkerSimulator, write_scenario_runner
+from cornercase.simulators.carla import dialect
+from cornercase.simulators.hosts import address
+from cornercase.study import Study
+
+carla = pytest.importorskip("carla", reason="the extra 'carla' is not installed")
+
+HERE = Path(__file__).parents[1]
+EXAMPLES = HERE.parent / "examples"
+T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
+ROAD = T.with_suffix(".xodr")
+RUNNER = HERE / "fake_scenario_runner"
+REAL = os.environ.get("CARLA_HOST", "")
+STUB_ONLY = pytest.mark.skipif(bool(REAL), reason="what goes wrong is made by the stand-in")
+COUNT = itertools.count(os.getpid() % 250)
+# A real car is not at its speed at once.
+NEAR = 3.0 if REAL else 0.3
+
+
+class Served:
+    """A stand-in that runs in a process of its own, since its client may abort."""
+
+    def __init__(self, *wrong):
+        self.host, self.port = "localhost", free_port()
+        if REAL:
+            self.host, _, port = REAL.partition(":")
+            self.port = int(port or 2000)
+            return
+        command = [sys.executable, HERE / "carla_server.py", str(self.port), ROAD, *wrong]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert self._process.stdout.readline() == b"ready\n"
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if not REAL:
+            self._process.kill()
+            self._process.wait()
+            self._process.stdin.close()
+            self._process.stdout.close()
+
+
+def free_port():
+    """A port with the next one free, too, which no other process of the tests takes."""
+    part = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+    for _ in range(250):
+        port = 21000 + 500 * part + 2 * (next(COUNT) % 250)
+        with suppress(OSError):
+            for one in (port, port + 1):
+                socket.create_server(("127.0.0.1", one)).close()
+            return port
+    raise OSError("no port is free")
+
+
+def options(server, **more):
+    return {
+        "hosts": server.host, "port": server.port, "scenario_runner": str(RUNNER), "python": sys.executable,
+        "patience": 20.0 if REAL else 3.0,
+    } | more  # fmt: skip
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    """Ego goes east at 10 m/s, C stands on its way 40 m ahead, a walker crosses behind it."""
+
+    def vehicle(name):
+        return f"""<ScenarioObject name="{name}"><Vehicle name="car" vehicleCategory="car"><ParameterDeclarations/>
+<Performance maxSpeed="60" maxAcceleration="9" maxDeceleration="9"/><BoundingBox><Center x="1.4" y="0" z="0.7"/>
+<Dimensions length="4" width="2" height="1.5"/></BoundingBox><Axles>{AXLES}</Axles><Properties/></Vehicle>
+</ScenarioObject>"""
+
+    def at(name, x, y, h, speed):
+        return f"""<Private entityRef="{name}"><PrivateAction><TeleportAction><Position><WorldPosition x="{x}" y="{y}"
+h="{h}"/></Position></TeleportAction></PrivateAction><PrivateAction><LongitudinalAction><SpeedAction><SpeedActionDynamics
+dynamicsShape="step" dynamicsDimension="time" value="0"/><SpeedActionTarget><AbsoluteTargetSpeed value="{speed}"/>
+</SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction></Private>"""
+
+    path = tmp_path / "straight.xosc"
+    path.write_text(f"""<?xml version="1.0"?>
+<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-11-21T00:00:00" author="" description="CARLA:straight"/>
+<ParameterDeclarations><ParameterDeclaration name="gap" parameterType="double" value="40"/>
+<ParameterDeclaration name="end" parameterType="double" value="6"/></ParameterDeclarations><CatalogLocations/>
+<RoadNetwork><LogicFile filepath="road.xodr"/></RoadNetwork><Entities>{vehicle("Ego")}{vehicle("C")}
+<ScenarioObject name="Walker"><Pedestrian name="w" mass="80" pedestrianCategory="pedestrian"><ParameterDeclarations/>
+<BoundingBox><Center x="0" y="0" z="0.9"/><Dimensions length="0.5" width="0.6" height="1.8"/></BoundingBox><Properties/>
+</Pedestrian></ScenarioObject></Entities><Storyboard><Init><Actions>{at("Ego", -80, -1.75, 0, 10)}
+{at("C", "${-80 + $gap}", -1.75, 0, 0)}{at("Walker", -95, -8, 1.5707963, 1.5)}</Actions></Init>
+<Story name="s"><ParameterDeclarations/><Act name="a"><ManeuverGroup name="g" maximumExecutionCount="1"><Actors
+selectTriggeringEntities="false"/></ManeuverGroup><StartTrigger/></Act></Story><StopTrigger><ConditionGroup>
+<Condition name="end" delay="0" conditionEdge="none"><ByValueCondition><SimulationTimeCondition value="$end"
+rule="greaterThan"/></ByValueCondition></Condition></ConditionGroup></StopTrigger></Storyboard></OpenSCENARIO>""")
+    (tmp_path / "road.xodr").write_bytes(ROAD.read_bytes())
+    return path
+
+
+def run(server, scenario, values=None, **more):
+    (found,) = CarlaSimulator(**options(server, **more)).run([ConcreteScenario(scenario, values or {})])
+    return found
+
+
+def test_motion_is_in_the_axes_of_the_scenario_and_collisions_go_on(scenario):
+    with Served() as server:
+        found = run(server, scenario)
+    assert found.names == ("Ego", "C", "Walker")
+    assert found.kinds == ("car", "car", "pedestrian")
+    assert 5.8 <= found.time[-1] <= 6.2
+    np.testing.assert_allclose(np.diff(found.time), 0.05, atol=1e-12)
+    still = found.x[0] < -79.9
+    begun = found.time - found.time[still][-1]
+    assert np.abs(found.x[0] - (-80 + 10 * begun))[~still].max() < NEAR
+    assert np.abs(found.y[0] + 1.75).max() < NEAR
+    assert np.abs(found.speed[0][found.time > 1.0] - 10).max() < NEAR
+    assert np.abs(found.x[1] + 40).max() < NEAR
+    # To the left of who goes east, as in the scenario and not as in CARLA.
+    assert found.y[2][-1] - found.y[2][0] == pytest.approx(1.5 * (6.0 - found.time[still][-1]), abs=NEAR)
+    assert found.heading[2][-1] == pytest.approx(np.pi / 2, abs=0.05)
+    if not REAL:
+        np.testing.assert_allclose(found.length, [4.8, 4.8, 0.4], rtol=1e-6)
+        np.testing.assert_allclose(found.width, [2.0, 2.0, 0.4], rtol=1e-6)
+    (collision,) = found.collisions
+    assert collision.entities == ("Ego", "C")
+    assert collision.time in found.time
+
+
+def test_a_collision_or_the_duration_may_end_the_run(scenario):
+    with Served() as server:
+        stopped = run(server, scenario, on_collision="stop")
+        assert [one.entities for one in stopped.collisions] == [("Ego", "C")]
+        assert stopped.time[-1] == stopped.collisions[0].time < 5.0
+        short = run(server, scenario, {"end": 50.0}, duration=2.0)
+        assert short.time[-1] == pytest.approx(2.0)
+        assert short.collisions == ()
+
+
+def test_the_recorders_file_tells_the_same(scenario, tmp_path):
+    with Served() as server:
+        one = run(server, scenario)
+        other = run(server, scenario, record="recorder", folder=str(tmp_path / "kept"))
+    assert other.names == one.names
+    assert other.kinds == one.kinds
+    shared = min(one.time.size, other.time.size) - 5
+    later = np.argmin(np.abs(one.x[0] - other.x[0][60]))
+    ours, theirs = one.x[0][later : later + shared - 60], other.x[0][60:shared]
+    np.testing.assert_allclose(ours[: theirs.size], theirs[: ours.size], atol=NEAR / 10)
+    assert [c.entities for c in other.collisions] == [("Ego", "C")]
+    (kept,) = (tmp_path / "kept").iterdir()
+    assert {"cornercase.xosc", "cornercase.log", "scenario_runner.log"} <= {file.name for file in kept.iterdir()}
+
+
+def test_the_recorders_file_is_cut_as_well(scenario, tmp_path):
+    with Served() as server:
+        found = run(server, scenario, record="recorder", on_collision="stop")
+    assert found.time[-1] == found.collisions[0].time
+
+
+def test_one_server_runs_many_and_is_left_as_it_was(scenario):
+    with Served() as server:
+        simulator = CarlaSimulator(**options(server))
+        found = list(simulator.run([ConcreteScenario(scenario, {"gap": gap, "end": 1.0}) for gap in (20.0, 30.0)]))
+        assert [round(one.x[1][-1]) for one in found] == [-60, -50]
+        world = carla.Client(server.host, server.port).get_world()
+        assert not world.get_settings().synchronous_mode
+        assert not [one for one in world.get_actors() if one.type_id.startswith(("vehicle", "walker", "sensor"))]
+
+
+def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(scenario):
+    town = scenario.with_name("town.xosc")
+    town.write_text(scenario.read_text().replace("road.xodr", "Town02"))
+    with Served() as server:
+        for path, name in ((town, "Town02"), (scenario, "OpenDriveMap"), (town, "Town02")):
+            assert run(server, path, {"end": 0.5}).names == ("Ego", "C", "Walker")
+            # A new one, as clients keep the map that they know.
+            assert carla.Client(server.host, server.port).get_world().get_map().name.endswith(name)
+
+
+@STUB_ONLY
+@pytest.mark.parametrize(
+    ("wrong", "runner", "words"),
+    [
+        ("", "cannot load", "did not run it to the end: KeyError: 'Ego'"),
+        ("", "fails at the end", "RuntimeError: a storyboard that is none"),
+        ("die-at=150", "", "time-out of 3000ms"),
+        ("lose=150", "", "time-out of 3000ms"),
+        ("half=get_map_data", "", "time-out of 3000ms"),
+        ("silent=spawn_actor", "", "time-out of 3000ms"),
+    ],
+)
+def test_what_goes_wrong_is_one_error_and_only_the_simulators_is_tried_again(
+    scenario, monkeypatch, wrong, runner, words
+):
+    monkeypatch.setenv("FAKE_RUNNER", runner)
+    # In a process of its own, as always: CARLA's client may abort when its server dies.
+    with Served(*filter(None, [wrong])) as server:
+        simulator = WorkerSimulator("carla", options(server), retries=0)
+        try:
+            (found,) = simulator.run([ConcreteScenario(scenario, {})])
+        finally:
+            simulator.close()
+    assert isinstance(found, SimulationError)
+    assert words in str(found)
+    assert str(found).endswith("tried once") == bool(wrong)
+    assert "\n" not in str(found)
+
+
+@STUB_ONLY
+def test_nobody_who_listens_and_another_version_are_said(scenario):
+    nobody = SimpleNamespace(host="localhost", port=free_port())
+    with pytest.raises(
+        InputError, match=rf"No CARLA answers on localhost:{nobody.port} .*-carla-rpc-port={nobody.port}"
+    ):
+        run(nobody, scenario, patience=0.5)
+    with Served("version=0.9.15") as server, pytest.raises(InputError, match=r"version 0.9.15.*carla==0.9.15"):
+        run(server, scenario)
+
+
+@STUB_ONLY
+def test_a_client_that_aborts_costs_the_scenario_alone(scenario):
+    with Served("cut-at=150") as server:
+        simulator = WorkerSimulator("carla", options(server), retries=0)
+        values = [{"end": 3.0}, {"end": 0.5}]
+        try:
+            broken, well = simulator.run([ConcreteScenario(scenario, one) for one in values])
+        finally:
+            simulator.close()
+    assert str(broken) == "the simulator's process was ended by SIGABRT, tried once"
+    assert well.time[-1] == pytest.approx(0.5, abs=0.2)
+
+
+@STUB_ONLY
+def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monkeypatch):
+    monkeypatch.setenv("FAKE_RUNNER", "hang")
+    with Served() as server:
+        simulator = WorkerSimulator("carla", options(server, patience=60.0), timeout=4.0, retries=0)
+        try:
+            (found,) = simulator.run([ConcreteScenario(scenario, {})])
+        finally:
+            simulator.close()
+        assert str(found) == "the simulator did not end within 4 s, tried once"
+        time.sleep(0.2)
+        listed = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+        assert f"--port {server.port}" not in listed
+        monkeypatch.setenv("FAKE_RUNNER", "")
+        # What it left behind is cleared away before the next.
+        assert run(server, scenario, {"end": 1.0}).names == ("Ego", "C", "Walker")
+
+
+def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
+    with Served() as server:
+        given = ",".join(f"{name}={value}" for name, value in options(server).items())
+        command = (
+            "explore", scenario, "--range", "gap=15:35", "--ego", "Ego", "--other", "C", "--metric", "ttc",
+            "--optimizer", "sobol", "--budget", 3, "--repeats", 2, "--duration", 2, "--simulator", f"carla:{given}",
+            "-o", tmp_path / "study.db",
+        )  # fmt: skip
+        done = cornercase(*command)
+    assert done.returncode == 0, done.stderr
+    with Study.open(tmp_path / "study.db") as study:
+        assert len(study.done()) == 3
+        assert study.spread("ttc").shape == (3, 2)
+        # On another server the same command goes on.
+        with Served() as other:
+            given = ",".join(f"{name}={value}" for name, value in options(other).items())
+            again = [f"carla:{given}" if str(one).startswith("carla:") else one for one in command]
+            again[again.index("--budget") + 1] = 4
+            study.close()
+            done = cornercase(*again)
+            assert done.returncode == 0, done.stderr
+            assert done.stdout.startswith("4 scenarios")
+        assert study.meta["settings"]["carla"] == carla.Client("localhost", 1).get_client_version()
+
+
+def test_what_carla_cannot_do_is_refused_before_there_is_a_study(tmp_path):
+    done = cornercase(
+        "explore", T, "--range", "c_start_time=0:5", "--ego", "Ego", "--other", "C", "--metric", "ttc",
+        "--simulator", f"carla:scenario_runner={RUNNER}", "-o", tmp_path / "study.db",
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "'C' asks for the driver 'simple', which CARLA does not have" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_it_is_listed_with_what_it_needs(monkeypatch):
+    monkeypatch.delenv("SCENARIO_RUNNER_ROOT", raising=False)
+    assert "set SCENARIO_RUNNER_ROOT to its folder" in CarlaSimulator.availability().missing
+    monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(RUNNER))
+    found = CarlaSimulator.availability()
+    assert found.missing == ""
+    assert "not deterministic" in found.abilities
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"scenario_runner": "nowhere"}, "nowhere: holds no scenario_runner.py"),
+        ({"drivers": {"Ego": "agressive"}}, "did you mean 'aggressive'"),
+        ({"record": "clinet"}, "did you mean 'client'"),
+        ({"agent": "agent.py"}, "agent=agent.py: there is no such file"),
+        ({"hosts": "a:b"}, "'a:b' is no host; write it as host or host:port"),
+        ({"port": 70000}, "give a host, and a port from 1 to 65535"),
+        ({"patience": 0.0}, "give a time above 0 s"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(given, words):
+    with pytest.raises(InputError) as caught:
+        CarlaSimulator(**{"scenario_runner": str(RUNNER)} | given)
+    assert words in str(caught.value)
+
+
+def test_workers_share_hosts_and_ports():
+    assert [address("a", 2000, k, 4) for k in range(3)] == [("a", 2000), ("a", 2004), ("a", 2008)]
+    found = [address("a+b:3000", 2000, k, 4) for k in range(4)]
+    assert found == [("a", 2000), ("b", 3000), ("a", 2004), ("b", 3004)]
+
+
+# What ScenarioRunner finds in the file
+
+
+def adapted(tmp_path, path=T, ego="Ego", behaviors=None, agent=None):
+    scenario = Scenario.read(path)
+    write_scenario_runner(
+        scenario, {}, tmp_path / "one.xosc", ego=ego,
+        adapt=lambda root: dialect.adapt(root, scenario.path, ego, behaviors or {}, agent, None),
+    )  # fmt: skip
+    return read_xml(tmp_path / "one.xosc")
+
+
+def controllers(root):
+    return {
+        private.get("entityRef"): {p.get("name"): p.get("value") for p in private.iterfind(".//Controller//Property")}
+        for private in root.iterfind("Storyboard/Init/Actions/Private")
+        if private.find(".//Controller") is not None
+    }
+
+
+def test_a_behaviour_agent_gets_the_entitys_route(tmp_path):
+    pytest.importorskip("qc_openscenario")
+    root = adapted(tmp_path, behaviors={"Ego": "cautious"})
+    found = controllers(root)
+    assert found["Ego"]["module"] == "cornercase_driver.py"
+    assert found["Ego"]["behavior"] == "cautious"
+    original = read_xml(T).find(".//Private[@entityRef='Ego']")
+    assert len(etree.fromstring(found["Ego"]["route"])) == len(original.findall(".//Waypoint"))
+    # Who has none follows its route at the storyboard's speed.
+    assert "behavior" not in found["C"]
+    assert root.find(".//Init//AssignRouteAction") is None
+    assert root.find("FileHeader").get("description") == "cornercase"
+    own = controllers(adapted(tmp_path, agent=Path("/agents/my_agent.py")))
+    assert own["Ego"]["agent"] == "/agents/my_agent.py"
+    assert own["Ego"]["route"] == found["Ego"]["route"]
+
+
+def test_code_that_a_scenario_names_is_not_run(tmp_path, scenario):
+    path = tmp_path / "bad.xosc"
+    action = '<Property name="module" value="/tmp/evil.py"/>'
+    path.write_text(scenario.read_text().replace("<Properties/>", f"<Properties>{action}</Properties>", 1))
+    with pytest.raises(InputError, match=r"names the module '/tmp/evil.py'; code that a scenario names is not run"):
+        adapted(tmp_path, path)
+
+
+def test_a_behaviour_agent_without_a_route_and_other_drivers_are_refused(tmp_path, scenario):
+    with pytest.raises(InputError, match=r"'Ego' needs a route for CARLA's behaviour agent"):
+        adapted(tmp_path, scenario, behaviors={"Ego": "normal"})
+    simulator = CarlaSimulator(scenario_runner=str(RUNNER), port=free_port())
+    with pytest.raises(InputError, match=r"'C' asks for the driver 'simple', which CARLA does not have.*undriven=true"):
+        list(simulator.run([ConcreteScenario(T, {})]))
+
+
+def test_a_vehicle_that_carla_does_not_have_is_refused(scenario):
+    scenario.write_text(scenario.read_text().replace('vehicleCategory="car"', 'vehicleCategory="tram"', 1))
+    simulator = CarlaSimulator(scenario_runner=str(RUNNER), port=free_port())
+    with pytest.raises(InputError, match=r"'Ego' is a tram, which CARLA does not have"):
+        list(simulator.run([ConcreteScenario(scenario, {})]))
+
+
+# What drives on ScenarioRunner's side, with all that it would find there replaced
+
+
+class Control:
+    def __init__(self, actor):
+        self._actor, self._local_planner, self._target_speed, self._init_speed = actor, Planner(), 8.0, True
+        self._reached_goal = False
+
+    def reset(self):
+        self._actor = None
+
+    def run_step(self):
+        self._actor.did.append("storyboard")
+
+
+class Planner:
+    plan = None
+
+    def set_global_plan(self, plan):
+        self.plan = plan
+
+
+class Agent(Planner):
+    steps = 2
+
+    def __init__(self, actor, behavior):
+        self.behavior = behavior
+
+    def done(self):
+        return self.steps == 0
+
+    def run_step(self):
+        self.steps -= 1
+        return "control"
+
+
+class Wrapper:
+    def __init__(self, agent):
+        self.agent = agent
+
+    def setup_sensors(self, actor):
+        self.agent.said.append("sensors")
+
+    def cleanup(self):
+        self.agent.said.append("cleanup")
+
+    def __call__(self):
+        return "own control"
+
+
+class Router:
+    def trace_route(self, here, there):
+        road_map = carla.Map("road", ROAD.read_text())
+        return [(road_map.get_waypoint(one), "lane") for one in (here, there)]
+
+
+@pytest.fixture
+def driver(monkeypatch):
+    def module(name, **content):
+        made = ModuleType(name)
+        vars(made).update(content)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    road_map = carla.Map("road", ROAD.read_text())
+    provider = SimpleNamespace(
+        get_map=lambda: road_map, get_global_route_planner=Router, get_location=lambda actor: actor.get_location()
+    )
+
+    def position(element):
+        return carla.Transform(carla.Location(float(element.get("x")), float(element.get("y")), 0.0))
+
+    for package in ("agents", "agents.navigation", "srunner", "srunner.tools", "srunner.scenariomanager"):
+        module(package)
+    module("srunner.scenariomanager.actorcontrols")
+    module("srunner.autoagents")
+    module("srunner.autoagents.agent_wrapper", AgentWrapper=Wrapper)
+    module("srunner.tools.route_manipulation", interpolate_trajectory=lambda way: ([len(way)], way))
+    module("agents.navigation.behavior_agent", BehaviorAgent=Agent)
+    module("agents.navigation.local_planner", RoadOption=SimpleNamespace(LANEFOLLOW="follow"))
+    module("srunner.scenariomanager.actorcontrols.npc_vehicle_control", NpcVehicleControl=Control)
+    module("srunner.scenariomanager.carla_data_provider", CarlaDataProvider=provider)
+    module(
+        "srunner.tools.openscenario_parser",
+        OpenScenarioParser=SimpleNamespace(convert_position_to_transform=position),
+    )
+    spec = importlib.util.spec_from_file_location("cornercase_driver", dialect.DRIVER)
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded.CornercaseDriver
+
+
+class Vehicle:
+    is_alive = True
+
+    def __init__(self):
+        self.did = []
+
+    def get_location(self):
+        return carla.Location(-60.0, 1.75, 0.0)
+
+    def get_transform(self):
+        return carla.Transform(self.get_location())
+
+    def set_target_velocity(self, velocity):
+        self.did.append(("speed", velocity.x))
+
+    def apply_control(self, control):
+        self.did.append("brake" if getattr(control, "brake", 0.0) == 1.0 else control)
+
+
+ROUTE = '<route><Position x="-60" y="1.75"/><Position x="-20" y="1.75"/></route>'
+
+
+def test_the_driver_follows_its_route_beyond_its_end_and_brakes_then(driver):
+    vehicle = Vehicle()
+    made = driver(vehicle, {"behavior": "aggressive", "route": ROUTE})
+    assert made._agent.behavior == "aggressive"
+    plan = [point.transform.location.x for point, _ in made._agent.plan]
+    # The position at which it stands is no part of the way.
+    assert plan[:2] == pytest.approx([-60.0, -20.0], abs=0.1)
+    assert plan[-1] > 20.0
+    for _ in range(4):
+        made.run_step()
+    assert vehicle.did == [("speed", 8.0), "control", "control", "brake", "brake"]
+    assert made._reached_goal
+
+
+def test_without_a_behaviour_the_storyboard_sets_the_speed(driver):
+    vehicle = Vehicle()
+    made = driver(vehicle, {"route": ROUTE})
+    made.run_step()
+    assert vehicle.did == ["storyboard"]
+    assert len(made._local_planner.plan) > 2
+    assert driver(Vehicle())._local_planner.plan is None
+
+
+def test_an_agent_of_ones_own_gets_the_route_and_is_closed(driver, tmp_path, monkeypatch):
+    (tmp_path / "my_own_agent.py").write_text(
+        "class MyOwnAgent:\n"
+        "    def __init__(self, config): self.said = [config]\n"
+        "    def set_global_plan(self, gps, world): self.said.append((gps, world))\n"
+        "    def destroy(self): self.said.append('destroyed')\n"
+    )
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    vehicle = Vehicle()
+    made = driver(vehicle, {"agent": str(tmp_path / "my_own_agent.py"), "agent_config": "c.json", "route": ROUTE})
+    agent = made._agent._agent
+    made.run_step()
+    assert vehicle.did == [("speed", 8.0), "own control"]
+    made.reset()
+    config, (gps, world), *rest = agent.said
+    assert (config, gps, rest) == ("c.json", [3], ["sensors", "cleanup", "destroyed"])
+    assert [round(one.x) for one in world] == [-60, -60, -20]
+
+
+def test_a_log_of_carlas_recorder_tells_collisions(tmp_path):
+    from carla_server import Actor, Log
+    from cornercase.recordings import read_recording
+
+    one, other = (
+        Actor(k, [1, "vehicle.tesla.model3", [["role_name", 4, role]]], [[x, 0.0, 0.0], [0.0] * 3])
+        for k, role, x in ((7, "hero", 0.0), (8, "other", 9.0))
+    )
+    one.throw([10.0, 0.0, 0.0])
+    log = Log(tmp_path / "r.log")
+    log.added(one)
+    log.added(other)
+    for frame in range(20):
+        one.move(0.05)
+        if frame in (8, 9):
+            log.touch(8, 7)
+        log.frame(frame, 0.05, {7: one, 8: other})
+    log.close()
+    found = read_recording(tmp_path / "r.log")
+    assert found.collisions == (Collision(found.time[8], ("hero", "other")),)

@@ -1,0 +1,201 @@
+"""esmini as a simulator: with the real library where ``CORNERCASE_ESMINI`` names it, and what can be told without."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import cornercase
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import SIMULATORS, EsminiSimulator, WorkerSimulator
+
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
+T = Path(__file__).parents[2] / "examples" / "t_intersection" / "t_intersection.xosc"
+LIBRARY = os.environ.get("CORNERCASE_ESMINI", "")
+needs_library = pytest.mark.skipif(not Path(LIBRARY).is_file(), reason="CORNERCASE_ESMINI names no library")
+
+
+def expected(path):
+    """Rows of each entity: time, x, y, heading, speed."""
+    rows: dict[str, list[list[float]]] = {}
+    with open(path, newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            values = [float(row[key] or "nan") for key in ("time", "x", "y", "heading", "speed")]
+            track = rows.setdefault(row["entity"], [])
+            # The step in which the storyboard stops is written too, at the time of the one before.
+            if not track or values[0] > track[-1][0]:
+                track.append(values)
+    return {name: np.array(track) for name, track in rows.items()}
+
+
+def cases():
+    index = REFERENCE / "index.json"
+    return json.loads(index.read_text()) if index.is_file() else []
+
+
+@needs_library
+@pytest.mark.skipif(not cases(), reason="the expected recordings are not beside the checkout")
+def test_it_gives_the_recordings_that_are_known_to_the_last_digit():
+    simulator = WorkerSimulator(
+        "esmini:controllers=false", {"time_step": 0.05, "duration": 120.0, "undriven": True}, timeout=60.0
+    )
+    known = [(case, expected(REFERENCE / "expected" / case["expected"])) for case in cases()]
+    concretes = [ConcreteScenario(REFERENCE / case["scenario"], case["parameters"]) for case, _ in known]
+    found = list(simulator.run(concretes))
+    simulator.close()
+    wrong = []
+    for (case, tracks), recording in zip(known, found, strict=True):
+        if isinstance(recording, SimulationError) or not all(same(recording, *one) for one in tracks.items()):
+            wrong.append(case["expected"])
+    assert wrong == []
+    assert len(known) >= 90
+
+
+def same(recording, name, rows):
+    if name not in recording.names:
+        return False
+    k, at = recording.names.index(name), np.round(rows[:, 0] / 0.05).astype(int)
+    if at[-1] >= recording.time.size:
+        return False
+    got = np.stack([recording.x[k, at], recording.y[k, at], recording.heading[k, at], recording.speed[k, at]], axis=1)
+    # Six digits were printed.
+    digit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(rows[:, 1:]), 1e-5))) - 5)
+    return bool((np.abs(got - rows[:, 1:]) <= 0.51 * digit + 1e-9).all())
+
+
+@needs_library
+def test_parameters_collisions_and_the_same_again():
+    pedestrian = REFERENCE / "esmini" / "resources" / "xosc" / "pedestrian_collision.xosc"
+    if not pedestrian.is_file():
+        pytest.skip("the scenario is not beside the checkout")
+    simulator = EsminiSimulator(controllers=False)
+    first, again = simulator.run([ConcreteScenario(pedestrian, {})] * 2)
+    np.testing.assert_array_equal(first.x, again.x)
+    assert first.collisions == again.collisions
+    assert len(first.collisions) == 1
+    (stopped,) = EsminiSimulator(controllers=False, on_collision="stop").run([ConcreteScenario(pedestrian, {})])
+    assert stopped.time[-1] == pytest.approx(first.collisions[0].time)
+    (slow,) = EsminiSimulator(undriven=True).run([ConcreteScenario(T, {"ego_speed": 3.0})])
+    assert slow.speed[slow.names.index("Ego")].max() == pytest.approx(3.0)
+    (wrong,) = EsminiSimulator(undriven=True).run([ConcreteScenario(T, {"no_such": 3.0})])
+    assert str(wrong) == "esmini does not take the parameter no_such"
+
+
+@needs_library
+def test_explores(tmp_path):
+    done = cornercase(
+        "explore", T, "--range", "ego_speed=5:12", "--range", "c_speed=5:12", "--ego", "Ego", "--other", "C", "--metric",
+        "ttc", "--simulator", "esmini:undriven=true", "--optimizer", "sobol", "--budget", "8", "--workers", "2",
+        "-o", tmp_path / "s.db",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "8 scenarios" in done.stdout
+    assert "[info]" not in done.stdout + done.stderr
+
+
+@needs_library
+def test_who_asks_for_a_driver_of_cornercase_is_refused_before_the_run():
+    with pytest.raises(InputError, match="'Ego' asks for the driver 'normal', which esmini does not have"):
+        list(EsminiSimulator().run([ConcreteScenario(T, {})]))
+
+
+# A library that tells of one car; ``MORE`` makes its states longer, as those of another version are.
+STUB = r"""
+#include <string.h>
+typedef struct { int id, model, ctrl; double t0, x, y, z, h, p, r; unsigned road, junction; double t; int lane;
+  double offset, s, speed, cx, cy, cz, width, length, height; int kind, category; double wa, wr; int visible;
+#ifdef MORE
+  double more[4];
+#endif
+} State;
+static int step; static double speed = 5; static void (*callback)(void *); static void *user;
+int SE_Init(const char *f, int a, int b, int c, int d) { step = 0; speed = 5; if (callback) callback(user); callback = 0;
+  return strstr(f, "broken") ? -1 : 0; }
+int SE_StepDT(double dt) { step++; return 0; }
+void SE_Close(void) {}
+int SE_GetQuitFlag(void) { return step > 10; }
+int SE_GetNumberOfObjects(void) { return 1; }
+int SE_GetId(int k) { return 7; }
+const char *SE_GetObjectName(int k) { return "Ego"; }
+int SE_GetObjectState(int k, State *s) { memset(s, 0, sizeof *s); s->id = 7; s->x = speed * step * 0.05; s->h = 0.1;
+  s->speed = speed; s->cx = 1.4; s->width = 2; s->length = 5; s->kind = 1; s->category = 2; return 0; }
+int SE_GetObjectNumberOfCollisions(int k) { return 0; }
+int SE_GetObjectCollision(int k, int i) { return -1; }
+void SE_SetSeed(unsigned s) {}
+void SE_CollisionDetection(_Bool on) {}
+int SE_SetOptionPersistent(const char *o) { return 0; }
+void SE_RegisterParameterDeclarationCallback(void (*f)(void *), void *u) { callback = f; user = u; }
+int SE_SetParameterDouble(const char *n, double v) { if (strcmp(n, "ego_speed")) return -1; speed = v; return 0; }
+#ifndef LESS
+int SE_SetParameterString(const char *n, const char *v) { return -1; }
+int SE_SetParameterInt(const char *n, int v) { return -1; }
+int SE_SetParameterBool(const char *n, _Bool v) { return -1; }
+#endif
+"""
+
+
+@pytest.fixture(scope="module")
+def stub(tmp_path_factory):
+    """Makes a stand-in for the library, with words that the compiler defines."""
+    folder = tmp_path_factory.mktemp("stub")
+    (folder / "stub.c").write_text(STUB)
+
+    def build(*defined):
+        path = folder / ("_".join(["lib", *defined]) + ".so")
+        command = ["cc", "-shared", "-fPIC", *(f"-D{one}" for one in defined), folder / "stub.c", "-o", path]
+        try:
+            subprocess.run(command, check=True, capture_output=True)
+        except FileNotFoundError:
+            pytest.skip("there is no C compiler")
+        return str(path)
+
+    return build
+
+
+def test_the_interface_against_a_stand_in(stub):
+    simulator = EsminiSimulator(library=stub(), undriven=True)
+    fast, usual = simulator.run([ConcreteScenario(T, {"ego_speed": 8.0}), ConcreteScenario(T, {})])
+    assert fast.names == ("Ego",)
+    assert fast.kinds == ("truck",)
+    np.testing.assert_allclose(fast.time, np.arange(11) * 0.05)
+    np.testing.assert_allclose(fast.x[0], 8.0 * 0.05 * np.arange(11))
+    np.testing.assert_allclose(usual.speed[0], 5.0)
+    assert (fast.length[0], fast.width[0], fast.center_x[0]) == (5.0, 2.0, 1.4)
+
+
+def test_another_layout_and_missing_functions_are_refused(stub, tmp_path):
+    with pytest.raises(InputError, match=r"another layout than that of esmini 3\.6"):
+        list(EsminiSimulator(library=stub("MORE"), undriven=True).run([ConcreteScenario(T, {})]))
+    with pytest.raises(InputError, match="has no function SE_SetParameterString"):
+        list(EsminiSimulator(library=stub("LESS"), undriven=True).run([ConcreteScenario(T, {})]))
+    (tmp_path / "no.so").write_text("no library")
+    with pytest.raises(InputError, match=r"no\.so: cannot be loaded"):
+        list(EsminiSimulator(library=str(tmp_path / "no.so"), undriven=True).run([ConcreteScenario(T, {})]))
+    broken = tmp_path / "broken.xosc"
+    broken.write_text(T.read_text())
+    (failed,) = EsminiSimulator(library=stub(), undriven=True).run([ConcreteScenario(broken, {})])
+    assert "esmini cannot load the scenario" in str(failed)
+
+
+def test_refuses_in_one_sentence(monkeypatch, tmp_path):
+    monkeypatch.delenv("CORNERCASE_ESMINI", raising=False)
+    with pytest.raises(InputError, match=r"esmini's library is not known; download esmini"):
+        SIMULATORS.create("esmini")
+    with pytest.raises(InputError, match="no such file"):
+        EsminiSimulator(library=str(tmp_path / "none.so"))
+    with pytest.raises(InputError, match="no drivers of cornercase"):
+        EsminiSimulator(drivers={"Ego": "normal"})
+    assert "download esmini" in EsminiSimulator.availability().missing
+    done = subprocess.run(
+        [sys.executable, "-c", "from cornercase.cli import main; main()", "simulators"],
+        capture_output=True, text=True, env={**os.environ, "CORNERCASE_ESMINI": ""}, check=True,
+    )  # fmt: skip
+    assert "esmini" in done.stdout

@@ -1,0 +1,126 @@
+"""OpenSCENARIO 1.0 for CARLA's ScenarioRunner."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import cornercase
+from cornercase._common.errors import InputError
+from cornercase.scenario import ConcreteScenario, Scenario, read_xml
+from cornercase.simulators import BuiltinSimulator, write_scenario_runner
+
+pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
+T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
+
+
+def issues(path):
+    """What ASAM's checker finds."""
+    from qc_baselib import Configuration, Result
+    from qc_openscenario import constants
+    from qc_openscenario.main import run_checks
+
+    config, result = Configuration(), Result()
+    config.set_config_param("InputFile", str(path))
+    result.register_checker_bundle(
+        name=constants.BUNDLE_NAME, description="", version=constants.BUNDLE_VERSION, summary=""
+    )
+    result.set_result_version(version=constants.BUNDLE_VERSION)
+    run_checks(config, result)
+    return [issue.description for issue in result.get_issues_by_rule_uid("") or []] + [
+        issue.description for checker in result.get_checker_bundle_results()[0].checkers for issue in checker.issues
+    ]
+
+
+@pytest.mark.parametrize("path", [X, T])
+def test_asams_checker_finds_nothing_and_no_parameter_is_left(path, tmp_path):
+    target = tmp_path / "one.xosc"
+    write_scenario_runner(Scenario.read(path), {}, target, ego="Ego")
+    assert issues(target) == []
+    root = read_xml(target)
+    assert "$" not in target.read_text()
+    assert root.find("FileHeader").get("revMinor") == "0"
+    kinds = {
+        one.get("name"): one.find("Vehicle/Properties/Property[@name='type']").get("value")
+        for one in root.iterfind("Entities/ScenarioObject")
+        if one.find("Vehicle") is not None
+    }
+    assert kinds.pop("Ego") == "ego_vehicle"
+    assert set(kinds.values()) == {"simulation"}
+    assert (tmp_path / f"{path.stem}.xodr").exists()
+
+
+def test_the_checker_would_find_something(tmp_path):
+    target = tmp_path / "one.xosc"
+    write_scenario_runner(Scenario.read(X), {}, target, ego="Ego")
+    target.write_text(target.read_text().replace("<Storyboard>", "<Storyboard><Surprise/>", 1))
+    assert issues(target)
+
+
+def test_values_are_those_of_the_concrete_scenario_and_others_move_the_same(tmp_path):
+    values = {"pedestrian_wait": 5.0, "p1_speed": 6.0}
+    target = tmp_path / "one.xosc"
+    write_scenario_runner(Scenario.read(X), values, target, ego="Ego")
+    (before,) = BuiltinSimulator(duration=12.0).run([ConcreteScenario(X, values)])
+    (after,) = BuiltinSimulator(duration=12.0, drivers={"Ego": "normal"}).run([ConcreteScenario(target, {})])
+    shared = min(before.time.size, after.time.size)
+    for name in ("Truck", "C", "Pedestrian"):
+        k, j = before.names.index(name), after.names.index(name)
+        gap = np.hypot(before.x[k, :shared] - after.x[j, :shared], before.y[k, :shared] - after.y[j, :shared])
+        # A step later where a condition was "greater or equal".
+        assert gap.max() <= 0.07 * max(before.speed[k].max(), 1.0) + 1e-6
+
+
+def test_a_road_that_a_parameter_names_is_that_of_the_concrete_scenario(tmp_path):
+    path = tmp_path / "road.xosc"
+    declared = '<ParameterDeclaration name="Road" parameterType="string" value="nowhere.xodr"/>'
+    text = T.read_text().replace('filepath="t_intersection.xodr"', 'filepath="$Road"')
+    path.write_text(text.replace("<ParameterDeclarations>", f"<ParameterDeclarations>{declared}", 1))
+    (tmp_path / "other.xodr").write_bytes(T.with_suffix(".xodr").read_bytes())
+    write_scenario_runner(Scenario.read(path), {"Road": "other.xodr"}, tmp_path / "out" / "one.xosc", ego="Ego")
+    assert read_xml(tmp_path / "out" / "one.xosc").find("RoadNetwork/LogicFile").get("filepath") == "other.xodr"
+    assert (tmp_path / "out" / "other.xodr").exists()
+
+
+def test_what_is_not_the_same_is_said(tmp_path):
+    notes = write_scenario_runner(Scenario.read(T), {"c_speed": 9.0}, tmp_path / "t.xosc", ego="Ego")
+    assert any("C is driven by the storyboard alone, not by cornercase's driver 'simple'" in one for one in notes)
+    assert any("final speed of 9 m/s" in one for one in notes)
+    assert any("'greaterOrEqual' became 'greaterThan'" in one for one in notes)
+    final = read_xml(tmp_path / "t.xosc").find(".//SynchronizeAction/FinalSpeed/AbsoluteSpeed")
+    assert final.get("value") == "9"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("<RoadNetwork>", "<VariableDeclarations/><RoadNetwork>", "cannot be said in OpenSCENARIO 1.0 (line"),
+        (
+            '<SimulationTimeCondition value="30" rule="greaterThan"/>',
+            '<SimulationTimeCondition value="30" rule="notEqualTo"/>', "'notEqualTo' cannot be said",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_said_is_refused_and_nothing_is_written(tmp_path, old, new, words):
+    path = tmp_path / "x_intersection.xosc"
+    path.write_text(X.read_text().replace(old, new))
+    (tmp_path / "x_intersection.xodr").write_bytes(X.with_suffix(".xodr").read_bytes())
+    with pytest.raises(InputError) as caught:
+        write_scenario_runner(Scenario.read(path), {}, tmp_path / "out" / "one.xosc", ego="Ego")
+    assert words in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command(tmp_path):
+    done = cornercase("convert", T, "--set", "c_start_time=1", "--ego", "Ego", "-o", tmp_path / "t.xosc")
+    assert done.returncode == 0, done.stderr
+    assert "not by cornercase's driver" in done.stderr
+    assert issues(tmp_path / "t.xosc") == []
+    done = cornercase("convert", T, "--set", "c_strat_time=1", "--ego", "Ego", "-o", tmp_path / "u.xosc")
+    assert done.returncode == 2
+    assert "did you mean 'c_start_time'" in done.stderr

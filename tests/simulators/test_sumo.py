@@ -1,0 +1,231 @@
+"""SUMO as a simulator; these run the real one."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import cornercase
+from cornercase._common.errors import InputError
+from cornercase.exploration import demonstration
+from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, availabilities
+from cornercase.simulators.sumo.network import sumo_network
+from cornercase.study import Study
+
+pytest.importorskip("libsumo", reason="SUMO comes with the extra 'sumo'")
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
+T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
+
+
+def run(path, values, kind=SumoSimulator, **options):
+    (found,) = kind(**options).run([ConcreteScenario(path, values)])
+    assert not isinstance(found, Exception), found
+    return found
+
+
+def of(recording, entity):
+    k = recording.names.index(entity)
+    return {name: getattr(recording, name)[k] for name in ("x", "y", "heading", "speed", "acceleration")}
+
+
+@pytest.mark.parametrize("kind", ["cautious", "normal", "aggressive"])
+def test_the_ego_drives_its_way_as_fast_as_it_is_asked_to(kind):
+    recording = run(T, {"c_start_time": 5.0}, drivers={"Ego": kind}, on_collision="stop")
+    ego = of(recording, "Ego")
+    assert (ego["x"][0], ego["y"][0]) == pytest.approx((1.75, -92.0), abs=0.05)
+    assert ego["speed"].max() <= 10.0 + 1e-6
+    steps = np.hypot(np.diff(ego["x"]), np.diff(ego["y"])) / 0.05
+    # Places and speeds are of one motion, also where the way bends and the rear axle cuts the corner.
+    assert np.abs(steps - 0.5 * (ego["speed"][1:] + ego["speed"][:-1])).max() < 1.0
+    assert np.abs(np.diff(np.unwrap(ego["heading"]))).max() < 0.1
+    if not recording.collisions:
+        # It has turned right and arrived.
+        assert ego["heading"][-1] == pytest.approx(0.0, abs=0.05)
+        assert ego["y"][-1] == pytest.approx(-1.75, abs=0.1)
+
+
+def test_tempers_differ():
+    ends = {kind: run(T, {"c_start_time": 5.0}, drivers={"Ego": kind}).time[-1] for kind in ("cautious", "aggressive")}
+    assert ends["aggressive"] < ends["cautious"] - 0.5
+
+
+def test_all_others_move_as_in_the_builtin_simulator():
+    values = {"ego_start": 40.0, "pedestrian_wait": 5.0, "p1_speed": 7.0}
+    ours, theirs = run(X, values), run(X, values, BuiltinSimulator)
+    shared = min(ours.time.size, theirs.time.size)
+    for name in ("Truck", "C", "Pedestrian"):
+        for key in ("x", "y", "heading", "speed"):
+            np.testing.assert_array_equal(of(ours, name)[key][:shared], of(theirs, name)[key][:shared])
+    assert ours.names == theirs.names
+    assert ours.kinds == theirs.kinds
+
+
+def test_the_ego_stops_for_a_pedestrian_in_its_lane_and_not_for_one_beside_the_road():
+    # The pedestrian steps out when the ego is not there yet, or after it has long passed.
+    early = of(run(X, {"ego_start": 20.0, "pedestrian_wait": 7.5}), "Ego")
+    late = of(run(X, {"ego_start": 20.0, "pedestrian_wait": 20.0}), "Ego")
+    assert early["speed"][20:].min() < 0.5
+    assert late["speed"][20:].min() > 3.0
+
+
+def test_a_driver_of_cornercase_drives_too():
+    values = {"c_start_time": 5.0}
+    builtin = of(run(T, values, BuiltinSimulator, drivers={"Ego": "simple"}), "Ego")
+    here = of(run(T, values, drivers={"Ego": "simple"}), "Ego")
+    np.testing.assert_array_equal(builtin["x"], here["x"])
+
+
+def test_the_same_gives_the_same_whatever_ran_before():
+    simulator = SumoSimulator(on_collision="stop")
+    concretes = [ConcreteScenario(T, {"c_start_time": c, "ego_sync_s": 12.0}) for c in (0.5, 3.0, 0.5)]
+    first, other, again = simulator.run(concretes)
+    np.testing.assert_array_equal(first.x, again.x)
+    np.testing.assert_array_equal(first.speed, again.speed)
+    assert first.collisions == again.collisions
+    assert not np.array_equal(first.x[:, : other.time.size], other.x[:, : first.time.size])
+
+
+def test_a_crash_ends_the_run_or_does_not():
+    space = demonstration("t-intersection").logical.space
+    rng = np.random.default_rng(0)
+    for values in space.values(space.snap(rng.random((40, space.dimension)))):
+        ended = run(T, values, on_collision="stop")
+        if ended.collisions:
+            break
+    assert ended.collisions[0].entities == ("Ego", "C")
+    assert ended.time[-1] == pytest.approx(ended.collisions[0].time, abs=0.051)
+
+
+def test_a_road_file_that_is_not_there_is_said(tmp_path):
+    path = tmp_path / "t.xosc"
+    path.write_text(T.read_text())
+    with pytest.raises(InputError, match=r"t_intersection.xodr: cannot be read \(No such file or directory\)"):
+        sumo_network(Scenario.read(path))
+
+
+def test_the_network_is_the_scenarios(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = sumo_network(Scenario.read(T))
+    assert first.name.endswith(".net.xml")
+    assert first.is_relative_to(tmp_path)
+    stamp = first.stat().st_mtime_ns
+    assert sumo_network(Scenario.read(T)) == first
+    assert first.stat().st_mtime_ns == stamp
+    given = tmp_path / "own.net.xml"
+    given.write_bytes(first.read_bytes())
+    assert sumo_network(Scenario.read(T), str(given)) == given
+    a, b = run(T, {}, network=str(given)), run(T, {})
+    np.testing.assert_array_equal(a.x, b.x)
+
+
+def test_refuses_in_one_sentence(tmp_path, monkeypatch):
+    with pytest.raises(InputError, match="no such network file"):
+        run(T, {}, network=str(tmp_path / "none.net.xml"))
+    with pytest.raises(InputError, match="seed of SUMO is -1"):
+        SumoSimulator(seed=-1)
+    with pytest.raises(InputError, match="did you mean 'aggressive'"):
+        run(T, {}, drivers={"Ego": "agressive"})
+    bare = tmp_path / "bare.xosc"
+    bare.write_text(X.read_text().replace('<LogicFile filepath="x_intersection.xodr"/>', ""))
+    with pytest.raises(InputError, match="no road network"):
+        run(bare, {})
+    broken = tmp_path / "broken.xosc"
+    broken.write_text(X.read_text().replace("x_intersection.xodr", "broken.xodr"))
+    (tmp_path / "broken.xodr").write_text("<OpenDRIVE><road")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with pytest.raises(InputError, match=r"broken.xodr: netconvert cannot convert it"):
+        run(broken, {})
+    assert not list((tmp_path / "cornercase" / "sumo").glob("*.net.xml"))
+    monkeypatch.setattr("cornercase.simulators.sumo.simulator.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"pip install 'cornercase\[sumo\]'"):
+        SIMULATORS.create("sumo")
+
+
+def test_the_list_says_what_is_here():
+    found = availabilities()
+    assert found["builtin"].missing == found["sumo"].missing == ""
+    assert found["sumo"].version
+    shown = cornercase("simulators")
+    assert shown.returncode == 0
+    assert "sumo" in shown.stdout
+    assert json.loads(cornercase("simulators", "--json").stdout)["sumo"]["missing"] == ""
+
+
+COMMON = [
+    "--ego", "Ego", "--other", "C", "--metric", "ttc", "--simulator", "sumo", "--on-collision", "stop",
+    "--space", EXAMPLES / "t_intersection" / "t_intersection.space.xosc", "--optimizer", "sobol",
+]  # fmt: skip
+
+
+def test_a_killed_worker_changes_nothing(tmp_path):
+    quiet, killed = tmp_path / "quiet.db", tmp_path / "killed.db"
+    assert cornercase("explore", T, *COMMON, "--budget", "12", "--workers", "2", "-o", quiet).returncode == 0
+    command = [
+        sys.executable,
+        "-c",
+        "from cornercase.cli import main; main()",
+        "explore",
+        T,
+        *COMMON,
+        "--budget",
+        "12",
+        "-o",
+        killed,
+    ]
+    with subprocess.Popen([str(one) for one in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        victim = None
+        while process.poll() is None and victim is None:
+            # Who is just beginning or ending has no such files.
+            with suppress(OSError):
+                for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
+                    if b"multiprocessing.spawn" in Path(f"/proc/{child}/cmdline").read_bytes():
+                        victim = int(child)
+        # Long enough for it to be at a scenario.
+        time.sleep(3.0)
+        os.kill(victim, signal.SIGKILL)
+        _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    with Study.open(quiet, readonly=True) as one, Study.open(killed, readonly=True) as other:
+        assert [row.id for row in other.done()] == list(range(1, 13))
+        assert other.failed() == []
+        np.testing.assert_array_equal(one.scores("ttc"), other.scores("ttc"))
+        np.testing.assert_array_equal(one.recording(5).x, other.recording(5).x)
+
+
+def test_the_t_intersection_from_end_to_end(tmp_path):
+    done = cornercase(
+        "demo", "t-intersection", "--simulator", "sumo", "--budget", "60", "--workers", "2", "-o", tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "report.html").exists()
+    with Study.open(tmp_path / "study.db", readonly=True) as study:
+        assert len(study.done()) == 60
+        info = study.analysis("ego-trajectory", "labels")[1]
+    crashed = "Ego and C collide"
+    homes = [one for one in info["profiles"] if crashed in one["outcomes"]]
+    assert len(homes) == 1
+    assert homes[0]["outcomes"] == {crashed: homes[0]["size"]}
+    assert homes[0]["size"] >= 5
+
+
+def test_the_x_intersection_from_end_to_end(tmp_path):
+    done = cornercase(
+        "demo", "x-intersection", "--simulator", "sumo", "--budget", "30", "--workers", "2", "-o", tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    with Study.open(tmp_path / "study.db", readonly=True) as study:
+        assert len(study.done()) == 30
+        assert study.meta["settings"]["sumo"]
+    assert len(list((tmp_path / "reduced").glob("*.xosc"))) == 3

@@ -1,0 +1,112 @@
+"""Studies of recordings that were made elsewhere."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import foreign_recordings as foreign
+from command_line import SPACE, X, cornercase
+from cornercase.study import Study
+
+EXPLORED = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc"]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A study of 40 scenarios, and its recordings as files with a table, as if they were another tool's."""
+    folder = tmp_path_factory.mktemp("elsewhere")
+    study = folder / "first.db"
+    done = cornercase("explore", X, "--space", SPACE, *EXPLORED, "--optimizer", "sobol", "--budget", "40", "-o", study)
+    assert done.returncode == 0, done.stderr
+    runs = folder / "runs"
+    runs.mkdir()
+    with Study.open(study, readonly=True) as opened:
+        rows = opened.done()
+        names = list(rows[0].values)
+        lines = [",".join(["file", *names, "kind"])]
+        for row in rows:
+            opened.recording(row.id).to_csv(runs / f"run{row.id}.csv")
+            kind = "early" if row.id % 2 else "late"
+            lines.append(",".join([f"run{row.id}.csv", *(str(row.values[name]) for name in names), kind]))
+    (runs / "parameters.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_clusters_and_reduces_what_others_ran(exported, tmp_path):
+    study = tmp_path / "s.db"
+    done = cornercase("import", exported / "runs", *EXPLORED, "-o", study)
+    assert done.returncode == 0, done.stderr
+    assert "40 scenarios" in done.stdout
+    with Study.open(study, readonly=True) as here, Study.open(exported / "first.db", readonly=True) as there:
+        np.testing.assert_allclose(here.scores("wttc"), there.scores("wttc"), atol=1e-5)
+        assert here.space.names == (*there.space.names, "kind")
+        assert here.space.parameters[-1].choices == ("early", "late")
+        assert here.points().min() >= 0.0
+        assert here.points().max() <= 1.0
+    for command in (["analyze", study], ["reduce", study, "-o", tmp_path / "reduced"], ["show", study]):
+        done = cornercase(*command)
+        assert done.returncode == 0, done.stderr
+    manifest = json.loads((tmp_path / "reduced" / "manifest.json").read_text())
+    assert manifest["kept"] == 4
+    assert all((exported / "runs" / one["file"]).is_file() for one in manifest["scenarios"])
+    assert [path.name for path in (tmp_path / "reduced").iterdir()] == ["manifest.json"]
+    done = cornercase("report", study, "-o", tmp_path / "r.html")
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_same_again_goes_on_and_something_else_is_refused(exported, tmp_path):
+    study = tmp_path / "s.db"
+    assert cornercase("import", exported / "runs", *EXPLORED, "-o", study).returncode == 0
+    before = study.read_bytes()
+    assert cornercase("import", exported / "runs", *EXPLORED, "-o", study).returncode == 0
+    with Study.open(study, readonly=True) as opened:
+        assert len(opened.done()) == 40
+    done = cornercase("import", exported / "runs", *EXPLORED[:-1], "ttc", "-o", study)
+    assert done.returncode == 2
+    assert "metrics differs" in done.stderr
+    assert len(before) > 1000
+
+
+def test_files_of_all_kinds_and_one_that_cannot_be_read(tmp_path):
+    foreign.esmini(tmp_path / "a.csv")
+    foreign.erg(tmp_path / "b.erg")
+    foreign.fcd(tmp_path / "c.xml")
+    (tmp_path / "d.erg").write_bytes((tmp_path / "b.erg").read_bytes()[:-5])
+    (tmp_path / "d.erg.info").write_text((tmp_path / "b.erg.info").read_text())
+    (tmp_path / "t.csv").write_text("file,v\na.csv,1\nb.erg,2\nc.xml,3\nd.erg,4\n")
+    done = cornercase(
+        "import", tmp_path, "--parameters", tmp_path / "t.csv", "--ego", "Ego", "--other", "Other", "--metric", "distance",
+        "-o", tmp_path / "s.db",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with Study.open(tmp_path / "s.db", readonly=True) as study:
+        assert [row.state for row in study.rows()] == ["done", "failed", "failed", "failed"]
+        errors = [row.error for row in study.failed()]
+    assert "Other" in errors[0]
+    assert "cut in the middle of record 41" in errors[2]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (None, "cannot be read"),
+        ("a,b\n1,2\n", "needs a header with 'file'"),
+        ("file\na.csv\nb.csv\n", "needs a header"),
+        ("file,v\na.csv,1\n", "at least 2"),
+        ("file,v\na.csv,1\nz.csv,2\n", "line 3: there is no file"),
+        ("file,v\na.csv,1\na.csv,2\n", "a second time"),
+        ("file,v\na.csv,1\na.csv\n", "line 3: has a field too many"),
+    ],
+)
+def test_tables_that_cannot_be_used(tmp_path, table, words):
+    (tmp_path / "a.csv").write_text("x")
+    if table is not None:
+        (tmp_path / "parameters.csv").write_text(table)
+    done = cornercase("import", tmp_path, "--ego", "Ego", "--other", "B", "--metric", "ttc", "-o", tmp_path / "s.db")
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "s.db").exists()

@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import csv
+import os
+import sqlite3
+import sys
+
+import numpy as np
+import pytest
+
+from conftest import same_recording
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.recordings import Collision, Recording, read_recording
+from cornercase.scenario import ParameterSpace
+from cornercase.study import Study
+
+SPACE = ParameterSpace.from_ranges(["a=0:10", "b=0:1:0.1"])
+META = {"space": SPACE.to_json(), "metrics": ["distance", "wttc"], "seed": 3}
+POINTS = np.array([[0.25, 0.5], [0.1, 0.05], [1 / 3, 0.95]])
+
+
+def recording(seed: int = 0) -> Recording:
+    random = np.random.default_rng(seed)
+    motion = random.normal(size=(5, 2, 40)) * 10.0 ** random.integers(-9, 9, (5, 2, 40))
+    motion[:, 1, 30:] = np.nan
+    return Recording(
+        np.arange(40) * 0.05, ("Ego", "Übergang"), ("car", "pedestrian"), *motion, np.array([4.5, 0.5]),
+        np.array([2.0, 0.6]), np.array([1.4, 0.0]), (Collision(0.1, ("Ego", "Übergang")),),
+    )  # fmt: skip
+
+
+def courses(seed: int = 0) -> dict[str, tuple[np.ndarray, float]]:
+    course = np.random.default_rng(seed).normal(size=40)
+    course[3] = np.nan
+    return {"distance": (course, float(np.nanmin(course))), "wttc": (course**2, 0.5 + seed)}
+
+
+@pytest.fixture
+def study(tmp_path):
+    with Study.create(tmp_path / "study.db", META) as made:
+        made.propose(1, POINTS, SPACE.values(POINTS))
+        made.finish(1, recording(), courses())
+        made.fail(2, SimulationError("the road ends"))
+        yield made
+
+
+def test_what_is_put_in_comes_out(study):
+    with Study.open(study.path, readonly=True) as reader:
+        assert reader.meta == META
+        assert reader.space.parameters == SPACE.parameters
+        rows = reader.rows()
+        assert [(r.id, r.round, r.state, r.error) for r in rows] == [
+            (1, 1, "done", None), (2, 1, "failed", "the road ends"), (3, 1, "pending", None)
+        ]  # fmt: skip
+        np.testing.assert_array_equal([r.point for r in rows], POINTS)
+        assert [r.values for r in rows] == SPACE.values(POINTS)
+        assert same_recording(reader.recording(1), recording())
+        np.testing.assert_array_equal(reader.course(1, "distance"), courses()["distance"][0])
+        assert reader.scores("wttc").tolist() == [0.5]
+        for absent in (2, 3, 99):
+            with pytest.raises(InputError, match=f"scenario {absent} was not run"):
+                reader.recording(absent)
+        with pytest.raises(InputError, match="no course of the metric 'pet'"):
+            reader.scores("pet")
+
+
+def test_a_reader_sees_each_scenario_as_soon_as_it_has_ended(study):
+    with Study.open(study.path, readonly=True) as reader:
+        assert len(reader.done()) == 1
+        study.finish(3, recording(1), courses(1))
+        assert [row.id for row in reader.done()] == [1, 3]
+        with pytest.raises(InputError, match="cannot be used"):
+            reader.fail(3, SimulationError("a reader must not write"))
+
+
+def test_the_same_content_gives_the_same_bytes(tmp_path):
+    blobs = []
+    for name in "ab":
+        with Study.create(tmp_path / name, META) as made:
+            made.propose(1, POINTS, SPACE.values(POINTS))
+            made.finish(1, recording(), courses())
+            made.save_analysis("wttc", {"ids": np.arange(3)}, {"gamma": 1.0})
+        with sqlite3.connect(tmp_path / name) as connection:
+            blobs.append(
+                [
+                    connection.execute(f"SELECT * FROM {table}").fetchall()
+                    for table in ("scenarios", "courses", "analyses")
+                ]
+            )
+    assert blobs[0] == blobs[1]
+
+
+def test_analyses_keep_types_and_the_last_one_counts(study):
+    for gamma in (1.0, 2.0):
+        arrays = {"distances": np.eye(3, dtype=np.float32) * gamma, "labels": np.array([0, -1, 0])}
+        study.save_analysis("wttc", arrays, {"gamma": gamma, "candidates": [{"eps": 0.1}]})
+    study.save_analysis("ego-trajectory", {}, {})
+    loaded, info = study.analysis("wttc")
+    assert loaded["distances"].dtype == np.float32
+    np.testing.assert_array_equal(loaded["distances"], 2.0 * np.eye(3))
+    assert info == {"gamma": 2.0, "candidates": [{"eps": 0.1}]}
+    assert study.analyses() == ["ego-trajectory", "wttc"]
+    with pytest.raises(InputError, match="no analysis by distance"):
+        study.analysis("distance")
+
+
+def test_time_spent_adds_up(study):
+    study.add_elapsed("simulate", 1.5)
+    study.add_elapsed("simulate", 0.25)
+    study.add_elapsed("optimize", 1.0)
+    assert study.elapsed() == {"optimize": 1.0, "simulate": 1.75}
+
+
+def test_making_a_study_leaves_the_one_that_is_there(study, tmp_path):
+    with pytest.raises(InputError, match="another cornercase"):
+        Study.create(study.path, META)
+    study.close()
+    with pytest.raises(InputError, match="exists already"):
+        Study.create(study.path, META)
+    with Study.open(study.path) as again:
+        assert len(again.rows()) == 3
+
+
+def test_a_foreign_database_is_left_as_it_is(tmp_path):
+    path = tmp_path / "other.db"
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE a (b)")
+    connection.close()
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="no cornercase study"):
+        Study.open(path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["other.db"]
+
+
+def test_another_schema_version_is_refused(study):
+    study.close()
+    with sqlite3.connect(study.path) as connection:
+        connection.execute("PRAGMA user_version = 7")
+    connection.close()
+    with pytest.raises(InputError, match="schema version 7"):
+        Study.open(study.path)
+
+
+def test_a_full_disk_is_said_and_harms_nothing(study):
+    connection = study._connection
+    (pages,) = connection.execute("PRAGMA page_count").fetchone()
+    connection.execute(f"PRAGMA max_page_count = {pages}")
+    with pytest.raises(InputError, match=r"study\.db.*full"):
+        study.finish(3, recording(1), {"distance": (np.random.default_rng(0).random(100_000), 0.0)})
+    study.close()
+    with Study.open(study.path) as again:
+        assert [row.state for row in again.rows()] == ["done", "failed", "pending"]
+        assert same_recording(again.recording(1), recording())
+
+
+def test_a_place_that_cannot_be_written_is_said(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        Study.create(tmp_path / "file" / "study.db", META)
+
+
+def test_a_study_in_a_folder_that_cannot_be_written_is_read(study, monkeypatch):
+    study.close()
+    for left in ("study.db-wal", "study.db-shm"):
+        assert not (study.path.parent / left).exists()
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with Study.open(study.path, readonly=True) as reader:
+        assert len(reader.rows()) == 3
+        assert not (study.path.parent / "study.db-shm").exists()
+
+
+def test_tables_hold_everything(study, tmp_path):
+    study.finish(3, recording(1), courses(1))
+    study.save_analysis("wttc", {"ids": np.array([1, 3]), "labels": np.array([0, -1])}, {})
+    study.export(tmp_path / "tables")
+    with open(tmp_path / "tables" / "scenarios.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["state"] for row in rows] == ["done", "failed", "done"]
+    assert [(float(r["a"]), float(r["b"])) for r in rows] == [(v["a"], v["b"]) for v in SPACE.values(POINTS)]
+    assert [r["wttc"] for r in rows] == ["0.5", "", "1.5"]
+    assert [r["cluster by wttc"] for r in rows] == ["0", "", "-1"]
+    assert rows[1]["error"] == "the road ends"
+    assert same_recording(read_recording(tmp_path / "tables" / "recordings" / "00003.csv"), recording(1))
+    with open(tmp_path / "tables" / "courses" / "00001.csv", newline="", encoding="utf-8") as file:
+        found = [float(row["distance"] or "nan") for row in csv.DictReader(file)]
+    np.testing.assert_array_equal(found, courses()["distance"][0])
+
+
+def test_parquet_without_its_package_names_the_extra(study, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match=r"cornercase\[parquet\]"):
+        study.export(tmp_path / "tables", parquet=True)

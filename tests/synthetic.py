@@ -1,0 +1,84 @@
+"""A simulator whose recordings follow from the parameters alone, and a program with it that can be killed at will.
+
+The other entity stands at 10 |a - b| m from the ego; a scenario with a > 0.9 fails.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from cornercase._common.errors import SimulationError
+from cornercase.exploration import ScenarioExplorer
+from cornercase.metrics import METRICS
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.recordings import Recording
+from cornercase.scenario import LogicalScenario, ParameterSpace
+from cornercase.study import Study
+
+SPACE = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
+LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
+
+
+class Synthetic:
+    name, settings = "synthetic", {}
+
+    def __init__(self, survives=None, interrupts=None):
+        self.left, self.interrupts, self.ran = survives, interrupts, 0
+
+    def run(self, concretes):
+        for concrete in concretes:
+            if self.left == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+            if self.ran == self.interrupts:
+                raise KeyboardInterrupt
+            if self.left is not None:
+                self.left -= 1
+            self.ran += 1
+            a, b = concrete.values["a"], concrete.values["b"]
+            if a > 0.9:
+                yield SimulationError(f"a is {a}")
+                continue
+            still = np.zeros((2, 5))
+            x = np.stack([np.zeros(5), np.full(5, 10 * abs(a - b))])
+            yield Recording(
+                np.arange(5.0),
+                ("Ego", "B"),
+                ("car", "car"),
+                x,
+                still,
+                still,
+                still,
+                still,
+                np.full(2, 4.0),
+                np.full(2, 2.0),
+                np.zeros(2),
+            )
+
+
+def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, **options):
+    return ScenarioExplorer(
+        LOGICAL,
+        simulator or Synthetic(),
+        OPTIMIZERS.create(optimizer, space=SPACE, seed=7),
+        [METRICS.create(name) if isinstance(name, str) else name for name in metrics],
+        "Ego",
+        "B",
+        study,
+        budget=budget,
+        **options,
+    )
+
+
+def opened(path):
+    meta = {"space": SPACE.to_json(), "metrics": ["distance", "wttc"]}
+    return Study.open(path) if os.path.exists(path) else Study.create(path, meta)
+
+
+if __name__ == "__main__":
+    with opened(sys.argv[1]) as study:
+        print(explorer(study, Synthetic(int(sys.argv[2])), metrics=("distance", "wttc")).run())
