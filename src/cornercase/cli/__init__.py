@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 
-from cornercase._common.errors import InputError
-
 # Their order is that of the commands in the help.
+from cornercase._common.errors import InputError
 from cornercase.cli import running, studies
+from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import app, err
 
 __all__ = ["app", "main", "running", "studies"]
@@ -18,7 +18,7 @@ def main() -> None:
     try:
         app(standalone_mode=True)
     except InputError as error:
-        err.print(f"cornercase: {error}", markup=False)
+        err.print(f"cornercase: {in_words_of_the_command_line(str(error))}", markup=False)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -1,0 +1,55 @@
+"""Messages about parameters of the API, in the words of the command line."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+_PARAMETERS: Final = (
+    "archetypes", "archetypes_by", "batch", "budget", "by", "continuous", "cover", "critical", "duration", "ego", "eps",
+    "gamma", "keep", "max_seconds", "method", "min_samples", "on_collision", "optimizer", "other", "pareto", "patience",
+    "repeats", "retries", "seed", "share", "simulator", "size", "space", "stop_when", "time_step", "timeout", "within",
+    "workers",
+)  # fmt: skip
+# Those whose option has another name.
+_RENAMED: Final = {
+    "drivers": "--driver",
+    "folder": "-o",
+    "metrics": "--metric",
+    "output": "-o",
+    "ranges": "--range",
+    "study": "-o",
+    "table": "--parameters",
+    "values": "--set",
+    "weights": "--weight",
+}
+_COMMANDS: Final = (
+    "analyze", "check", "convert", "demo", "explore", "export", "import", "measure", "reduce", "report", "show",
+    "simulate",
+)  # fmt: skip
+_QUOTED: Final = re.compile(r"`(\w+)`")
+
+
+def in_words_of_the_command_line(message: str) -> str:
+    """Name options and commands in a message that names parameters and functions between backticks.
+
+    Parameters
+    ----------
+    message : str
+        Of an `InputError`: ``"`stop_when` missing<1: …"``.
+
+    Returns
+    -------
+    str
+        ``"--stop-when missing<1: …"``.
+    """
+
+    def translated(match: re.Match[str]) -> str:
+        name = match[1]
+        if name in _RENAMED:
+            return _RENAMED[name]
+        if name in _PARAMETERS:
+            return f"--{name.replace('_', '-')}"
+        return f"'cornercase {name}'" if name in _COMMANDS else match[0]
+
+    return _QUOTED.sub(translated, message)
