@@ -23,12 +23,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from cornercase.clustering.analyze import series_of
 from scipy.spatial import Delaunay
 from scipy.stats import spearmanr
 from sklearn.metrics import adjusted_rand_score, silhouette_score
 
 from cornercase.clustering import EGO_TRAJECTORY, analyze_study, cluster
+from cornercase.clustering.analysis import series_of
 from cornercase.clustering.profiles import outcome
 from cornercase.drivers import named_driver
 from cornercase.dtw import distances_to
