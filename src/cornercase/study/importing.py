@@ -44,7 +44,7 @@ def import_recordings(
     Parameters
     ----------
     folder : path
-        With the recordings, of any kind that `cornercase.recordings.recording.read_recording` reads.
+        With the recordings, of any kind that `cornercase.recordings.read_recording` reads.
     path : path
         Study to write.
     ego, other : str

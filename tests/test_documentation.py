@@ -1,0 +1,171 @@
+"""What README, docs and docstrings say, tried: code runs, commands and names exist."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import typer
+from markdown_it import MarkdownIt
+from typer.testing import CliRunner
+
+import cornercase
+from conftest import EXAMPLES
+from cornercase.cli import app
+from cornercase.metrics import METRICS
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.simulators import SIMULATORS
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+# They need nothing but the examples, or what one of them has written, and take less than a second.
+CHEAP = ("check", "convert", "measure", "metrics", "simulate", "simulators")
+# Options of other programs, and names that are no module's: files, and a property in OpenSCENARIO.
+EXTERNAL = {"--csv_logger", "--fcd-output"}
+NO_MODULES = {"cornercase.db", "cornercase.driver", "cornercase.lock", "cornercase.log", "cornercase.xosc"}
+
+
+class Block(NamedTuple):
+    page: Path
+    line: int
+    language: str
+    text: str
+
+    @property
+    def place(self) -> str:
+        return f"{self.page.relative_to(ROOT)}:{self.line}"
+
+
+def blocks_of(page: Path) -> Iterator[Block]:
+    """Code between fences, and indented code, for which the language is empty."""
+    for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
+        if token.type in ("fence", "code_block") and token.map is not None:
+            first = token.map[0] + (2 if token.type == "fence" else 1)
+            yield Block(page, first, token.info, token.content)
+
+
+def inline_code_of(page: Path) -> Iterator[str]:
+    for token in MarkdownIt().enable("table").parse(page.read_text(encoding="utf-8")):
+        yield from (child.content for child in token.children or () if child.type == "code_inline")
+
+
+BLOCKS = [block for page in PAGES for block in blocks_of(page)]
+PYTHON = [block for block in BLOCKS if block.language == "python"]
+COMMANDS = [
+    (block, line)
+    for block in BLOCKS
+    if block.language in ("", "sh")
+    for line in block.text.replace("\\\n", " ").splitlines()
+    if line.startswith("cornercase ")
+]
+
+
+@pytest.fixture
+def checkout(tmp_path, monkeypatch):
+    """A folder of its own with the examples in it, as in the root of the repository."""
+    shutil.copytree(EXAMPLES, tmp_path / "examples")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("block", PYTHON, ids=lambda block: block.place)
+def test_the_code_runs(block, checkout):
+    code = compile("\n" * (block.line - 1) + block.text, str(block.page), "exec")
+    exec(code, {"__name__": "__main__"})
+
+
+def modules() -> list[str]:
+    """All modules, without importing those below the rooms."""
+    return [module.name for module in pkgutil.walk_packages(cornercase.__path__, "cornercase.")]
+
+
+def source_of(module: str) -> str:
+    path = ROOT / "src" / Path(*module.split("."))
+    return next(file for file in (path / "__init__.py", path.with_suffix(".py")) if file.exists()).read_text("utf-8")
+
+
+@pytest.mark.parametrize("module", [module for module in modules() if ">>>" in source_of(module)])
+def test_the_examples_of_docstrings_give_what_they_say(module, checkout):
+    found = doctest.testmod(importlib.import_module(module), optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert found.attempted
+    assert not found.failed
+
+
+def command_line() -> Any:
+    """All commands, as typer or click has them."""
+    return typer.main.get_command(app)
+
+
+def parsed(line: str) -> dict[str, Any]:
+    """Arguments and options of the command that a line calls."""
+    name, *given = [word for word in shlex.split(line, comments=True)[1:] if word != "…"]
+    command = command_line().commands[name]
+    try:
+        return dict(command.make_context(name, given).params)
+    except typer.exceptions.TyperException as error:
+        if "…" in line and "Missing" in str(error):
+            return {}
+        raise
+
+
+@pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda value: getattr(value, "place", None))
+def test_the_command_line_takes_the_commands(block, line):
+    given = parsed(line)
+    for option, registry in (("metric", METRICS), ("optimizer", OPTIMIZERS), ("simulator", SIMULATORS)):
+        names = given.get(option) or ()
+        for name in [names] if isinstance(names, str) else names:
+            assert name.partition(":")[0] in registry.names()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_cheap_commands_run_where_their_files_are(page, checkout):
+    (checkout / "my_module.py").write_text("from cornercase.drivers import SimpleDriver as MyDriver\n")
+    for block, line in COMMANDS:
+        command = shlex.split(line)[1:]
+        if block.page == page and command[0] in CHEAP and "…" not in line:
+            files = [value for name, value in parsed(line).items() if isinstance(value, Path) and name != "output"]
+            if all(file.exists() for file in files):
+                result = CliRunner().invoke(app, command)
+                assert result.exit_code == 0, f"{block.place}: {result.output}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_options_that_are_named_exist(page):
+    commands = command_line().commands
+    known = {name for command in commands.values() for one in command.params for name in one.opts} | EXTERNAL
+    for code in inline_code_of(page):
+        if (benchmark := re.match(r"python (benchmarks/\w+\.py)", code)) is not None:
+            here = (ROOT / benchmark[1]).read_text("utf-8")
+            assert all(f'"{option}"' in here for option in re.findall(r"--[\w-]+", code)), code
+        elif code.startswith(("--", "cornercase ")):
+            assert set(re.findall(r"(?<![\w-])--[\w-]+", code)) <= known, code
+        if (command := re.match(r"cornercase ([a-z]+)", code)) is not None:
+            assert command[1] in commands, code
+
+
+def names_in(text: str) -> Iterator[str]:
+    """Names such as cornercase.metrics.METRICS."""
+    return (match[0] for match in re.finditer(r"(?<![\w/.@-])cornercase(?:\.[A-Za-z_]\w*)+", text))
+
+
+def exists(name: str) -> bool:
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    "file", [*PAGES, *sorted((ROOT / "src").rglob("*.py"))], ids=lambda file: str(file.relative_to(ROOT))
+)
+def test_the_names_that_are_named_exist(file):
+    assert [name for name in names_in(file.read_text("utf-8")) if not exists(name) and name not in NO_MODULES] == []
