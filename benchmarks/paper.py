@@ -63,10 +63,10 @@ class Experiment:
             self.points = np.array([row.point for row in rows])
             self.names = study.space.names
             self.values = {n: np.array([float(row.values[n]) for row in rows]) for n in self.names}
-            self.scores = {m: study.scores(m) for m in meta["metrics"]}
+            self.scores = {m: study.scores(m) for m in meta.metrics}
             told = Objective.of_study(meta).told(np.stack(list(self.scores.values()), axis=1))
             self.influence = estimate_sensitivity(study.space, self.points, told, seed)
-            self.ends = [outcome(study.recording(row.id), meta["ego"], meta["other"]) for row in rows]
+            self.ends = [outcome(study.recording(row.id), meta.ego, meta.other) for row in rows]
             self.seconds = study.elapsed()["compare"] / len(self.found)
         self.crash = np.array(["collide" in end for end in self.ends])
 
@@ -74,28 +74,26 @@ class Experiment:
         """Share of the critical ones among 2,000 random scenarios that are unlike every kept one."""
         meta, space = study.meta, study.space
         points = space.snap(np.random.default_rng(5).random((2000, space.dimension)))
-        settings = meta["settings"]
+        settings = meta.settings
         simulator = BuiltinSimulator(
             **{key: settings[key] for key in ("time_step", "duration", "on_collision")},
             drivers={entity: named_driver(name) for entity, name in settings.get("drivers", {}).items()},
         )
-        concretes = [ConcreteScenario(Path(meta["scenario"]), values) for values in space.values(points)]
+        concretes = [ConcreteScenario(Path(meta.scenario), values) for values in space.values(points)]
         runs = list(simulator.run(concretes))
         objective = Objective.of_study(meta)
         metric = objective.metrics[0]
-        limit = objective.flip(meta["critical"])
-        runs = [
-            one for one in runs if objective.flip(metric.score(metric.course(one, meta["ego"], meta["other"]))) <= limit
-        ]
+        limit = objective.flip(meta.critical)
+        runs = [one for one in runs if objective.flip(metric.score(metric.course(one, meta.ego, meta.other))) <= limit]
         rows = [row.id for row in study.done()]
         kept = [rows.index(item["id"]) for item in self.reduced["scenarios"]]
         shares = {}
         for by, found in self.reduced["critical"].items():
             measured = None if by == EGO_TRAJECTORY else METRICS.create(by)
             new = [
-                one.center(meta["ego"])
+                one.center(meta.ego)
                 if measured is None
-                else capped(measured, measured.course(one, meta["ego"], meta["other"]))
+                else capped(measured, measured.course(one, meta.ego, meta.other))
                 for one in runs
             ]
             series = series_of(study, by)

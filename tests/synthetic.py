@@ -18,7 +18,7 @@ from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.scenario import LogicalScenario, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import Study, StudyMeta
 
 SPACE = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
 LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
@@ -60,6 +60,12 @@ class Synthetic:
             )
 
 
+def about(space, *metrics, **more):
+    """What a study of a synthetic scenario is about."""
+    given = {"ego": "Ego", "other": "B", "optimizer": "none", "simulator": "synthetic"} | more
+    return StudyMeta(scenario="synthetic.xosc", fingerprint="0", space=space, metrics=metrics, **given)
+
+
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, **options):
     return ScenarioExplorer(
         LOGICAL,
@@ -75,8 +81,7 @@ def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), bu
 
 
 def opened(path):
-    meta = {"space": SPACE.to_json(), "metrics": ["distance", "wttc"]}
-    return Study.open(path) if os.path.exists(path) else Study.create(path, meta)
+    return Study.open(path) if os.path.exists(path) else Study.create(path, about(SPACE, "distance", "wttc"))
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ def test_reduced_scenarios_run_by_themselves_and_give_the_same_recording(demo):
 def test_the_same_demo_twice_gives_the_same_scores_and_labels(demo, tmp_path):
     assert cornercase("demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", tmp_path).returncode == 0
     with Study.open(demo / "study.db", readonly=True) as a, Study.open(tmp_path / "study.db", readonly=True) as b:
-        for metric in a.meta["metrics"]:
+        for metric in a.meta.metrics:
             np.testing.assert_array_equal(a.scores(metric), b.scores(metric))
         for name in a.analyses():
             np.testing.assert_array_equal(a.analysis(name)[0]["labels"], b.analysis(name)[0]["labels"])

@@ -21,7 +21,7 @@ from cornercase.report import summarize, write_report
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
 from fake_simulators import NoisySimulator
-from synthetic import Synthetic, explorer, opened
+from synthetic import Synthetic, about, explorer, opened
 
 SPACE = ParameterSpace.from_ranges(["a=0:1:0.02", "b=0:1:0.02", "c=0:1"])
 
@@ -158,7 +158,7 @@ def test_a_recording_comes_back_bit_for_bit(undisturbed):
 
     with Study.open(undisturbed, readonly=True) as study:
         row = study.done()[17]
-        (again,) = BuiltinSimulator().run([ConcreteScenario(study.meta["scenario"], row.values)])
+        (again,) = BuiltinSimulator().run([ConcreteScenario(study.meta.scenario, row.values)])
         assert same_recording(study.recording(row.id), again)
 
 
@@ -310,10 +310,7 @@ def test_progress_in_a_file_is_a_line_with_the_best_score(tmp_path, capfd):
 
 def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
     one, simulator = demonstration("t-intersection", budget=6, seed=1), NoisySimulator()
-    meta = {
-        "scenario": str(one.logical.path), "space": one.logical.space.to_json(), "metrics": ["distance"], "repeats": 3,
-        "ego": "Ego", "other": "C", "optimizer": "sobol", "seed": 1, "simulator": "noisy", "settings": {}, "fingerprint": "", "version": "", "budget": 6, "batch": 6,
-    }  # fmt: skip
+    meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
     optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
     with Study.create(tmp_path / "s.db", meta) as study:
         ScenarioExplorer(
@@ -343,7 +340,7 @@ def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):
                 yield SimulationError(f"run {number}") if number < 3 else run
 
     one = demonstration("t-intersection", budget=2, seed=1)
-    meta = {"space": one.logical.space.to_json(), "metrics": ["distance"]}
+    meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
     optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
     with Study.create(tmp_path / "s.db", meta) as study:
         ScenarioExplorer(

@@ -173,7 +173,7 @@ def test_the_command_line_searches_sums_and_fronts_and_says_what_matters(tmp_pat
     shown = json.loads(cornercase("show", tmp_path / "p.db", "--json").stdout)
     assert shown["searched"] == "Pareto front of wttc, pet:signed=true"
     with Study.open(tmp_path / "p.db", readonly=True) as study:
-        scores = np.stack([study.scores(name) for name in study.meta["metrics"]], axis=1)
+        scores = np.stack([study.scores(name) for name in study.meta.metrics], axis=1)
     assert len(shown["front"]) == on_front(scores).sum()
     refused = cornercase(*common, "--pareto", "--optimizer", "bayes", "-o", tmp_path / "b.db")
     assert refused.returncode == 2

@@ -137,7 +137,7 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
     own = cornercase(*common, "--metric", "wttc", "--budget", "40", "-o", tmp_path / "own.db")
     assert own.returncode == 0, own.stderr
     with Study.open(tmp_path / "own.db", readonly=True) as study:
-        assert study.meta["critical"] == METRICS.create("wttc").critical == 1.0
+        assert study.meta.critical == METRICS.create("wttc").critical == 1.0
         expected = int((study.scores("wttc") <= 1.0).sum())
     shown = json.loads(cornercase("show", tmp_path / "own.db", "--json").stdout)
     assert shown["critical"]["is"] == "wttc <= 1 s"

@@ -294,7 +294,7 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
             done = cornercase(*again)
             assert done.returncode == 0, done.stderr
             assert done.stdout.startswith("4 scenarios")
-        assert study.meta["settings"]["carla"] == carla.Client("localhost", 1).get_client_version()
+        assert study.meta.settings["carla"] == carla.Client("localhost", 1).get_client_version()
 
 
 def test_what_carla_cannot_do_is_refused_before_there_is_a_study(tmp_path):

@@ -227,5 +227,5 @@ def test_the_x_intersection_from_end_to_end(tmp_path):
     assert done.returncode == 0, done.stderr
     with Study.open(tmp_path / "study.db", readonly=True) as study:
         assert len(study.done()) == 30
-        assert study.meta["settings"]["sumo"]
+        assert study.meta.settings["sumo"]
     assert len(list((tmp_path / "reduced").glob("*.xosc"))) == 3

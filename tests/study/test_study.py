@@ -13,9 +13,10 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Collision, Recording, read_recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
+from synthetic import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:10", "b=0:1:0.1"])
-META = {"space": SPACE.to_json(), "metrics": ["distance", "wttc"], "seed": 3}
+META = about(SPACE, "distance", "wttc", seed=3)
 POINTS = np.array([[0.25, 0.5], [0.1, 0.05], [1 / 3, 0.95]])
 
 

@@ -68,9 +68,9 @@ def series_of(study: Study, by: str) -> list[FloatArray]:
     """
     rows = study.done()
     if by == EGO_TRAJECTORY:
-        return [study.recording(row.id).center(study.meta["ego"]) for row in rows]
-    if by not in study.meta["metrics"]:
-        known = (EGO_TRAJECTORY, *study.meta["metrics"])
+        return [study.recording(row.id).center(study.meta.ego) for row in rows]
+    if by not in study.meta.metrics:
+        known = (EGO_TRAJECTORY, *study.meta.metrics)
         raise InputError(f"{study.path}: cannot be clustered by '{by}'; {suggestion(by, known)}")
     metric = METRICS.create(by)
     return [capped(metric, study.course(row.id, by)) for row in rows]
@@ -118,9 +118,9 @@ def analyze_study(
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
     if len(ids) < 2:
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
-    outcomes = [outcome(study.recording(i), study.meta["ego"], study.meta["other"]) for i in ids.tolist()]
+    outcomes = [outcome(study.recording(i), study.meta.ego, study.meta.other) for i in ids.tolist()]
     results = {}
-    for name in by or (EGO_TRAJECTORY, *study.meta["metrics"]):
+    for name in by or (EGO_TRAJECTORY, *study.meta.metrics):
         begun = time.monotonic()
         distances = distance_matrix(series_of(study, name), progress=progress)
         measured = time.monotonic()

@@ -101,7 +101,7 @@ def profiles(study: Study, labels: IntArray, outcomes: Sequence[str]) -> tuple[P
     tuple of Profile
     """
     rows = study.done()
-    scores = {name: study.scores(name) for name in study.meta["metrics"]}
+    scores = {name: study.scores(name) for name in study.meta.metrics}
     found = []
     for label in sorted(np.unique(labels).tolist(), key=lambda one: (one < 0, one)):
         members = labels == label

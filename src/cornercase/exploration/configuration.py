@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from cornercase._common.errors import InputError
-from cornercase._common.version import __version__
 from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
@@ -17,7 +16,7 @@ from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import LogicalScenario, Scenario
 from cornercase.simulators import SIMULATORS, ParallelSimulator, Simulator, WorkerSimulator, told
-from cornercase.study import Study
+from cornercase.study import Study, StudyMeta
 
 
 @dataclass(frozen=True)
@@ -122,31 +121,26 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
     simulator = _simulator(one)
     # Before there is a study, as nothing of the scenario could be run.
     getattr(simulator, "require_means", lambda _: None)(file)
-    meta = {
-        "scenario": str(one.logical.path.resolve()),
-        "fingerprint": one.logical.fingerprint,
-        "space": one.logical.space.to_json(),
-        "ego": one.ego,
-        "other": one.other,
-        "metrics": [metric.name for metric in metrics],
-        "optimizer": one.optimizer,
-        "critical": None if limit is None else objective.flip(limit),
-        "weights": dict(one.weights) or None,
-        "pareto": one.pareto or None,
-        "seed": one.seed,
-        "budget": one.budget,
-        "batch": one.batch,
-        "simulator": one.simulator,
-        "settings": simulator.settings,
-        "repeats": one.repeats if one.repeats > 1 else None,
-        "version": __version__,
-    }
-    if path.exists():
-        study = Study.open(path)
-        _require_same(study, meta)
-    else:
-        study = Study.create(path, meta)
-    with study:
+    meta = StudyMeta(
+        scenario=str(one.logical.path.resolve()),
+        fingerprint=one.logical.fingerprint,
+        space=one.logical.space,
+        ego=one.ego,
+        other=one.other,
+        metrics=tuple(metric.name for metric in metrics),
+        optimizer=one.optimizer,
+        simulator=one.simulator,
+        settings=simulator.settings,
+        critical=None if limit is None else objective.flip(limit),
+        weights=dict(one.weights),
+        pareto=one.pareto,
+        seed=one.seed,
+        budget=one.budget,
+        batch=one.batch,
+        repeats=one.repeats,
+    )
+    with Study.open(path) if path.exists() else Study.create(path, meta) as study:
+        study.meta.require_same(meta, path, same_budget=kind == "grid")
         explorer = ScenarioExplorer(
             one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
             budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,
@@ -181,41 +175,3 @@ def _simulator(one: Exploration) -> Simulator:
     if one.workers > 1:
         return ParallelSimulator(one.simulator, options, one.workers)
     return SIMULATORS.create(one.simulator, **options)
-
-
-def _require_same(study: Study, meta: Mapping[str, Any]) -> None:
-    """Refuse to go on with a study of something else; only the budget may grow."""
-    for key, words in (
-        ("scenario", "another scenario"),
-        ("fingerprint", "another version of the scenario file"),
-        ("space", "other parameter ranges"),
-        ("ego", "another ego"),
-        ("other", "another other entity"),
-        ("metrics", "other metrics"),
-        ("optimizer", "another optimizer"),
-        ("weights", "other weights of the metrics"),
-        ("pareto", "another objective"),
-        ("seed", "another seed"),
-        ("batch", "another batch size"),
-        ("settings", "other simulator settings"),
-        ("repeats", "another number of repeats"),
-    ):
-        if study.meta.get(key) != meta[key]:
-            study.close()
-            raise InputError(f"{study.path}: belongs to {words}; name another study with -o, or give the same options.")
-    # Where it runs may change; what the recordings depend on is among the settings.
-    if study.meta["simulator"].partition(":")[0] != meta["simulator"].partition(":")[0]:
-        study.close()
-        raise InputError(f"{study.path}: belongs to another simulator; name another study with -o, or give the same.")
-    # Earlier studies know a threshold only where the search needed one.
-    if study.meta.get("critical") not in (None, meta["critical"]):
-        study.close()
-        raise InputError(
-            f"{study.path}: belongs to another threshold of what is critical ({study.meta['critical']:g}); name"
-            " another study with -o, or give the same --critical."
-        )
-    if meta["optimizer"].partition(":")[0] == "grid" and study.meta["budget"] != meta["budget"]:
-        study.close()
-        raise InputError(
-            f"{study.path}: belongs to a grid of {study.meta['budget']} scenarios; give the same --budget."
-        )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics import METRICS, Metric, threshold
-from cornercase.study import Study
+from cornercase.study import Study, StudyMeta
 
 
 class Objective:
@@ -50,10 +49,10 @@ class Objective:
         self._factors = self._matrix()
 
     @classmethod
-    def of_study(cls, meta: Mapping[str, Any]) -> Objective:
+    def of_study(cls, meta: StudyMeta) -> Objective:
         """Objective of a study, from its meta data."""
-        metrics = [METRICS.create(name) for name in meta["metrics"]]
-        return cls(metrics, meta.get("weights"), bool(meta.get("pareto")))
+        metrics = [METRICS.create(name) for name in meta.metrics]
+        return cls(metrics, meta.weights, meta.pareto)
 
     def _matrix(self) -> FloatArray:
         signs = np.array([1.0 if metric.lower_is_critical else -1.0 for metric in self.metrics])

@@ -80,7 +80,7 @@ def reduce_study(
     InputError
         The study was not analysed, or the folder cannot be written.
     """
-    folder, by = Path(folder), by or study.meta["metrics"][0]
+    folder, by = Path(folder), by or study.meta.metrics[0]
     arrays, _ = study.analysis(by)
     analyses = {name: arrays if name == by else study.analysis(name)[0] for name in study.analyses()}
     rows = {row.id: row for row in study.done()}
@@ -101,20 +101,20 @@ def reduce_study(
     kept_ids = [chosen[one.index].id for one in kept]
     # Before anything is written, as what the user asked for here may not be possible.
     critical = _of_critical(study, analyses, kept_ids, within)
-    scores = {name: study.scores(name) for name in study.meta["metrics"]}
+    scores = {name: study.scores(name) for name in study.meta.metrics}
     place = {scenario: k for k, scenario in enumerate(rows)}
 
-    imported = study.meta["simulator"] == IMPORTED
-    stem = Path(study.meta["scenario"]).stem
-    scenario = None if imported else Scenario.read(study.meta["scenario"])
-    drivers = study.meta["settings"].get("drivers", {})
+    imported = study.meta.simulator == IMPORTED
+    stem = Path(study.meta.scenario).stem
+    scenario = None if imported else Scenario.read(study.meta.scenario)
+    drivers = study.meta.settings.get("drivers", {})
     items = []
     for one in kept:
         row = chosen[one.index]
         why = _WHY[methods[one.cluster] if one.role == "archetype" else one.role].format(cluster=one.cluster)
         if scenario is None:
             # What was run elsewhere is run again there; the manifest says which it was.
-            name = str(study.meta["files"][row.id - 1])
+            name = str(study.meta.files[row.id - 1])
         else:
             name = f"{stem}-{row.id:05}.xosc"
             write_concrete(
@@ -136,11 +136,11 @@ def reduce_study(
         )
 
     manifest: dict[str, Any] = {
-        "scenario": study.meta["scenario"],
-        "fingerprint": study.meta["fingerprint"],
+        "scenario": study.meta.scenario,
+        "fingerprint": study.meta.fingerprint,
         "study": study.path.name,
-        "simulator": study.meta["simulator"],
-        "settings": study.meta["settings"],
+        "simulator": study.meta.simulator,
+        "settings": study.meta.settings,
         "by": by,
         "run": len(rows),
         "kept": len(items),
@@ -198,7 +198,7 @@ def critical_clusters(study: Study, arrays: Mapping[str, Any]) -> list[int]:
     told = scores if metric.lower_is_critical else -scores
     clusters = [label for label in np.unique(labels).tolist() if label >= 0]
     medians = {label: float(np.median(told[labels == label])) for label in clusters}
-    limit = study.meta.get("critical")
+    limit = study.meta.critical
     critical = clusters
     if limit is not None and not objective.weights and not objective.pareto:
         critical = [label for label in clusters if medians[label] <= objective.flip(limit)]
@@ -207,12 +207,12 @@ def critical_clusters(study: Study, arrays: Mapping[str, Any]) -> list[int]:
 
 def _of_critical(study: Study, analyses: Mapping[str, Any], kept: list[int], within: float) -> dict[str, Any]:
     """Coverage of the critical set by each clustering; nothing where no threshold says what is critical."""
-    objective, limit = Objective.of_study(study.meta), study.meta.get("critical")
+    objective, limit = Objective.of_study(study.meta), study.meta.critical
     if limit is None or objective.pareto or not kept:
         return {}
     rows = {row.id: row for row in study.done()}
     told = dict(zip(rows, objective.told_of(study).tolist(), strict=True))
-    threshold, seed = objective.flip(limit), study.meta["seed"]
+    threshold, seed = objective.flip(limit), study.meta.seed
     found, known = {}, {}
     for name, one in analyses.items():
         ids = one["ids"].tolist()

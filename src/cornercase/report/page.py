@@ -55,7 +55,7 @@ def write_report(study: Study, path: Path | str) -> None:
         raise InputError(f"{study.path}: no scenario was run yet, so there is nothing to report.")
     page = _Page(study, path)
     body = "\n".join(page.parts())
-    title = escape(f"cornercase: {Path(study.meta['scenario']).stem}")
+    title = escape(f"cornercase: {Path(study.meta.scenario).stem}")
     with written_whole(path) as temporary:
         temporary.write_text(
             "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
@@ -69,7 +69,7 @@ class _Page:
     def __init__(self, study: Study, path: Path) -> None:
         self._study, self._path = study, path
         self._rows = study.done()
-        self._metrics: list[Metric] = [METRICS.create(name) for name in study.meta["metrics"]]
+        self._metrics: list[Metric] = [METRICS.create(name) for name in study.meta.metrics]
         self._objective = Objective.of_study(study.meta)
         self._scores = {metric.name: study.scores(metric.name) for metric in self._metrics}
         self._recordings = {row.id: study.recording(row.id) for row in self._rows}
@@ -114,11 +114,11 @@ class _Page:
         collisions = sum(map(self._collides, self._rows))
         reduction = study.reduction()
         seconds = sum(study.elapsed().values())
-        yield f"<h1>{escape(Path(meta['scenario']).stem)}</h1>"
+        yield f"<h1>{escape(Path(meta.scenario).stem)}</h1>"
         searched = escape(self._objective.text)
         yield (
-            f"<p>{escape(meta['ego'])} is the ego, {escape(meta['other'])} the other. Searched by"
-            f" {escape(meta['optimizer'])} for {'the ' if self._objective.pareto else ''}{searched}.</p>"
+            f"<p>{escape(meta.ego)} is the ego, {escape(meta.other)} the other. Searched by"
+            f" {escape(meta.optimizer)} for {'the ' if self._objective.pareto else ''}{searched}.</p>"
         )
         numbers = {
             "scenarios run": len(self._rows),
@@ -140,7 +140,7 @@ class _Page:
             width, of_runs = run_spread(self._study, metric.name), ""
             if width is not None:
                 of_runs = (
-                    f" Each was run {self._study.meta['repeats']} times; between its runs the score differs by"
+                    f" Each was run {self._study.meta.repeats} times; between its runs the score differs by"
                     f" {width[0]:.3g}{_unit(metric)} in the median scenario, {width[1]:.3g}{_unit(metric)}"
                     " at most."
                 )
@@ -343,7 +343,7 @@ class _Page:
         kept = [item["id"] for item in reduction["kept"]]
         ids = [row.id for row in self._rows]
         critical = dict.fromkeys(ids, False)
-        limit = self._study.meta.get("critical")
+        limit = self._study.meta.critical
         if limit is not None and not self._objective.pareto:
             told = self._objective.told_of(self._study)
             critical = dict(zip(ids, (told <= self._objective.flip(limit)).tolist(), strict=True))
@@ -369,25 +369,25 @@ class _Page:
     def _provenance(self) -> Iterable[str]:
         meta, study = self._study.meta, self._study
         facts: dict[str, Any] = {
-            "scenario file": meta["scenario"],
-            "fingerprint": meta["fingerprint"],
+            "scenario file": meta.scenario,
+            "fingerprint": meta.fingerprint,
             "study": study.path.name,
             **{
                 f"range of {p.name}": ", ".join(p.choices) if p.choices else f"{p.low:g} to {p.high:g} {p.unit}"
                 for p in study.space.parameters
             },
-            "optimizer": meta["optimizer"],
-            "seed": meta["seed"],
-            "simulator": meta["simulator"],
-            **{f"simulator's {key}": value for key, value in meta["settings"].items()},
+            "optimizer": meta.optimizer,
+            "seed": meta.seed,
+            "simulator": meta.simulator,
+            **{f"simulator's {key}": value for key, value in meta.settings.items()},
             **{f"time to {stage} [s]": f"{seconds:.2f}" for stage, seconds in study.elapsed().items()},
-            "cornercase": meta["version"],
+            "cornercase": meta.version,
         }
         yield "<h2>How it was made</h2>"
         yield tables.table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
 
     def _collides(self, row: Row) -> bool:
-        pair = {self._study.meta["ego"], self._study.meta["other"]}
+        pair = {self._study.meta.ego, self._study.meta.other}
         return any(set(c.entities) == pair for c in self._recordings[row.id].collisions)
 
     def _figure(self, figure: Any, name: str, caption: str) -> str:

@@ -28,12 +28,12 @@ def summarize(study: Study) -> dict[str, Any]:
     meta, rows = study.meta, study.rows()
     done = [row for row in rows if row.state == "done"]
     summary: dict[str, Any] = {
-        "scenario": meta["scenario"],
-        "ego": meta["ego"],
-        "other": meta["other"],
-        "optimizer": meta["optimizer"],
-        "seed": meta["seed"],
-        "simulator": meta["simulator"],
+        "scenario": meta.scenario,
+        "ego": meta.ego,
+        "other": meta.other,
+        "optimizer": meta.optimizer,
+        "seed": meta.seed,
+        "simulator": meta.simulator,
         "parameters": {
             p.name: f"{p.low:g} to {p.high:g} {p.unit}".strip() if not p.choices else ", ".join(p.choices)
             for p in study.space.parameters
@@ -46,7 +46,7 @@ def summarize(study: Study) -> dict[str, Any]:
         "clusters": {},
         "seconds": {stage: round(seconds, 2) for stage, seconds in study.elapsed().items()},
     }
-    for name in meta["metrics"] if done else ():
+    for name in meta.metrics if done else ():
         metric, scores = METRICS.create(name), study.scores(name)
         worst = int(scores.argmin() if metric.lower_is_critical else scores.argmax())
         summary["metrics"][name] = {
@@ -58,7 +58,7 @@ def summarize(study: Study) -> dict[str, Any]:
         }
         if (width := run_spread(study, name)) is not None:
             summary["metrics"][name] |= {
-                "runs of each": meta["repeats"],
+                "runs of each": meta.repeats,
                 "spread of the runs, median": width[0],
                 "spread of the runs, largest": width[1],
             }
@@ -153,18 +153,18 @@ def knowledge(study: Study, objective: Objective) -> dict[str, Any]:
             f"scenario {rows[k].id}": {m.name: float(study.scores(m.name)[k]) for m in objective.metrics} for k in front
         }
         return known
-    if meta.get("critical") is not None:
-        limit = float(meta["critical"])
+    if meta.critical is not None:
+        limit = float(meta.critical)
         low = objective.weights or objective.metrics[0].lower_is_critical
         known["critical"] = {
             "is": f"{objective.text} {'<=' if low else '>='} {limit:g} {objective.unit}".rstrip(),
             "scenarios": int((told <= objective.flip(limit)).sum()),
         }
         with suppress(ValueError):
-            critical_set = CriticalSet(study.space, points, told, objective.flip(limit), meta["seed"])
+            critical_set = CriticalSet(study.space, points, told, objective.flip(limit), meta.seed)
             known["critical"] |= critical_set.to_json()
     with suppress(ValueError):
-        known["sensitivity"] = estimate_sensitivity(study.space, points, told, meta["seed"]).to_json()
+        known["sensitivity"] = estimate_sensitivity(study.space, points, told, meta.seed).to_json()
     return known
 
 
@@ -179,7 +179,7 @@ def run_spread(study: Study, metric: str) -> tuple[float, float] | None:
 
 def collisions(study: Study) -> int:
     """Number of scenarios in which the ego and the other entity collide."""
-    pair = {study.meta["ego"], study.meta["other"]}
+    pair = {study.meta.ego, study.meta.other}
     return sum(
         any(set(collision.entities) == pair for collision in study.recording(row.id).collisions) for row in study.done()
     )

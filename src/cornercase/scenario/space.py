@@ -148,6 +148,12 @@ class ParameterSpace:
             if self.names.count(name) > 1:
                 raise InputError(f"The parameter {name} is varied twice.")
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ParameterSpace) and self.parameters == other.parameters
+
+    def __hash__(self) -> int:
+        return hash(self.parameters)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names in order."""

@@ -1,4 +1,5 @@
 from .importing import IMPORTED as IMPORTED
 from .importing import import_recordings as import_recordings
+from .meta import StudyMeta as StudyMeta
 from .store import Row as Row
 from .store import Study as Study

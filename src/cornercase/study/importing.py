@@ -7,6 +7,7 @@ import hashlib
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -14,10 +15,10 @@ from rich.console import Console
 from rich.progress import track
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.version import __version__
 from cornercase.metrics import METRICS, Metric, measured, threshold
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
+from cornercase.study.meta import StudyMeta
 from cornercase.study.store import Row, Study
 
 IMPORTED: Final = "imported"
@@ -76,31 +77,25 @@ def import_recordings(
     if not built:
         raise InputError("`metrics`: there is none; name one at least.")
     known = critical is not None or getattr(built[0], "critical", None) is not None
-    meta = {
-        "scenario": str(folder.resolve()),
-        "fingerprint": _fingerprint(table, folder, files),
-        "space": space.to_json(),
-        "ego": ego,
-        "other": other,
-        "metrics": [metric.name for metric in built],
-        "optimizer": "none",
-        "critical": threshold(built[0], critical) if known else None,
-        "weights": None,
-        "pareto": None,
-        "seed": 0,
-        "budget": len(files),
-        "batch": len(files),
-        "simulator": IMPORTED,
-        "settings": {"table": str(table.resolve())},
-        "files": files,
-        "version": __version__,
-    }
+    meta = StudyMeta(
+        scenario=str(folder.resolve()),
+        fingerprint=_fingerprint(table, folder, files),
+        space=space,
+        ego=ego,
+        other=other,
+        metrics=tuple(metric.name for metric in built),
+        optimizer="none",
+        simulator=IMPORTED,
+        settings={"table": str(table.resolve())},
+        critical=threshold(built[0], critical) if known else None,
+        budget=len(files),
+        batch=len(files),
+        files=tuple(files),
+    )
     path = Path(path)
-    study = Study.open(path) if path.exists() else Study.create(path, meta)
-    with study:
-        for key in ("scenario", "fingerprint", "ego", "other", "metrics", "critical", "simulator"):
-            if study.meta.get(key) != meta[key]:
-                raise InputError(f"{path}: is a study of something else ({key} differs); name another one with -o.")
+    with Study.open(path) if path.exists() else Study.create(path, meta) as study:
+        # The table may lie elsewhere now; the fingerprint tells whether it is the same.
+        study.meta.require_same(replace(meta, settings=study.meta.settings), path)
         rows = study.rows() or study.propose(1, space.points(values), values)
         pending = [row for row in rows if row.state == "pending"]
         shown = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)
@@ -114,7 +109,7 @@ def import_recordings(
 def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> None:
     try:
         recording = read_recording(file)
-        courses = measured(metrics, recording, study.meta["ego"], study.meta["other"])
+        courses = measured(metrics, recording, study.meta.ego, study.meta.other)
     except InputError as error:
         study.fail(row.id, SimulationError(str(error)))
         return

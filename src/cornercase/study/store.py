@@ -21,7 +21,8 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.files import written_whole
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Collision, Recording, write_courses
-from cornercase.scenario import ParameterSpace, Value
+from cornercase.scenario import Value
+from cornercase.study.meta import StudyMeta
 
 SCHEMA_VERSION: Final = 1
 _APPLICATION: Final = 0x434F524E  # "CORN"
@@ -76,22 +77,22 @@ class Study:
     Attributes
     ----------
     path : Path
-    meta : dict
-        What the study is about: scenario, fingerprint, space, ego, other, metrics, optimizer, seed, simulator,
-        settings, version.
+    meta : StudyMeta
+        What the study is about.
     space : ParameterSpace
+        What is varied.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection, lock: IO[bytes] | None) -> None:
         self.path = path
         self._connection, self._lock = connection, lock
-        self.meta: dict[str, Any] = {
-            key: json.loads(value) for key, value in connection.execute("SELECT key, value FROM meta")
-        }
-        self.space = ParameterSpace.from_json(self.meta["space"])
+        self.meta = StudyMeta.from_json(
+            {key: json.loads(value) for key, value in connection.execute("SELECT key, value FROM meta")}
+        )
+        self.space = self.meta.space
 
     @classmethod
-    def create(cls, path: Path | str, meta: Mapping[str, Any]) -> Study:
+    def create(cls, path: Path | str, meta: StudyMeta) -> Study:
         """Make a study in a new file, and open it for writing.
 
         Raises
@@ -112,7 +113,7 @@ class Study:
                 connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
                 connection.executemany(
                     "INSERT INTO meta VALUES (?, ?)",
-                    [(key, json.dumps(value, sort_keys=True)) for key, value in sorted(meta.items())],
+                    [(key, json.dumps(value, sort_keys=True)) for key, value in sorted(meta.to_json().items())],
                 )
                 connection.commit()
             return cls._opened(path, lock)
@@ -299,7 +300,7 @@ class Study:
     def analyses(self) -> list[str]:
         """Names of the stored clusterings: ``ego-trajectory`` first, then the metrics."""
         names = [name for (name,) in self._found("SELECT name FROM analyses")]
-        order = ["ego-trajectory", *self.meta["metrics"]]
+        order = ["ego-trajectory", *self.meta.metrics]
         return [name for name in order if name in names]
 
     def analysis(self, name: str, *arrays: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -356,7 +357,7 @@ class Study:
         for row in self.done():
             recording = self.recording(row.id)
             recording.to_csv(folder / "recordings" / f"{row.id:05}.csv")
-            courses = {name: self.course(row.id, name) for name in self.meta["metrics"]}
+            courses = {name: self.course(row.id, name) for name in self.meta.metrics}
             write_courses(folder / "courses" / f"{row.id:05}.csv", recording.time, courses)
 
     def _table(self) -> dict[str, list[Any]]:
@@ -365,7 +366,7 @@ class Study:
         table: dict[str, list[Any]] = {key: [getattr(row, key) for row in rows] for key in ("id", "round", "state")}
         for parameter in self.space.parameters:
             table[parameter.name] = [parameter.read(row.values) for row in rows]
-        for name in self.meta["metrics"]:
+        for name in self.meta.metrics:
             scores = dict(zip(done, self.scores(name).tolist(), strict=True))
             table[name] = [scores.get(row.id) for row in rows]
             if (spread := self.spread(name)) is not None:
@@ -384,9 +385,9 @@ class Study:
             return self._connection.execute(question, values).fetchall()
 
     def _require_metric(self, metric: str) -> None:
-        if metric not in self.meta["metrics"]:
+        if metric not in self.meta.metrics:
             raise InputError(
-                f"{self.path}: holds no course of the metric '{metric}'; it has {', '.join(self.meta['metrics'])}."
+                f"{self.path}: holds no course of the metric '{metric}'; it has {', '.join(self.meta.metrics)}."
             )
 
 

@@ -1,0 +1,152 @@
+"""What a study is about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.version import __version__
+from cornercase.scenario import ParameterSpace
+
+_DIFFERENT: Final = {
+    "scenario": "another scenario",
+    "fingerprint": "another version of the scenario file",
+    "space": "other parameter ranges",
+    "ego": "another ego",
+    "other": "another other entity",
+    "metrics": "other metrics",
+    "optimizer": "another optimizer",
+    "weights": "other weights of the metrics",
+    "pareto": "another objective",
+    "seed": "another seed",
+    "batch": "another batch size",
+    "settings": "other simulator settings",
+    "repeats": "another number of repeats",
+}
+
+
+@dataclass(frozen=True)
+class StudyMeta:
+    """What a study is about: everything that its content depends on.
+
+    Attributes
+    ----------
+    scenario : str
+        Path of the scenario file, or of the folder of imported recordings.
+    fingerprint : str
+        SHA-256 of the scenario and the files that it uses, or of the imported files.
+    space : ParameterSpace
+        What is varied.
+    ego, other : str
+        Names of the two entities that the metrics look at.
+    metrics : tuple of str
+        The first is the one that is searched.
+    optimizer : str
+        Name of the optimizer; ``"none"`` for imported recordings.
+    simulator : str
+        Name of the simulator; ``"imported"`` for imported recordings.
+    settings : mapping of str to object
+        What the recordings depend on besides the scenario.
+    critical : float or None
+        Threshold: score from which a scenario is critical; None where nothing says it.
+    weights : mapping of str to float
+        Weight of each metric in the sum that is searched; empty where the first metric is searched.
+    pareto : bool
+        Whether the Pareto front of all metrics is searched.
+    seed, budget, batch : int
+        Seed of the search, number of scenarios in all, and in each round.
+    repeats : int
+        How often each scenario is run.
+    files : tuple of str
+        Imported recordings, in the order of the scenarios' ids.
+    version : str
+        Version of cornercase that made the study.
+    """
+
+    scenario: str
+    fingerprint: str
+    space: ParameterSpace
+    ego: str
+    other: str
+    metrics: tuple[str, ...]
+    optimizer: str
+    simulator: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    critical: float | None = None
+    weights: Mapping[str, float] = field(default_factory=dict)
+    pareto: bool = False
+    seed: int = 0
+    budget: int = 0
+    batch: int = 0
+    repeats: int = 1
+    files: tuple[str, ...] = ()
+    version: str = __version__
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values by the name of the field; None stands for an empty or a plain one."""
+        return {one.name: getattr(self, one.name) for one in fields(self)} | {
+            "space": self.space.to_json(),
+            "metrics": list(self.metrics),
+            "settings": dict(self.settings),
+            "weights": dict(self.weights) or None,
+            "pareto": self.pareto or None,
+            "repeats": self.repeats if self.repeats > 1 else None,
+            "files": list(self.files) or None,
+        }
+
+    @classmethod
+    def from_json(cls, plain: Mapping[str, Any]) -> StudyMeta:
+        """Make it of what `to_json` gave.
+
+        Parameters
+        ----------
+        plain : mapping of str to object
+
+        Returns
+        -------
+        StudyMeta
+        """
+        # A field that is plain or empty stands there as None.
+        given = {one.name: plain[one.name] for one in fields(cls) if plain.get(one.name) is not None}
+        given |= {name: tuple(given[name]) for name in ("metrics", "files") if name in given}
+        return cls(**given | {"space": ParameterSpace.from_json(plain["space"])})
+
+    def require_same(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
+        """Refuse to go on with a study of something else.
+
+        The budget may grow, the simulator may run elsewhere, and a threshold may be given where there is none.
+
+        Parameters
+        ----------
+        other : StudyMeta
+            What one wants to go on with.
+        path : Path
+            The study, for messages.
+        same_budget : bool, default False
+            Whether the budget may not grow, because the search depends on it.
+
+        Raises
+        ------
+        InputError
+            Something else differs.
+        """
+        for name, words in _DIFFERENT.items():
+            if getattr(self, name) != getattr(other, name):
+                raise InputError(
+                    f"{path}: belongs to {words}; name another study with `study`, or give the same options."
+                )
+        # Where it runs may change; what the recordings depend on is among the settings.
+        if self.simulator.partition(":")[0] != other.simulator.partition(":")[0]:
+            raise InputError(
+                f"{path}: belongs to another simulator; name another study with `study`, or give the same."
+            )
+        if self.critical not in (None, other.critical):
+            raise InputError(
+                f"{path}: belongs to another threshold of what is critical ({self.critical:g}); name another study with"
+                " `study`, or give the same `critical`."
+            )
+        if same_budget and self.budget != other.budget:
+            raise InputError(f"{path}: belongs to a grid of {self.budget} scenarios; give the same `budget`.")
