@@ -62,6 +62,12 @@ class Registry(Generic[T]):
         ------
         InputError
             No such name, no such option, or a value that it does not take.
+
+        Examples
+        --------
+        >>> from cornercase import METRICS
+        >>> METRICS.create("ttc:accelerating=true").unit
+        's'
         """
         base, _, text = name.partition(":")
         factory = self.factory(base)

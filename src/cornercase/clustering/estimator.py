@@ -45,7 +45,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     Examples
     --------
     >>> import numpy as np
-    >>> from cornercase.clustering.estimator import ScenarioClustering
+    >>> from cornercase import ScenarioClustering
     >>> place = np.r_[np.linspace(0, 1, 20), np.linspace(9, 10, 20)]
     >>> distances = abs(place[:, None] - place)
     >>> model = ScenarioClustering().fit(distances)

@@ -92,6 +92,14 @@ class LogicalScenario:
         ------
         InputError
             A file cannot be used, nothing is varied, or a varied parameter is not declared in the scenario.
+
+        Examples
+        --------
+        >>> from cornercase import LogicalScenario
+        >>> folder = "examples/x_intersection/x_intersection"
+        >>> logical = LogicalScenario.read(f"{folder}.xosc", f"{folder}.space.xosc")
+        >>> [parameter.name for parameter in logical.space.parameters]
+        ['ego_start', 'pedestrian_wait', 'p1_speed']
         """
         varied = ParameterSpace.from_file(space) if space is not None else None
         if scenario is None:

@@ -183,10 +183,26 @@ class ParameterSpace:
     def from_ranges(cls, ranges: Sequence[str]) -> ParameterSpace:
         """Space of ``NAME=LOW:HIGH[:STEP]`` texts.
 
+        Parameters
+        ----------
+        ranges : sequence of str
+            One for each parameter.
+
+        Returns
+        -------
+        ParameterSpace
+
         Raises
         ------
         InputError
             A text is malformed, a bound is not finite, or LOW is not below HIGH.
+
+        Examples
+        --------
+        >>> from cornercase import ParameterSpace
+        >>> space = ParameterSpace.from_ranges(["speed=10:20", "lanes=1:3:1"])
+        >>> space.values([[0.5, 0.9]])
+        [{'speed': 15.0, 'lanes': 3.0}]
         """
         parameters = [_parse_range(text) for text in ranges]
         _require_names([parameter.name for parameter in parameters], "--range")
