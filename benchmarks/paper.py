@@ -27,9 +27,7 @@ from scipy.spatial import Delaunay
 from scipy.stats import spearmanr
 from sklearn.metrics import adjusted_rand_score, silhouette_score
 
-from cornercase.clustering import EGO_TRAJECTORY, analyze_study, cluster
-from cornercase.clustering.analysis import series_of
-from cornercase.clustering.profiles import outcome
+from cornercase.clustering import EGO_TRAJECTORY, analyze_study, cluster, series_of, tell_outcome
 from cornercase.drivers import named_driver
 from cornercase.dtw import distances_to
 from cornercase.evidence import estimate_sensitivity
@@ -66,7 +64,7 @@ class Experiment:
             self.scores = {m: study.scores(m) for m in meta.metrics}
             told = Objective.of_study(meta).told(np.stack(list(self.scores.values()), axis=1))
             self.influence = estimate_sensitivity(study.space, self.points, told, seed)
-            self.ends = [outcome(study.recording(row.id), meta.ego, meta.other) for row in rows]
+            self.ends = [tell_outcome(study.recording(row.id), meta.ego, meta.other) for row in rows]
             self.seconds = study.elapsed()["compare"] / len(self.found)
         self.crash = np.array(["collide" in end for end in self.ends])
 

@@ -143,8 +143,8 @@ def test_landmarks_find_the_same_and_say_what_they_lose():
 
 
 def test_many_scenarios_take_landmarks_by_themselves(monkeypatch):
-    monkeypatch.setattr("cornercase.clustering.search.MOST_EXACT", 500)
-    monkeypatch.setattr("cornercase.clustering.search.LANDMARKS", 300)
+    monkeypatch.setattr("cornercase.clustering.estimator.MOST_EXACT", 500)
+    monkeypatch.setattr("cornercase.clustering.estimator.LANDMARKS", 300)
     points, truth = make_circles(700, noise=0.04, factor=0.4, random_state=1)
     distances = between(points)
     model = ScenarioClustering().fit(distances)
@@ -281,11 +281,11 @@ def test_validity_index_by_hand():
         ([[0.0, -1.0], [-1.0, 0.0]], {}, "The distance of 0 and 1 is -1.0"),
         ([[0.0, 1.0], [2.0, 0.0]], {}, "not symmetric"),
         ([[1.0, 1.0], [1.0, 0.0]], {}, "zero diagonal"),
-        ([[0.0, 1.0], [1.0, 0.0]], {"gamma": 0.0}, "gamma is 0.0"),
-        ([[0.0, 1.0], [1.0, 0.0]], {"gamma": "wide"}, "gamma is 'wide'"),
-        ([[0.0, 1.0], [1.0, 0.0]], {"eps": -1}, "eps is -1"),
-        ([[0.0, 1.0], [1.0, 0.0]], {"min_samples": 0}, "min_samples is 0"),
-        ([[0.0, 1.0], [1.0, 0.0]], {"n_components": 0}, "n_components is 0"),
+        ([[0.0, 1.0], [1.0, 0.0]], {"gamma": 0.0}, "`gamma` 0.0"),
+        ([[0.0, 1.0], [1.0, 0.0]], {"gamma": "wide"}, "`gamma` 'wide'"),
+        ([[0.0, 1.0], [1.0, 0.0]], {"eps": -1}, "`eps` -1"),
+        ([[0.0, 1.0], [1.0, 0.0]], {"min_samples": 0}, "`min_samples` 0"),
+        ([[0.0, 1.0], [1.0, 0.0]], {"n_components": 0}, "`n_components` 0"),
     ],
 )
 def test_refuses_in_one_sentence(distances, options, words):

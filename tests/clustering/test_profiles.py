@@ -11,10 +11,11 @@ import pytest
 from sklearn.metrics import adjusted_rand_score
 
 from command_line import cornercase
-from cornercase.clustering.profiles import agreement, outcome, rules
+from cornercase.clustering import tell_outcome
+from cornercase.clustering.agreement import compare_labels
+from cornercase.clustering.rules import find_rules
 from cornercase.recordings import Collision
 from cornercase.scenario import Parameter, ParameterSpace
-from cornercase.study import Row
 from oracle import actor, recorded
 
 SPACE = ParameterSpace(
@@ -29,20 +30,17 @@ SPACE = ParameterSpace(
 
 def rows(count=300, seed=0):
     points = SPACE.snap(np.random.default_rng(seed).random((count, 4)))
-    return [
-        Row(k + 1, 1, point, values, "done", None)
-        for k, (point, values) in enumerate(zip(points, SPACE.values(points), strict=True))
-    ]
+    return SPACE.values(points)
 
 
 def column(found, name):
-    return np.array([row.values[name] for row in found])
+    return np.array([values[name] for values in found])
 
 
 def test_a_box_in_the_parameter_space_is_told_by_its_bounds():
     ran = rows()
     members = (column(ran, "start") > 3.0) & (column(ran, "start") <= 7.0) & (column(ran, "wait") <= 2.0)
-    (rule,) = rules(SPACE, ran, members)
+    (rule,) = find_rules(SPACE, ran, members)
     low, _, rest = rule.text.partition(" < start <= ")
     high, _, wait = rest.partition(" m and wait <= ")
     assert float(low) == pytest.approx(3.0, abs=0.1)
@@ -53,16 +51,16 @@ def test_a_box_in_the_parameter_space_is_told_by_its_bounds():
 
 def test_names_stand_in_a_rule_and_what_touches_is_one_part():
     ran = rows()
-    (rule,) = rules(SPACE, ran, column(ran, "kind") == "truck")
+    (rule,) = find_rules(SPACE, ran, column(ran, "kind") == "truck")
     assert rule.text == "kind is truck"
-    others = rules(SPACE, ran, column(ran, "kind") != "truck")
+    others = find_rules(SPACE, ran, column(ran, "kind") != "truck")
     assert [one.text for one in others] == ["kind is not truck"]
 
 
 def test_two_parts_are_two_rules_the_larger_first():
     ran = rows(600)
     start = column(ran, "start")
-    found = rules(SPACE, ran, (start < 1.0) | (start > 7.0))
+    found = find_rules(SPACE, ran, (start < 1.0) | (start > 7.0))
     assert [rule.text.split()[1] for rule in found] == [">", "<="]
     assert sum(rule.covers for rule in found) == pytest.approx(1.0, abs=0.02)
 
@@ -70,34 +68,34 @@ def test_two_parts_are_two_rules_the_larger_first():
 @pytest.mark.parametrize("members", [np.ones(300, dtype=bool), np.random.default_rng(5).random(300) < 0.001])
 def test_what_nothing_sets_apart_is_everywhere_or_nowhere_pure(members):
     members[0] = True
-    for rule in rules(SPACE, rows(), members):
+    for rule in find_rules(SPACE, rows(), members):
         assert 0.0 < rule.covers <= 1.0
         assert 0.0 < rule.purity <= 1.0
 
 
 def test_agreement_does_not_look_at_the_names_of_clusters():
     ids, one = np.arange(10, 22), np.repeat([0, 1, -1], 4)
-    same = agreement(ids, one, np.repeat([2, 0, 1], 4))
+    same = compare_labels(ids, one, np.repeat([2, 0, 1], 4))
     assert (same.rand, same.differ) == (1.0, ())
     assert same.mutual == pytest.approx(1.0)
     other = np.repeat([2, 0, 1], 4)
     other[3] = 1
-    found = agreement(ids, one, other)
+    found = compare_labels(ids, one, other)
     assert found.differ == (13,)
     assert found.rand == pytest.approx(adjusted_rand_score(one, other))
     # Three clusters against one: the largest is matched.
-    assert len(agreement(ids, one, np.zeros(12, dtype=int)).differ) == 8
+    assert len(compare_labels(ids, one, np.zeros(12, dtype=int)).differ) == 8
 
 
 def test_outcomes_say_who_was_first_and_who_collides():
     time = np.arange(0.0, 10.0, 0.1)
     early, late = actor(x=-30, v=10), actor(y=-60, yaw=math.pi / 2, v=10)
     recording = recorded([early, late], time)
-    assert outcome(recording, "0", "1") == outcome(recording, "1", "0") == "0 first"
-    assert outcome(recorded([late, early], time), "0", "1") == "1 first"
-    assert outcome(recorded([early, actor(y=200)], time), "0", "1") == "ways do not cross"
+    assert tell_outcome(recording, "0", "1") == tell_outcome(recording, "1", "0") == "0 first"
+    assert tell_outcome(recorded([late, early], time), "0", "1") == "1 first"
+    assert tell_outcome(recorded([early, actor(y=200)], time), "0", "1") == "ways do not cross"
     hit = replace(recording, collisions=(Collision(3.0, ("1", "0")),))
-    assert outcome(hit, "0", "1") == "0 and 1 collide"
+    assert tell_outcome(hit, "0", "1") == "0 and 1 collide"
 
 
 def test_show_and_report_tell_what_the_clusters_are(tmp_path):

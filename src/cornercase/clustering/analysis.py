@@ -6,20 +6,19 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering.estimator import ScenarioClustering
-from cornercase.clustering.profiles import Profile, outcome, profiles
-from cornercase.clustering.search import Candidate, Clustering, ClusteringMethod, cluster
+from cornercase.clustering.aspects import aspects_of, series_of
+from cornercase.clustering.clusters import Candidate, Clustering, ClusteringMethod
+from cornercase.clustering.estimator import ScenarioClustering, cluster
+from cornercase.clustering.outcomes import tell_outcome
+from cornercase.clustering.profiles import Profile, describe_clusters
 from cornercase.dtw import distance_matrix
-from cornercase.metrics import METRICS, capped
 from cornercase.study import Study
-
-EGO_TRAJECTORY: Final = "ego-trajectory"
 
 
 @dataclass(frozen=True)
@@ -52,30 +51,6 @@ class Analysis:
         return np.bincount(labels[labels >= 0]).tolist() if (labels >= 0).any() else []
 
 
-def series_of(study: Study, by: str) -> list[FloatArray]:
-    """Time series by which the scenarios are compared, one for each that was run.
-
-    Parameters
-    ----------
-    study : Study
-    by : str
-        ``"ego-trajectory"``: centre of the ego's box, each (T_i, 2) in m. A metric: its capped course, each (T_i,).
-
-    Raises
-    ------
-    InputError
-        The study holds no such metric.
-    """
-    rows = study.done()
-    if by == EGO_TRAJECTORY:
-        return [study.recording(row.id).center(study.meta.ego) for row in rows]
-    if by not in study.meta.metrics:
-        known = (EGO_TRAJECTORY, *study.meta.metrics)
-        raise InputError(f"{study.path}: cannot be clustered by '{by}'; {suggestion(by, known)}")
-    metric = METRICS.create(by)
-    return [capped(metric, study.course(row.id, by)) for row in rows]
-
-
 def analyze_study(
     study: Study,
     by: Sequence[str] | None = None,
@@ -100,10 +75,10 @@ def analyze_study(
     gamma, eps : float or "auto"
     min_samples : int or "auto"
     method : {"dbscan", "hdbscan"}
-        As of `cornercase.clustering.search.cluster`.
+        As of `cornercase.clustering.cluster`.
     keep : bool, default False
         Keep the clusters that the study has, and let only scenarios that were run since join them, as of
-        `cornercase.clustering.estimator.ScenarioClustering.predict`.
+        `cornercase.clustering.ScenarioClustering.predict`.
     progress : bool, default False
 
     Returns
@@ -118,9 +93,9 @@ def analyze_study(
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
     if len(ids) < 2:
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
-    outcomes = [outcome(study.recording(i), study.meta.ego, study.meta.other) for i in ids.tolist()]
+    outcomes = [tell_outcome(study.recording(i), study.meta.ego, study.meta.other) for i in ids.tolist()]
     results = {}
-    for name in by or (EGO_TRAJECTORY, *study.meta.metrics):
+    for name in by or aspects_of(study):
         begun = time.monotonic()
         distances = distance_matrix(series_of(study, name), progress=progress)
         measured = time.monotonic()
@@ -129,7 +104,7 @@ def analyze_study(
             found, fitted = _joined(study, name, ids, distances)
         else:
             found = cluster(distances, gamma=gamma, eps=eps, min_samples=min_samples, method=method)
-        described = profiles(study, found.labels, outcomes)
+        described = describe_clusters(study, found.labels, outcomes)
         results[name] = Analysis(name, ids, distances, found, described)
         study.save_analysis(
             name,

@@ -1,22 +1,18 @@
-"""The space of a Gaussian kernel of distances: where scenarios lie in it, and whom new ones join there."""
+"""The space of a Gaussian kernel of distances, and where scenarios lie in it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from scipy.linalg import lstsq
-from scipy.spatial.distance import cdist
 from sklearn.decomposition import KernelPCA
 
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from cornercase.clustering.search import Clustering
+from cornercase._common.typing import FloatArray
 
 
 class KernelSpace:
-    """Leading components of the kernel ``exp(-gamma * d**2)`` (kernel PCA).
+    """Leading components of the kernel ``exp(-gamma * d**2)``, by kernel PCA.
 
     Parameters
     ----------
@@ -27,9 +23,14 @@ class KernelSpace:
     Attributes
     ----------
     embedding : ndarray of float64, shape (n, n_components)
-        Of the scenarios that it was fitted to.
+        Coordinates of the scenarios that it was fitted to.
     explained : float
-        Share of the variance in kernel space that they keep, 0 to 1.
+        Share of the variance in kernel space that the components keep, 0 to 1.
+
+    Notes
+    -----
+    S. Mika et al., "Kernel PCA and de-noising in feature spaces", 1998. New scenarios are placed as C. Williams, M.
+    Seeger, "Using the Nyström method to speed up kernel machines", 2001, say.
     """
 
     def __init__(self, gamma: float, n_components: int) -> None:
@@ -43,7 +44,12 @@ class KernelSpace:
         Parameters
         ----------
         distances : ndarray of float64, shape (n, n)
-            Over their scale.
+            Divided by their scale.
+
+        Returns
+        -------
+        KernelSpace
+            Itself.
         """
         kernel = self._kernel(distances)
         n = len(kernel)
@@ -60,7 +66,17 @@ class KernelSpace:
         return self
 
     def transform(self, distances: FloatArray) -> FloatArray:
-        """Place others, shape (m, n_components), by their distances to those that were fitted, shape (m, n)."""
+        """Place further scenarios.
+
+        Parameters
+        ----------
+        distances : ndarray of float64, shape (m, n)
+            From each of them to those that were fitted, divided by the same scale.
+
+        Returns
+        -------
+        ndarray of float64, shape (m, n_components)
+        """
         placed = np.zeros((len(distances), self._n_components))
         if self._pca is not None and len(distances):
             found = self._pca.transform(self._kernel(distances))
@@ -68,14 +84,14 @@ class KernelSpace:
         return placed
 
     def error(self, to_known: FloatArray, between: FloatArray) -> float:
-        """How much of the kernel of others is lost when it is put together from that of those that were fitted.
+        """How much of the kernel of further scenarios is lost when it is rebuilt from the fitted ones.
 
         Parameters
         ----------
         to_known : ndarray of float64, shape (m, n)
-            Distances of the others to those that were fitted.
+            Distances from the further scenarios to the fitted ones.
         between : ndarray of float64, shape (m, m)
-            Distances of the others from each other.
+            Distances of the further scenarios from each other.
 
         Returns
         -------
@@ -88,44 +104,3 @@ class KernelSpace:
 
     def _kernel(self, distances: FloatArray) -> FloatArray:
         return np.asarray(np.exp(-self._gamma * distances**2))
-
-
-def assigned(placed: FloatArray, known: Clustering) -> IntArray:
-    """Clusters that others join: that of the nearest dense scenario within the neighbourhood, as DBSCAN would.
-
-    Parameters
-    ----------
-    placed : ndarray of float64, shape (m, n_components)
-        The others, in the same kernel space.
-    known : Clustering
-
-    Returns
-    -------
-    ndarray of int64, shape (m,)
-        -1 where nothing dense is near.
-    """
-    dense = np.flatnonzero(_dense(known))
-    if not len(dense):
-        return np.full(len(placed), -1, dtype=np.int64)
-    apart = cdist(placed, known.embedding[dense])
-    nearest = apart.argmin(axis=1)
-    near = apart[np.arange(len(placed)), nearest] <= _reach(known)
-    return np.where(near, known.labels[dense[nearest]], -1).astype(np.int64)
-
-
-def _dense(known: Clustering) -> BoolArray:
-    """Scenarios with enough neighbours; with HDBSCAN all that are in a cluster."""
-    if known.method == "hdbscan":
-        return np.asarray(known.labels >= 0)
-    between = cdist(known.embedding, known.embedding)
-    return np.asarray((between <= known.eps).sum(axis=1) >= known.min_samples)
-
-
-def _reach(known: Clustering) -> float:
-    """Radius within which another scenario belongs to a cluster."""
-    if known.method == "dbscan":
-        return known.eps
-    # As far as the members of the clusters are from their own min_samples-th neighbour at most.
-    members = known.embedding[known.labels >= 0]
-    between = np.sort(cdist(members, members), axis=1)
-    return float(between[:, min(known.min_samples, len(members)) - 1].max(initial=0.0))

@@ -13,7 +13,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
 from cornercase._common.typing import FloatArray
-from cornercase.clustering import EGO_TRAJECTORY, agreements
+from cornercase.clustering import EGO_TRAJECTORY, compare_clusterings, unit_of
 from cornercase.exploration import Objective
 from cornercase.metrics import METRICS, Metric, capped
 from cornercase.reduction import gaps
@@ -245,7 +245,7 @@ class _Page:
         )
 
     def _agreement(self) -> Iterable[str]:
-        found = agreements(self._study)
+        found = compare_clusterings(self._study)
         if not found:
             return
         yield "<h2>Do the clusterings agree?</h2>"
@@ -354,11 +354,7 @@ class _Page:
             chosen = [compared.index(i) for i in kept if i in compared]
             if chosen:
                 curves[name] = gaps(arrays["distances"], chosen), np.array([critical[i] for i in compared])
-        return figures.coverage(curves, [self._unit_of(name) for name in curves])
-
-    def _unit_of(self, name: str) -> str:
-        """Unit of a sum of distances along the best path."""
-        return "m" if name == EGO_TRAJECTORY else METRICS.create(name).unit
+        return figures.coverage(curves, [unit_of(name) for name in curves])
 
     def _failures(self) -> Iterable[str]:
         failed = self._study.failed()

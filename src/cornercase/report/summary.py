@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase.clustering import agreements
+from cornercase.clustering import compare_clusterings
 from cornercase.evidence import CriticalSet, estimate_sensitivity
 from cornercase.exploration import Objective, on_front
 from cornercase.metrics import METRICS
@@ -89,7 +89,7 @@ def summarize(study: Study) -> dict[str, Any]:
             "adjusted mutual information": one.mutual,
             "scenarios that differ": len(one.differ),
         }
-        for (a, b), one in agreements(study).items()
+        for (a, b), one in compare_clusterings(study).items()
     }
     reduction = study.reduction()
     if reduction is not None:

@@ -1,0 +1,73 @@
+"""Aspects: what of two scenarios is compared, by name."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import METRICS, capped
+from cornercase.study import Study
+
+EGO_TRAJECTORY: Final = "ego-trajectory"
+"""The way that the ego takes, and when."""
+
+
+def aspects_of(study: Study) -> tuple[str, ...]:
+    """Names of all aspects that the scenarios of a study can be compared by.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    tuple of str
+        ``"ego-trajectory"``, then the course of each metric by the metric's name.
+    """
+    return (EGO_TRAJECTORY, *study.meta.metrics)
+
+
+def series_of(study: Study, aspect: str) -> list[FloatArray]:
+    """Time series that the scenarios are compared by, one for each that was run.
+
+    Parameters
+    ----------
+    study : Study
+    aspect : str
+        ``"ego-trajectory"``: centre of the ego's box, each (T_i, 2) in m. A metric: its capped course, each (T_i,) in
+        the metric's unit.
+
+    Returns
+    -------
+    list of ndarray of float64
+
+    Raises
+    ------
+    InputError
+        The study holds no such metric.
+    """
+    rows = study.done()
+    if aspect == EGO_TRAJECTORY:
+        return [study.recording(row.id).center(study.meta.ego) for row in rows]
+    if aspect not in study.meta.metrics:
+        raise InputError(
+            f"`by` {aspect}: {study.path} cannot be clustered by it; {suggestion(aspect, aspects_of(study))}"
+        )
+    metric = METRICS.create(aspect)
+    return [capped(metric, study.course(row.id, aspect)) for row in rows]
+
+
+def unit_of(aspect: str) -> str:
+    """Unit of a distance between two scenarios by an aspect.
+
+    Parameters
+    ----------
+    aspect : str
+
+    Returns
+    -------
+    str
+        The distance is a sum along the best path, so it has the unit of the series; ``"1"`` for none.
+    """
+    return "m" if aspect == EGO_TRAJECTORY else METRICS.create(aspect).unit
