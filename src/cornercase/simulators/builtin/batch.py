@@ -18,7 +18,9 @@ from cornercase.simulators.builtin.actions.controller import Driving, registered
 from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
-from cornercase.simulators.builtin.world import Entity, World
+from cornercase.simulators.builtin.world.contacts import find_contacts
+from cornercase.simulators.builtin.world.motion import move_entities
+from cornercase.simulators.builtin.world.state import Entity, World
 
 _MOST_ENTITIES: Final = 500
 
@@ -114,7 +116,7 @@ class Batch:
                 driving.step(dt)
             if self._coupling is not None:
                 self._coupling.step(world, dt)
-            world.move(dt)
+            move_entities(world, dt)
             # Counting steps rather than adding them up keeps 0.05 s steps on the instants one expects.
             world.time = steps * self._time_step
             steps += 1
@@ -128,7 +130,7 @@ class Batch:
     def _find_collisions(self) -> None:
         world, contacts = self._world, self._contacts
         before = world.touching.copy()
-        world.find_contacts()
+        find_contacts(world)
         begun: BoolArray = world.touching & ~before & world.running
         for a, b, i in np.argwhere(begun):
             if a < b:

@@ -15,8 +15,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from cornercase._common.errors import SimulationError
-from cornercase.simulators.builtin.paths.tracks import LaneTrack
-from cornercase.simulators.builtin.world import Entity, World
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
+from cornercase.simulators.builtin.world.contacts import entity_corners
+from cornercase.simulators.builtin.world.motion import pull_entity
+from cornercase.simulators.builtin.world.state import Entity, World
 
 # How SUMO drives, in its own words: tau is the time headway in s, jmTimegapMinor the time in s that is left to who has
 # the right of way, and impatience how far a driver counts on that one to brake. Who ignores foes on the junction has
@@ -216,7 +218,7 @@ class SumoCoupling:
     def _reaches(self, world: World, e: int) -> bool:
         assert world.network is not None
         one = world.entities[e]
-        corners = world.corners()[e, 0]
+        corners = entity_corners(world)[e, 0]
         places = np.concatenate([corners, corners.mean(axis=0, keepdims=True)])
         found = world.network.locate(places[:, 0], places[:, 1])
         for road, lane, s, offset in zip(found.road, found.lane, found.s, found.offset, strict=True):
@@ -238,13 +240,14 @@ class SumoCoupling:
         sumo = self._sumo
         if name not in sumo.vehicle.getIDList():
             # It has arrived at the end of its way, and stays there.
-            world.pull(e, world.x[e], world.y[e], world.heading[e], np.zeros(1))
+            pull_entity(world, e, world.x[e], world.y[e], world.heading[e], np.zeros(1))
             return
         x, y = sumo.vehicle.getPosition(name)
         heading = math.pi / 2 - math.radians(sumo.vehicle.getAngle(name))
         one = world.entities[e]
         behind = one.center_x + 0.5 * one.length
-        world.pull(
+        pull_entity(
+            world,
             e,
             np.array([x - behind * math.cos(heading)]),
             np.array([y - behind * math.sin(heading)]),

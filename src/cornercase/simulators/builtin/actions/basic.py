@@ -22,7 +22,8 @@ from cornercase.simulators.builtin.actions.longitudinal import (
 from cornercase.simulators.builtin.actions.speed_profile import SpeedProfileAction
 from cornercase.simulators.builtin.actions.synchronise import SynchronizeAction
 from cornercase.simulators.builtin.paths.positions import entity_index, read_position, read_route
-from cornercase.simulators.builtin.world import World
+from cornercase.simulators.builtin.world.lanes import assign_route, place_entity
+from cornercase.simulators.builtin.world.state import World
 
 # Actions that change nothing a criticality metric sees.
 WITHOUT_EFFECT: Final = (
@@ -92,7 +93,7 @@ class TeleportAction:
         world.actor = self._entity
         pose = self._position(world)
         world.actor = None
-        world.place(self._entity, pose, where)
+        place_entity(world, self._entity, pose, where)
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         return where.copy()
@@ -106,7 +107,7 @@ class AssignRouteAction:
         self._route = read_route(element, scope, world)
 
     def start(self, world: World, where: BoolArray) -> None:
-        world.assign_route(self._entity, tuple(road for road, _, _ in self._route(world)), where)
+        assign_route(world, self._entity, tuple(road for road, _, _ in self._route(world)), where)
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         return where.copy()
@@ -124,7 +125,7 @@ class AcquirePositionAction:
         if pose.road is None:
             return
         for road in np.unique(pose.road[where]):
-            world.assign_route(self._entity, (int(road),), where & (pose.road == road))
+            assign_route(world, self._entity, (int(road),), where & (pose.road == road))
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         return where.copy()
@@ -146,7 +147,7 @@ class PresenceAction:
         if self._position is None:
             world.present[self._entity][where] = False
         else:
-            world.place(self._entity, self._position(world), where & ~world.present[self._entity])
+            place_entity(world, self._entity, self._position(world), where & ~world.present[self._entity])
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         return where.copy()

@@ -9,9 +9,9 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import DRIVERS, DrivenPath, Driver, Situation
 from cornercase.scenario import DRIVER_PROPERTY, Scope
-from cornercase.simulators.builtin.paths.tracks import LaneTrack, Track
-from cornercase.simulators.builtin.paths.trajectories import ClothoidSpline, Polyline, Trajectory
-from cornercase.simulators.builtin.world import World
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
+from cornercase.simulators.builtin.tracks.track import Track, Trajectory
+from cornercase.simulators.builtin.world.state import World
 
 # Spacing in m at which a driver is told a trajectory, how far straight on beyond its end, and how far on a closed one.
 _SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
@@ -48,7 +48,7 @@ class Driving:
             return
         for k, track in enumerate(world.tracks[e]):
             rows = active & (world.track[e] == k)
-            timed = isinstance(track, Polyline | ClothoidSpline) and track.time is not None
+            timed = isinstance(track, Trajectory) and track.time is not None
             if rows.any() and not timed:
                 acceleration = self._driver.acceleration(self._situation(k, track, dt, rows))
                 speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
@@ -88,7 +88,7 @@ class Driving:
             if k not in self._paths:
                 line = track.path
                 self._paths[k] = DrivenPath(line.distance, line.x, line.y, line.heading, line.curvature)
-        elif isinstance(track, Polyline | ClothoidSpline) and self._begun.get(k) != track.version:
+        elif isinstance(track, Trajectory) and self._begun.get(k) != track.version:
             # Where it is begun anew it may run otherwise.
             self._paths[k], self._begun[k] = _sampled(track), track.version
         return self._paths[k]

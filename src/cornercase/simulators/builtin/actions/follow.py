@@ -7,19 +7,21 @@ from lxml import etree
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.actions.longitudinal import identities
-from cornercase.simulators.builtin.paths.trajectories import Trajectory
+from cornercase.simulators.builtin.paths.positions import read_position
 from cornercase.simulators.builtin.paths.trajectory_shapes import read_trajectory
-from cornercase.simulators.builtin.world import LATERAL, LONGITUDINAL, World
+from cornercase.simulators.builtin.tracks.track import Trajectory
+from cornercase.simulators.builtin.world.lanes import attach_to_lane, follow_track
+from cornercase.simulators.builtin.world.motion import settle_on_track
+from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
 
 class FollowTrajectoryAction:
     """Moves an entity along a trajectory, at its own speed or at given times."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, next(identities)
+        self._entity, self._id = entity, world.number_action()
         holder = element.find("TrajectoryRef")
-        self._shape = read_trajectory(element if holder is None else holder, scope, world)
+        self._shape = read_trajectory(element if holder is None else holder, scope, world, read_position)
         mode = element.find("TrajectoryFollowingMode")
         self._smooth = mode is not None and scope.text(mode, "followingMode", "position") == "follow"
         timing = element.find("TimeReference/Timing")
@@ -42,13 +44,13 @@ class FollowTrajectoryAction:
         if self._track is None:
             self._track = track
         else:
-            self._track.adopt(track, where)  # type: ignore[arg-type]
+            self._track.adopt(track, where)
             track = self._track
         world.claim(LATERAL, e, self._id, where)
         if self._scale is not None:
             world.claim(LONGITUDINAL, e, self._id, where)
         world.present[e] |= where
-        world.follow(e, track, self._skip, where)
+        follow_track(world, e, track, self._skip, where)
         world.offset[e][where] = world.turn[e][where] = 0.0
         world.frozen[e][where] = False
         self._since[where] = 0.0 if self._absolute else world.time
@@ -100,7 +102,7 @@ class FollowTrajectoryAction:
         world.speed[e][going] = np.where(backwards, -speed, speed)[going]
         world.distance[e][rows] = along[rows]
         world.moved[e] |= rows
-        world.settle(e, rows)
+        settle_on_track(world, e, rows)
         if over.any():
             rest = np.maximum(time - track.time[:, -1], 0.0) * np.abs(world.speed[e])
             self._leave(world, track, track.lengths, rest, over)
@@ -114,7 +116,7 @@ class FollowTrajectoryAction:
         begun = rows & (distance < 1e-6) & (way < 0)
         world.distance[e][rows] = distance[rows]
         world.moved[e] |= rows
-        world.settle(e, rows)
+        settle_on_track(world, e, rows)
         if reached.any():
             self._leave(world, track, track.lengths, distance - track.lengths, reached)
         if begun.any():
@@ -129,5 +131,5 @@ class FollowTrajectoryAction:
         x, y = x + beyond[rows] * np.cos(heading), y + beyond[rows] * np.sin(heading)
         world.x[e][rows], world.y[e][rows], world.heading[e][rows] = x, y, heading
         world.moved[e] |= where
-        world.attach(e, where)
+        attach_to_lane(world, e, where)
         world.frozen[e][where] = True

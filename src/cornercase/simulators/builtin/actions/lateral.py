@@ -10,7 +10,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.actions.longitudinal import child, identities
+from cornercase.simulators.builtin.actions.longitudinal import child
 from cornercase.simulators.builtin.paths.positions import entity_index, shifted_lane
 from cornercase.simulators.builtin.paths.transitions import (
     Transition,
@@ -19,7 +19,10 @@ from cornercase.simulators.builtin.paths.transitions import (
     steepness,
     time_by_acceleration,
 )
-from cornercase.simulators.builtin.world import LATERAL, World
+from cornercase.simulators.builtin.world.gaps import offset_from
+from cornercase.simulators.builtin.world.lanes import change_lane
+from cornercase.simulators.builtin.world.state import LATERAL, World
+from cornercase.simulators.builtin.world.whereabouts import lane_of, lateral_speed, road_heading
 
 # m/s²; esmini's figure for a lane offset without one.
 _GENTLE: Final = 0.5
@@ -33,7 +36,7 @@ class LaneChangeAction:
     """Moves an entity to another lane; what it moves sideways it does not move ahead."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, next(identities)
+        self._entity, self._id = entity, world.number_action()
         self._transition = Transition(child(element, "LaneChangeActionDynamics", scope), scope)
         target = child(element, "LaneChangeTarget", scope)
         absolute, relative = target.find("AbsoluteTargetLane"), target.find("RelativeTargetLane")
@@ -56,10 +59,10 @@ class LaneChangeAction:
             world.fail(where, f"{world.names[e]} cannot change lanes, as there are no roads")
             return
         lane = self._lane(world)
-        done = world.change_lane(e, lane, where)
+        done = change_lane(world, e, lane, where)
         world.fail(where & ~done, f"{world.names[e]} is to change to a lane that is not there")
-        pose = world.lane_of(e)
-        forward = np.where(np.cos(pose.heading - world.road_heading(pose)) > -1e-6, 1.0, -1.0)
+        pose = lane_of(world, e)
+        forward = np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, 1.0, -1.0)
         self._from[where] = world.offset[e][where]
         self._to[where] = (forward * self._target_offset)[where]
         self._extent[where] = self._transition.extent(self._from, self._to)[where]
@@ -99,9 +102,9 @@ class LaneChangeAction:
     def _lane(self, world: World) -> IntArray:
         if self._reference is None:
             return np.full(world.scenarios, self._value)
-        pose = world.lane_of(self._reference)
+        pose = lane_of(world, self._reference)
         assert pose.lane is not None
-        forward = np.where(np.cos(pose.heading - world.road_heading(pose)) > -1e-6, 1, -1)
+        forward = np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, 1, -1)
         return shifted_lane(pose.lane, self._value * forward)
 
 
@@ -109,7 +112,7 @@ class LaneOffsetAction:
     """Moves an entity within its lane, without a loss of way."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, next(identities)
+        self._entity, self._id = entity, world.number_action()
         dynamics = child(element, "LaneOffsetActionDynamics", scope)
         self._shape = scope.text(dynamics, "dynamicsShape")
         require_shape(self._shape, dynamics, scope)
@@ -134,10 +137,10 @@ class LaneOffsetAction:
         if world.network is None:
             target = self._value
         elif self._reference is None:
-            pose = world.lane_of(e)
-            target = np.where(np.cos(pose.heading - world.road_heading(pose)) > -1e-6, self._value, -self._value)
+            pose = lane_of(world, e)
+            target = np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, self._value, -self._value)
         else:
-            target = world.offset_from(e, self._reference) + self._value
+            target = offset_from(world, e, self._reference) + self._value
         self._to[where] = target[where]
         self._duration[where] = time_by_acceleration(self._shape, self._to - self._from, self._most)[where]
         self._elapsed[where] = 0.0
@@ -162,7 +165,7 @@ class LateralDistanceAction:
     """Keeps a lateral distance to another entity."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, next(identities)
+        self._entity, self._id = entity, world.number_action()
         self._other = entity_index(element, scope, world)
         self._continuous = scope.flag(element, "continuous", False)
         side = -1.0 if scope.text(element, "displacement", "any") == "rightToReferencedEntity" else 1.0
@@ -191,7 +194,7 @@ class LateralDistanceAction:
         # The first frame only looks.
         moves = acting & ~self._first & (dt > 0)
         self._first[acting] = False
-        error = self._wanted - (world.offset[e] - world.offset_from(e, self._other))
+        error = self._wanted - (world.offset[e] - offset_from(world, e, self._other))
         reached = moves & (np.abs(error) < _REACHED)
         across = self._velocity(world, error, dt, moves)
         rigid = np.isinf(self._most) & np.isinf(self._fastest)
@@ -208,7 +211,7 @@ class LateralDistanceAction:
         fastest = np.maximum(np.minimum(self._fastest, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
         springy = np.isfinite(self._most)
         stiffness = 0.4 * np.where(springy, self._most, 0.0)
-        theirs = world.lateral_speed(self._other)
+        theirs = lateral_speed(world, self._other)
         wanted = stiffness * error - 2.0 * np.sqrt(stiffness) * (self._speed - theirs)
         step = np.where(np.isfinite(self._jerk), self._jerk * dt, np.inf)
         wanted = self._acceleration + np.clip(wanted - self._acceleration, -step, step)

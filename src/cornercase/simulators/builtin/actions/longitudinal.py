@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import count
 from typing import Final
 
 import numpy as np
@@ -13,7 +12,9 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.paths.transitions import Transition
-from cornercase.simulators.builtin.world import LONGITUDINAL, World
+from cornercase.simulators.builtin.world.gaps import distance_ahead, longitudinal_gap, remaining
+from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
+from cornercase.simulators.builtin.world.whereabouts import lane_of
 
 # A distance that is kept within this, in m, is reached.
 _REACHED: Final = 0.1
@@ -21,14 +22,12 @@ _REACHED: Final = 0.1
 # Stiffness of the spring that keeps a distance, in 1/m, times the largest acceleration.
 _SPRING: Final = 0.4
 
-identities = count()
-
 
 class SpeedAction:
     """Brings an entity to a speed; for one with a driver, it says what speed the driver shall want."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, next(identities)
+        self._entity, self._id = entity, world.number_action()
         self._transition = Transition(child(element, "SpeedActionDynamics", scope), scope)
         target = child(element, "SpeedActionTarget", scope)
         absolute, relative = target.find("AbsoluteTargetSpeed"), target.find("RelativeTargetSpeed")
@@ -102,7 +101,7 @@ class LongitudinalDistanceAction:
     """Keeps a distance or a time gap to another entity, like a critically damped spring."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, next(identities)
+        self._entity, self._id = entity, world.number_action()
         self._other = entity_index(element, scope, world)
         self._continuous = scope.flag(element, "continuous", False)
         self._free = scope.flag(element, "freespace", False)
@@ -156,10 +155,10 @@ class LongitudinalDistanceAction:
     def _measure(self, world: World) -> FloatArray:
         """Signed distance ahead to the other, shape (N,)."""
         if self._free:
-            return world.longitudinal_gap(self._entity, self._other)
+            return longitudinal_gap(world, self._entity, self._other)
         if self._system in ("lane", "road", "trajectory"):
-            return world.remaining(self._entity, world.lane_of(self._other))
-        return world.ahead(self._entity, self._other)
+            return remaining(world, self._entity, lane_of(world, self._other))
+        return distance_ahead(world, self._entity, self._other)
 
 
 def child(element: etree._Element, tag: str, scope: Scope) -> etree._Element:

@@ -10,9 +10,8 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.actions.longitudinal import identities
 from cornercase.simulators.builtin.paths.positions import entity_index
-from cornercase.simulators.builtin.world import LONGITUDINAL, World
+from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 
 
 class Limits(NamedTuple):
@@ -41,7 +40,7 @@ class SpeedProfileAction:
     """
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, next(identities)
+        self._entity, self._id = entity, world.number_action()
         self._reference = None if element.get("entityRef") is None else entity_index(element, scope, world)
         constraints = element.find("DynamicConstraints")
         names = ("maxAcceleration", "maxDeceleration", "maxAccelerationRate", "maxDecelerationRate")

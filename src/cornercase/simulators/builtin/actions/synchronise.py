@@ -10,10 +10,12 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.actions.longitudinal import child, identities
+from cornercase.simulators.builtin.actions.longitudinal import child
 from cornercase.simulators.builtin.paths.positions import entity_index, read_position
-from cornercase.simulators.builtin.paths.tracks import Pose
-from cornercase.simulators.builtin.world import LONGITUDINAL, World
+from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.gaps import remaining
+from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
+from cornercase.simulators.builtin.world.whereabouts import speed_along_road
 
 # What an entity does on its way to its place: nothing yet; the first of two phases of constant acceleration, below or
 # above the mean speed; the last phase; waiting for the master to move; braking hard; standing until the last phase
@@ -39,7 +41,7 @@ class SynchronizeAction:
     """
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, next(identities)
+        self._entity, self._id = entity, world.number_action()
         self._master = entity_index(element, scope, world, "masterEntityRef")
         self._read_target_master = read_position(child(element, "TargetPositionMaster", scope), scope, world)
         self._read_target = read_position(child(element, "TargetPosition", scope), scope, world)
@@ -94,8 +96,8 @@ class SynchronizeAction:
         assert self._target_master is not None
         e, m = self._entity, self._master
         acting = where & world.controls(LONGITUDINAL, e, self._id)
-        signed = world.remaining(m, self._target_master, self._known[1])
-        way, way_master = np.abs(world.remaining(e, self._target, self._known[0])), np.abs(signed)
+        signed = remaining(world, m, self._target_master, self._known[1])
+        way, way_master = np.abs(remaining(world, e, self._target, self._known[0])), np.abs(signed)
         done = (way < self._tolerance + _TINY) | (way_master < self._tolerance_master + _TINY)
         done |= (way > self._last) | (way_master > self._last_master)
         self._last[acting], self._last_master[acting] = way[acting], way_master[acting]
@@ -103,7 +105,7 @@ class SynchronizeAction:
         way_master = np.maximum(way_master - self._tolerance_master, _TINY)
         # The master's speed counts along its road, and towards its place.
         ahead = np.sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
-        speed_master = ahead * world.speed_along_road(m, acting)
+        speed_master = ahead * speed_along_road(world, m, acting)
         comes = (speed_master > _TINY) & (dt > 0)
         time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), _NEVER)
         done |= comes & (time < dt)

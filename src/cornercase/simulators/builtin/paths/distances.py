@@ -11,8 +11,18 @@ from cornercase._common.errors import InputError
 from cornercase._common.geometry import box_corners
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.paths.tracks import Pose
-from cornercase.simulators.builtin.world import World
+from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.gaps import (
+    distance_ahead,
+    distance_beside,
+    lateral_gap,
+    longitudinal_gap,
+    longitudinal_reach,
+    offset_from,
+    remaining,
+)
+from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.whereabouts import lane_of
 
 
 @dataclass(frozen=True)
@@ -38,17 +48,17 @@ class Gap:
             return _free_distance(world, e, other) if self.free else _distance(world, e, world.x[other], world.y[other])
         if self.kind == "lateral":
             if self.along_road:
-                apart = world.offset_from(e, other) - world.offset[e]
+                apart = offset_from(world, e, other) - world.offset[e]
                 half = 0.5 * (world.entities[e].width + world.entities[other].width)
                 return np.asarray(np.sign(apart) * np.maximum(np.abs(apart) - half, 0.0) if self.free else apart)
-            return world.lateral_gap(e, other) if self.free else world.beside(e, other)
+            return lateral_gap(world, e, other) if self.free else distance_beside(world, e, other)
         if self.along_road:
-            way = world.remaining(e, world.lane_of(other))
+            way = remaining(world, e, lane_of(world, other))
             if not self.free:
                 return way
-            ahead, behind = world.longitudinal_reach(e, other)
+            ahead, behind = longitudinal_reach(world, e, other)
             return np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
-        return world.longitudinal_gap(e, other) if self.free else world.ahead(e, other)
+        return longitudinal_gap(world, e, other) if self.free else distance_ahead(world, e, other)
 
     def to_place(self, world: World, e: int, pose: Pose) -> FloatArray:
         """Distance to a place in m, shape (N,); positive ahead and to the left."""
@@ -67,7 +77,7 @@ class Gap:
         if self.kind == "lateral":
             across = dy * cos - dx * sin
             return np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
-        way = world.remaining(e, pose) if self.along_road else dx * cos + dy * sin
+        way = remaining(world, e, pose) if self.along_road else dx * cos + dy * sin
         if self.free:
             way = np.where(way > 0, np.maximum(way - front, 0.0), np.minimum(way + rear, 0.0))
         return way

@@ -12,10 +12,11 @@ from lxml import etree
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.paths.tracks import Pose
-from cornercase.simulators.builtin.world import World
-
-Position = Callable[[World], Pose]
+from cornercase.simulators.builtin.paths.trajectory_shapes import Position, read_trajectory
+from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.lanes import lane_track
+from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
 
 # Places beyond the end of a road by less than this, in m, are at the end.
 _EDGE: Final = 0.1
@@ -109,9 +110,9 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
     turn, relative = _orientation(element, scope)
 
     def resolve(world: World) -> Pose:
-        base = world.lane_of(entity)
+        base = lane_of(world, entity)
         # Along the lane means as the entity drives; otherwise it is the road's s and its numbers of lanes that count.
-        ahead = np.cos(base.heading - world.road_heading(base)) > -1e-6
+        ahead = np.cos(base.heading - road_heading(world, base)) > -1e-6
         forward = np.where(ahead | (not along_lane), 1, -1)
         base = _moved(world, base, forward * ds)
         assert base.lane is not None
@@ -121,7 +122,7 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
         pose = _on_lane(world, base.road, lane, base.s, offset * forward, turn, relative)
         if along_lane or not relative:
             return pose
-        return replace(pose, heading=np.where(np.isnan(pose.heading), np.nan, world.road_heading(pose) + turn))
+        return replace(pose, heading=np.where(np.isnan(pose.heading), np.nan, road_heading(world, pose) + turn))
 
     return resolve
 
@@ -142,7 +143,7 @@ def _moved(world: World, base: Pose, ds: FloatArray) -> Pose:
     beyond = np.flatnonzero((s < 0.0) | (s > world.network.lengths[road]))
     for i in beyond[world.running[beyond]]:
         route = 0 if world.actor is None else int(world.route[world.actor, i])
-        track = world.lane_track(int(road[i]), int(lane[i]), float(base.s[i]), bool(ds[i] >= 0.0), route)
+        track = lane_track(world, int(road[i]), int(lane[i]), float(base.s[i]), bool(ds[i] >= 0.0), route)
         if track is not None:
             distance = track.distance_of(base.s[i : i + 1]) + abs(ds[i])
             k = int(np.clip(np.searchsorted(track.path.distance, distance[0], "right") - 1, 0, track.path.s.size - 1))
@@ -157,7 +158,7 @@ def _relative_road_position(element: etree._Element, scope: Scope, world: World)
     turn, relative = _orientation(element, scope)
 
     def resolve(world: World) -> Pose:
-        base = world.lane_of(entity)
+        base = lane_of(world, entity)
         moved = _moved(world, base, ds)
         assert moved.road is not None
         assert moved.s is not None
@@ -222,7 +223,7 @@ def _route_position(element: etree._Element, scope: Scope, world: World) -> Posi
         else:
             pose = _on_road(world, road, s, np.where(along, side, -side), turn, relative)
         # Who is given an orientation against the route is turned along it: so it is in esmini.
-        forward = world.road_heading(pose) + np.where(along, 0.0, np.pi)
+        forward = road_heading(world, pose) + np.where(along, 0.0, np.pi)
         against = turned & (np.cos(pose.heading - forward) < 0.0)
         return replace(pose, heading=pose.heading + np.where(against, np.pi, 0.0))
 
@@ -264,12 +265,10 @@ def read_route(holder: etree._Element, scope: Scope, world: World) -> Route:
 
 
 def _trajectory_position(element: etree._Element, scope: Scope, world: World) -> Position:
-    from cornercase.simulators.builtin.paths.trajectory_shapes import read_trajectory
-
     holder = element.find("TrajectoryRef")
     if holder is None:
         raise InputError(f"{scope.source}, line {element.sourceline}: <TrajectoryPosition> has no <TrajectoryRef>.")
-    shape = read_trajectory(holder, scope, world)
+    shape = read_trajectory(holder, scope, world, read_position)
     s, t = scope.number(element, "s"), scope.number(element, "t", 0.0)
     turn, relative = _orientation(element, scope)
     rows = np.arange(scope.scenarios)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -10,9 +11,17 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.paths.positions import read_position
-from cornercase.simulators.builtin.paths.trajectories import ClothoidSpline, Polyline, Trajectory, nurbs_points
-from cornercase.simulators.builtin.world import World
+from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
+from cornercase.simulators.builtin.tracks.nurbs import nurbs_points
+from cornercase.simulators.builtin.tracks.polyline import Polyline
+from cornercase.simulators.builtin.tracks.track import Pose, Trajectory
+from cornercase.simulators.builtin.world.state import World
+
+Position = Callable[[World], Pose]
+"""A place, as it is at the instant when the world is asked for it."""
+
+PositionReader = Callable[[etree._Element, Scope, World], Position]
+"""Reads the position that an element holds."""
 
 
 class Shape(Protocol):
@@ -34,8 +43,16 @@ class Shape(Protocol):
         ...
 
 
-def read_trajectory(holder: etree._Element, scope: Scope, world: World) -> Shape:
+def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:
     """Read the ``Trajectory`` or ``CatalogReference`` in `holder`.
+
+    Parameters
+    ----------
+    holder : lxml element
+    scope : Scope
+    world : World
+    read : callable
+        Reads the positions of its vertices, which may lie on trajectories themselves.
 
     Raises
     ------
@@ -51,8 +68,8 @@ def read_trajectory(holder: etree._Element, scope: Scope, world: World) -> Shape
             " <ClothoidSpline> or <Nurbs>."
         )
     if kind.tag == "Polyline":
-        return _polyline(kind, inner, world, inner.flag(element, "closed", False))
-    return _nurbs(kind, inner, world) if kind.tag == "Nurbs" else _clothoids(kind, inner, world)
+        return _polyline(kind, inner, world, read, inner.flag(element, "closed", False))
+    return (_nurbs if kind.tag == "Nurbs" else _clothoids)(kind, inner, world, read)
 
 
 def _times(times: FloatArray, scale: FloatArray | None, shift: FloatArray | None) -> FloatArray | None:
@@ -61,11 +78,11 @@ def _times(times: FloatArray, scale: FloatArray | None, shift: FloatArray | None
     return np.asarray(times * scale[:, None] + shift[:, None])
 
 
-def _polyline(element: etree._Element, scope: Scope, world: World, closed: bool) -> Shape:
+def _polyline(element: etree._Element, scope: Scope, world: World, read: PositionReader, closed: bool) -> Shape:
     vertices = list(element.iterfind("Vertex"))
     if len(vertices) < 2:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <Polyline> needs at least two vertices.")
-    positions = [read_position(_position(one, scope), scope, world) for one in vertices]
+    positions = [read(_position(one, scope), scope, world) for one in vertices]
     oriented = [
         one.find("Position//Orientation") is not None or next(one.iterfind("Position/*")).get("h") is not None
         for one in vertices
@@ -96,7 +113,7 @@ def _polyline(element: etree._Element, scope: Scope, world: World, closed: bool)
     return lay_out
 
 
-def _clothoids(element: etree._Element, scope: Scope, world: World) -> Shape:
+def _clothoids(element: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:
     segments = [element] if element.tag == "Clothoid" else list(element.iterfind("ClothoidSplineSegment"))
     if not segments:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <ClothoidSpline> has no segments.")
@@ -115,7 +132,7 @@ def _clothoids(element: etree._Element, scope: Scope, world: World) -> Shape:
         last = scope.number(element, "timeEnd", 0.0)
         clock = np.stack([np.zeros_like(last), last], axis=1)
         holder = segments[0].find("PositionStart")
-    position = None if holder is None else read_position(holder, scope, world)
+    position = None if holder is None else read(holder, scope, world)
 
     def lay_out(
         world: World,
@@ -136,7 +153,7 @@ def _clothoids(element: etree._Element, scope: Scope, world: World) -> Shape:
     return lay_out
 
 
-def _nurbs(element: etree._Element, scope: Scope, world: World) -> Shape:
+def _nurbs(element: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:
     controls, order = list(element.iterfind("ControlPoint")), int(scope.one_number(element, "order"))
     knots = np.array([scope.one_number(one, "value") for one in element.iterfind("Knot")])
     where = f"{scope.source}, line {element.sourceline}"
@@ -148,7 +165,7 @@ def _nurbs(element: etree._Element, scope: Scope, world: World) -> Shape:
     weights = np.array([scope.one_number(one, "weight", 1.0) for one in controls])
     if not (weights > 0).all():
         raise InputError(f"{where}: a weight of a <Nurbs> is not above 0.")
-    positions = [read_position(_position(one, scope), scope, world) for one in controls]
+    positions = [read(_position(one, scope), scope, world) for one in controls]
     times = np.stack([scope.number(one, "time", 0.0) for one in controls], axis=1)
 
     def lay_out(

@@ -13,7 +13,16 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.distances import Gap, read_gap
 from cornercase.simulators.builtin.paths.positions import entities_in, entity_index, read_position
-from cornercase.simulators.builtin.world import World
+from cornercase.simulators.builtin.world.gaps import longitudinal_reach, remaining
+from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.whereabouts import (
+    has_lane_between,
+    lane_of,
+    lanes_between,
+    lateral_speed,
+    on_road,
+    road_heading,
+)
 
 EntityTest = Callable[[World, int], BoolArray]
 
@@ -65,7 +74,7 @@ def _component(world: World, e: int, direction: str) -> FloatArray:
     if direction == "longitudinal":
         return np.asarray(world.speed[e] * np.cos(world.turn[e]))
     if direction == "lateral":
-        return world.lateral_speed(e)
+        return lateral_speed(world, e)
     return np.zeros(world.scenarios) if direction == "vertical" else world.speed[e]
 
 
@@ -123,7 +132,7 @@ def _off_road(element: etree._Element, scope: Scope, world: World) -> EntityTest
     since = np.full((len(world.entities), scope.scenarios), np.inf)
 
     def holds(world: World, e: int) -> BoolArray:
-        off = np.ones(world.scenarios, dtype=np.bool_) if world.network is None else ~world.on_road(e)
+        off = np.ones(world.scenarios, dtype=np.bool_) if world.network is None else ~on_road(world, e)
         since[e] = np.where(off, np.minimum(since[e], world.time), np.inf)
         return np.asarray(world.time - since[e] > duration)
 
@@ -225,21 +234,21 @@ def _relative_clearance(element: etree._Element, scope: Scope, world: World) -> 
     others = entities_in(element, scope, world)
 
     def holds(world: World, e: int) -> BoolArray:
-        own = world.lane_of(e)
+        own = lane_of(world, e)
         assert own.lane is not None
         occupied = np.zeros(world.scenarios, dtype=np.bool_)
         for other in others or [k for k in range(len(world.entities)) if k != e]:
-            pose = world.lane_of(other)
+            pose = lane_of(world, other)
             assert pose.lane is not None
-            way = world.remaining(e, pose)
+            way = remaining(world, e, pose)
             if free:
-                ahead, behind = world.longitudinal_reach(e, other)
+                ahead, behind = longitudinal_reach(world, e, other)
                 way = np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
-            apart = world.lanes_between(own, pose)
+            apart = lanes_between(world, own, pose)
             same = np.sign(own.lane) == np.sign(pose.lane)
             inside = (way >= -backward) & (way <= forward) & (apart >= first) & (apart <= last)
             occupied |= inside & (same | opposite) & world.present[other]
-        return np.asarray(~occupied & world.has_lane_between(own, first, last, opposite))
+        return np.asarray(~occupied & has_lane_between(world, own, first, last, opposite))
 
     return holds
 
@@ -258,8 +267,8 @@ def _angle(element: etree._Element, scope: Scope, world: World) -> EntityTest:
         elif system == "entity":
             now = np.zeros(world.scenarios)
         elif system in ("road", "lane") and world.network is not None:
-            pose = world.lane_of(e)
-            now = now - world.road_heading(pose)
+            pose = lane_of(world, e)
+            now = now - road_heading(world, pose)
             if system == "lane" and pose.lane is not None and pose.road is not None:
                 against = [
                     not world.network.runs_along(int(r), int(k)) for r, k in zip(pose.road, pose.lane, strict=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from lxml import etree
@@ -12,11 +12,9 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.positions import entities_in
+from cornercase.simulators.builtin.storyboard.element import Element
 from cornercase.simulators.builtin.storyboard.entity_conditions import BY_ENTITY, TOLERANCE, EntityTest, rule_of
-from cornercase.simulators.builtin.world import World
-
-if TYPE_CHECKING:
-    from cornercase.simulators.builtin.storyboard.storyboard import Element
+from cornercase.simulators.builtin.world.state import World
 
 Test = Callable[[World], BoolArray]
 

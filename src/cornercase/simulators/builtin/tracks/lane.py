@@ -1,17 +1,16 @@
-"""What entities move along: lanes through the road network, and trajectories."""
+"""The way along a lane and those that follow it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.roads import LanePath, RoadNetwork
-
-FREE: Final = -1
+from cornercase.simulators.builtin.tracks.track import Pose, Track
 
 # Samples looked at for the place of a track that is nearest to a point, and how much further away, in m, a place may
 # be to count as passed again.
@@ -19,57 +18,8 @@ _PASSES: Final = 16
 _SAME: Final = 0.3
 
 
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """A place for each scenario.
-
-    Attributes
-    ----------
-    x, y, heading : ndarray of float64, shape (N,)
-    road : ndarray of int64, shape (N,), optional
-        Index of the road in the network.
-    lane : ndarray of int64, shape (N,), optional
-    s, offset : ndarray of float64, shape (N,), optional
-        Along the road, and to the left of the lane's centre as seen along the road, in m.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    heading: FloatArray
-    road: IntArray | None = None
-    lane: IntArray | None = None
-    s: FloatArray | None = None
-    offset: FloatArray | None = None
-
-
-class Track(Protocol):
-    """A curve that an entity follows, by the distance along it.
-
-    Attributes
-    ----------
-    ends : bool
-        Whether the entity stops at the end; otherwise it goes straight on.
-    """
-
-    ends: bool
-
-    def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading at distances, each (R,), for the scenarios `rows`."""
-        ...
-
-    def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
-        """Distance along the track of its point that is nearest to (x, y), each (R,), from `after` on if it can."""
-        ...
-
-    def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        """Curvature in 1/m, positive to the left, each (R,)."""
-        ...
-
-
-class LaneTrack:
+class LaneTrack(Track):
     """The centre line of a lane and of those that follow it, the same for all scenarios."""
-
-    ends = True
 
     def __init__(self, path: LanePath) -> None:
         self.path = path

@@ -1,0 +1,1 @@
+"""What entities move along."""

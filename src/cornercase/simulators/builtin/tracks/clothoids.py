@@ -1,0 +1,170 @@
+"""Trajectories made of clothoids, whose curvature changes linearly along them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.special import fresnel
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks.track import Trajectory
+
+# Chords of a clothoid spline in m, and how many there are at most; longer splines get longer chords.
+_CHORD: Final = 1.0
+_MOST_CHORDS: Final = 2000
+
+# Below this bend, in rad, a clothoid is not told from an arc; Fresnel's integrals lose digits there.
+_STRAIGHT: Final = 1e-7
+
+
+class ClothoidSpline(Trajectory):
+    """A trajectory whose curvature changes linearly over each of its segments.
+
+    It is travelled on chords of 1 m, as esmini does: within millimetres of the curve, and much faster to find.
+
+    Parameters
+    ----------
+    x, y, heading : ndarray of float64, shape (N,)
+        Where it starts.
+    start, end, length : ndarray of float64, shape (N, K)
+        Curvature at both ends of the segments, in 1/m, and their lengths in m.
+    clock : ndarray of float64, shape (N, 2), optional
+        Times in s of its start and its end, between which it is travelled at constant speed.
+    """
+
+    _arrays = ("_start", "_rate", "_begin", "lengths", "_x", "_y", "_turn", "_clock")
+
+    def __init__(
+        self,
+        x: FloatArray,
+        y: FloatArray,
+        heading: FloatArray,
+        start: FloatArray,
+        end: FloatArray,
+        length: FloatArray,
+        clock: FloatArray | None = None,
+    ) -> None:
+        self._start, self._rate, self._clock = start, (end - start) / length, clock
+        self.version = 0
+        ends = np.cumsum(length, axis=1)
+        self._begin = np.concatenate([np.zeros((len(x), 1)), ends], axis=1)
+        self.lengths = ends[:, -1]
+        nodes = [(x, y, heading)]
+        for k in range(length.shape[1]):
+            u, v, turn = clothoid(length[:, k], start[:, k], self._rate[:, k])
+            x, y, heading = nodes[-1]
+            cos, sin = np.cos(heading), np.sin(heading)
+            nodes.append((x + cos * u - sin * v, y + sin * u + cos * v, heading + turn))
+        self._x, self._y, self._turn = (np.stack(parts, axis=1) for parts in zip(*nodes, strict=True))
+        self._sample()
+
+    def _sample(self) -> None:
+        longest = float(self.lengths.max(initial=0.0))
+        self._chord = max(_CHORD, longest / _MOST_CHORDS)
+        every = np.arange(len(self.lengths))
+        places = self._chord * np.arange(int(np.ceil(longest / self._chord)) + 1)
+        points = [self._on_curve(np.minimum(place, self.lengths), every) for place in places]
+        self.x, self.y, self.heading = (np.stack(parts, axis=1) for parts in zip(*points, strict=True))
+
+    def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        length = self.lengths.take(rows)
+        along = np.clip(distance, 0.0, length)
+        k = np.minimum((along / self._chord).astype(np.int64), max(self.x.shape[1] - 2, 0))
+        before = self._chord * k
+        span = np.minimum(before + self._chord, length) - before
+        part = (along - before) / np.where(span > 0.0, span, 1.0)
+        node = rows * self.x.shape[1] + k
+        after = node + min(1, self.x.shape[1] - 1)
+        x, y, heading = (
+            table.take(node) + part * (table.take(after) - table.take(node)) for table in (self.x, self.y, self.heading)
+        )
+        beyond = distance - along
+        if beyond.any() or offset.any():
+            cos, sin = np.cos(heading), np.sin(heading)
+            x, y = x + beyond * cos - offset * sin, y + beyond * sin + offset * cos
+        return x, y, heading
+
+    def _on_curve(self, along: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        piece, node = self._piece(along, rows)
+        u, v, turn = clothoid(along - self._begin.take(node), self._start.take(piece), self._rate.take(piece))
+        h0 = self._turn.take(node)
+        cos, sin = np.cos(h0), np.sin(h0)
+        return self._x.take(node) + cos * u - sin * v, self._y.take(node) + sin * u + cos * v, h0 + turn
+
+    def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        along = np.clip(distance, 0.0, self.lengths.take(rows))
+        piece, node = self._piece(along, rows)
+        return np.asarray(self._start.take(piece) + self._rate.take(piece) * (along - self._begin.take(node)))
+
+    def _piece(self, along: FloatArray, rows: IntArray) -> tuple[IntArray, IntArray]:
+        """Flat places of the clothoid that each scenario is on, and of the node before it."""
+        count = self._start.shape[1]
+        k = np.zeros(len(rows), dtype=np.int64)
+        first = rows * (count + 1)
+        for later in range(1, count):
+            k += self._begin.take(first + later) <= along
+        return rows * count + k, first + k
+
+    def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
+        places = np.linspace(0.0, 1.0, 201)
+        best, gap = np.zeros(len(x)), np.full(len(x), np.inf)
+        for place in places:
+            at_x, at_y, _ = self.at(place * self.lengths[rows], np.zeros(len(x)), rows)
+            here = np.hypot(at_x - x, at_y - y)
+            best, gap = np.where(here < gap, place * self.lengths[rows], best), np.minimum(here, gap)
+        for _ in range(8):
+            at_x, at_y, heading = self.at(best, np.zeros(len(x)), rows)
+            best = np.clip(best + (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading), 0.0, self.lengths[rows])
+        return best
+
+    def adopt(self, other: Trajectory, rows: BoolArray) -> None:
+        super().adopt(other, rows)
+        self._sample()
+
+    def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:
+        return np.zeros(len(rows), dtype=np.bool_)
+
+    def direction(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        return self.at(distance, np.zeros_like(distance), rows)[2]
+
+    @property
+    def time(self) -> FloatArray | None:
+        return self._clock
+
+    def distance_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+        assert self._clock is not None
+        begin, end = self._clock.T
+        speed = self.lengths / np.where(end > begin, end - begin, 1.0)
+        return np.clip(time - begin, 0.0, end - begin) * speed, speed
+
+
+def clothoid(along: FloatArray, start: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Local coordinates and turn of clothoids after a distance.
+
+    Parameters
+    ----------
+    along, start, rate : ndarray of float64, shape (N,)
+        Distance in m, curvature at the beginning in 1/m, its change in 1/m².
+
+    Returns
+    -------
+    tuple of ndarray of float64, each (N,)
+        m, m, rad.
+    """
+    turn = start * along + 0.5 * rate * along**2
+    bends = np.abs(rate) * along**2 >= _STRAIGHT
+    # sinc keeps the digits where the curvature is small.
+    mean = (start + 0.5 * rate * along) * along
+    chord = along * np.sinc(0.5 * mean / np.pi)
+    u, v = chord * np.cos(0.5 * mean), chord * np.sin(0.5 * mean)
+    if bends.any():
+        d, k, r = along[bends], start[bends], rate[bends]
+        scale = np.sqrt(np.pi / np.abs(r))
+        before = k / r
+        phase = -0.5 * k * before
+        s0, c0 = fresnel(before / scale)
+        s1, c1 = fresnel((before + d) / scale)
+        c, s = scale * (c1 - c0), scale * np.sign(r) * (s1 - s0)
+        u[bends], v[bends] = np.cos(phase) * c - np.sin(phase) * s, np.sin(phase) * c + np.cos(phase) * s
+    return u, v, turn

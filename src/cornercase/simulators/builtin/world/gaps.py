@@ -1,0 +1,96 @@
+"""How far apart entities are, along and across their headings, tracks and roads."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.contacts import entity_corners
+from cornercase.simulators.builtin.world.state import World
+
+# A target further from a track, in m, is not on it.
+_ASTRAY: Final = 20.0
+
+
+def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArray] | None = None) -> FloatArray:
+    """Distance along the entity's track to a target, in m, shape (N,); negative once it is passed.
+
+    Where the entity has no track that leads there it is the distance as the crow flies. For a target that stays
+    where it is, `known` keeps its place on each track from one call to the next.
+    """
+    result = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
+    known = {} if known is None else known
+    for k, track in enumerate(world.tracks[entity]):
+        rows = np.flatnonzero(world.track[entity] == k)
+        if rows.size:
+            places = known.setdefault(k, np.full(world.scenarios, np.nan))
+            new = rows[np.isnan(places[rows])]
+            if new.size:
+                along = track.nearest(target.x[new], target.y[new], new, world.distance[entity][new])
+                x, y, _ = track.at(along, np.zeros(len(new)), new)
+                leads = np.hypot(x - target.x[new], y - target.y[new]) < _ASTRAY
+                places[new] = np.where(leads, along, np.inf)
+            way = places[rows] - world.distance[entity][rows]
+            result[rows] = np.where(np.isfinite(way), way, result[rows])
+    return np.asarray(result)
+
+
+def offset_from(world: World, entity: int, other: int) -> FloatArray:
+    """Offset that another entity would have from this one's track, shape (N,); positive to the left."""
+    result = distance_beside(world, entity, other) + world.offset[entity]
+    for k, track in enumerate(world.tracks[entity]):
+        rows = np.flatnonzero((world.track[entity] == k) & world.present[other])
+        if rows.size:
+            x, y = world.x[other][rows], world.y[other][rows]
+            along = track.nearest(x, y, rows)
+            at_x, at_y, heading = track.at(along, np.zeros(len(rows)), rows)
+            result[rows] = (y - at_y) * np.cos(heading) - (x - at_x) * np.sin(heading)
+    return np.asarray(result)
+
+
+def distance_ahead(world: World, entity: int, other: int) -> FloatArray:
+    """How far ahead of an entity another is, between reference points along its heading, shape (N,)."""
+    dx, dy = world.x[other] - world.x[entity], world.y[other] - world.y[entity]
+    return np.asarray(dx * np.cos(world.heading[entity]) + dy * np.sin(world.heading[entity]))
+
+
+def distance_beside(world: World, entity: int, other: int) -> FloatArray:
+    """How far to the left of an entity another is, between reference points, shape (N,)."""
+    dx, dy = world.x[other] - world.x[entity], world.y[other] - world.y[entity]
+    return np.asarray(dy * np.cos(world.heading[entity]) - dx * np.sin(world.heading[entity]))
+
+
+def longitudinal_gap(world: World, entity: int, other: int) -> FloatArray:
+    """Signed free space to another's box along an entity's heading, 0 where they are abreast, shape (N,)."""
+    near, far, _, _ = extent(world, entity, other)
+    half = 0.5 * world.entities[entity].length
+    return np.where(near > half, near - half, np.where(far < -half, far + half, 0.0))
+
+
+def lateral_gap(world: World, entity: int, other: int) -> FloatArray:
+    """Signed free space to another's box across an entity's heading, positive to the left, shape (N,)."""
+    _, _, near, far = extent(world, entity, other)
+    half = 0.5 * world.entities[entity].width
+    return np.where(near > half, near - half, np.where(far < -half, far + half, 0.0))
+
+
+def longitudinal_reach(world: World, entity: int, other: int) -> tuple[float, float]:
+    """What of a distance between reference points two boxes fill, with the other ahead and with it behind."""
+    one, two = world.entities[entity], world.entities[other]
+    fronts = [0.5 * box.length + box.center_x for box in (one, two)]
+    rears = [0.5 * box.length - box.center_x for box in (one, two)]
+    return fronts[0] + rears[1], rears[0] + fronts[1]
+
+
+def extent(world: World, entity: int, other: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Least and largest coordinate of another's box ahead of and to the left of an entity's centre, each (N,)."""
+    corners = entity_corners(world)[other]
+    one = world.entities[entity]
+    cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
+    x = corners[..., 0] - (world.x[entity] + one.center_x * cos)[:, None]
+    y = corners[..., 1] - (world.y[entity] + one.center_x * sin)[:, None]
+    along, across = x * cos[:, None] + y * sin[:, None], y * cos[:, None] - x * sin[:, None]
+    return along.min(axis=1), along.max(axis=1), across.min(axis=1), across.max(axis=1)

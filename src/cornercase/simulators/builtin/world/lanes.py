@@ -1,0 +1,140 @@
+"""Putting entities somewhere, and making them follow lanes and other tracks."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
+from cornercase.simulators.builtin.tracks.track import FREE, Pose, Track
+from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.whereabouts import lane_of, on_lane
+
+# Headings that differ by less, in rad, are the same.
+_ALIGNED: Final = 1e-3
+
+
+def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> None:
+    """Put an entity somewhere; from there it follows its lane, or its heading where there is none."""
+    world.fail(
+        where & ~np.isfinite(pose.x + pose.y + pose.heading),
+        f"{world.names[entity]} is placed off the map",
+    )
+    where = where & world.running
+    for state, value in ((world.x, pose.x), (world.y, pose.y), (world.heading, pose.heading)):
+        state[entity][where] = value[where]
+    # A jump is no way.
+    world.from_x[entity][where], world.from_y[entity][where] = pose.x[where], pose.y[where]
+    world.present[entity] |= where
+    world.moved[entity] |= where & (world.time > 0.0)
+    # Who follows a trajectory goes on with it.
+    attach_to_lane(world, entity, where & ((world.track[entity] == FREE) | on_lane(world, entity)), pose)
+
+
+def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
+    """Make an entity follow the lane that it is on, the way that its heading points, where it is now."""
+    world.track[entity][where] = FREE
+    world.frozen[entity][where] = False
+    if world.network is None:
+        return
+    if pose is None or pose.lane is None or pose.road is None:
+        place = world.network.locate(world.x[entity], world.y[entity])
+        pose = Pose(world.x[entity], world.y[entity], world.heading[entity], *place)
+    assert pose.road is not None
+    assert pose.s is not None
+    assert pose.lane is not None
+    assert pose.offset is not None
+    road, section, along = _direction(world, pose, where)
+    route = world.route[entity]
+    keys = np.stack([road, section, pose.lane, along, route])[:, where]
+    for one in np.unique(keys, axis=1).T:
+        rows = where & (np.stack([road, section, pose.lane, along, route]) == one[:, None]).all(axis=0)
+        first = int(np.flatnonzero(rows)[0])
+        track = lane_track(world, int(one[0]), int(one[2]), float(pose.s[first]), bool(one[3]), int(one[4]))
+        if track is None:
+            continue
+        distance = np.zeros(world.scenarios)
+        distance[rows] = track.distance_of(pose.s[rows])
+        follow_track(world, entity, track, distance, rows)
+        world.offset[entity][rows] = pose.offset[rows] if one[3] else -pose.offset[rows]
+        _, _, ahead = track.at(distance[rows], np.zeros(int(rows.sum())), np.flatnonzero(rows))
+        turn = (pose.heading[rows] - ahead + np.pi) % (2 * np.pi) - np.pi
+        # Lines are sampled: a heading that differs this little is the lane's own.
+        world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
+
+
+def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
+    """Make an entity follow another lane of its road from beside it; where that lane exists, shape (N,)."""
+    assert world.network is not None
+    pose = lane_of(world, entity)
+    assert pose.s is not None
+    road, section, along = _direction(world, pose, where)
+    route = world.route[entity]
+    done = np.zeros_like(where)
+    keys = np.stack([road, section, lane, along, route])
+    for one in np.unique(keys[:, where], axis=1).T:
+        rows = where & (keys == one[:, None]).all(axis=0)
+        s = float(pose.s[int(np.flatnonzero(rows)[0])])
+        track = lane_track(world, int(one[0]), int(one[2]), s, bool(one[3]), int(one[4]))
+        if track is None:
+            continue
+        at = np.flatnonzero(rows)
+        distance = np.zeros(world.scenarios)
+        distance[at] = track.nearest(world.x[entity][at], world.y[entity][at], at)
+        x, y, heading = track.at(distance[at], np.zeros(len(at)), at)
+        follow_track(world, entity, track, distance, rows)
+        dx, dy = world.x[entity][at] - x, world.y[entity][at] - y
+        world.offset[entity][at] = dy * np.cos(heading) - dx * np.sin(heading)
+        world.turn[entity][at] = 0.0
+        world.frozen[entity][at] = False
+        done |= rows
+    return done
+
+
+def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:
+    """Make an entity pass roads, where it can, and go on as before where it is already on its way."""
+    via = tuple((road, 0, 0.0) for road in roads)
+    if via not in world.routes:
+        world.routes.append(via)
+    world.route[entity][where] = world.routes.index(via)
+    onward = where & on_lane(world, entity)
+    if onward.any():
+        pose, turn, offset = lane_of(world, entity), world.turn[entity].copy(), world.offset[entity].copy()
+        attach_to_lane(world, entity, onward, pose)
+        world.turn[entity][onward], world.offset[entity][onward] = turn[onward], offset[onward]
+
+
+def follow_track(world: World, entity: int, track: Track, distance: FloatArray, where: BoolArray) -> None:
+    """Make an entity follow `track` from `distance` on."""
+    tracks = world.tracks[entity]
+    if track not in tracks:
+        tracks.append(track)
+    world.track[entity][where] = tracks.index(track)
+    world.distance[entity][where] = distance[where]
+
+
+def lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
+    """Track along a lane and what follows it, the same object for the same lane; None where there is no lane."""
+    assert world.network is not None
+    section = int(world.network.roads[road].section_at(np.array([s]))[0])
+    key = (road, section, lane, along, route)
+    if key not in world.lane_tracks:
+        world.lane_tracks[key] = LaneTrack.of_lane(world.network, road, lane, s, along, world.routes[route])
+    return world.lane_tracks[key]
+
+
+def _direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """Road, lane section, and whether the heading points along s, each (N,)."""
+    assert world.network is not None
+    assert pose.road is not None
+    assert pose.s is not None
+    section = np.zeros(world.scenarios, dtype=np.int64)
+    along = np.zeros(world.scenarios, dtype=np.bool_)
+    for road in np.unique(pose.road[where]):
+        rows = where & (pose.road == road)
+        one = world.network.roads[int(road)]
+        section[rows] = one.section_at(pose.s[rows])
+        along[rows] = np.cos(pose.heading[rows] - one.reference(pose.s[rows])[2]) > -1e-6
+    return pose.road, section, along

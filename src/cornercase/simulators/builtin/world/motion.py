@@ -1,0 +1,97 @@
+"""Moving entities along their tracks by one time step."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
+from cornercase.simulators.builtin.tracks.track import FREE, Track
+from cornercase.simulators.builtin.world.state import World
+
+# Who comes to the end of a road to this in m is at it.
+_ON_END: Final = 1e-3
+
+
+def move_entities(world: World, dt: float) -> None:
+    """Advance every entity by one time step with its present speed, then the clock."""
+    before_heading, world.last_step = world.from_heading, dt
+    for e in range(len(world.entities)):
+        rows = world.running & world.present[e]
+        way = np.where(np.isnan(world.pace[e]), world.speed[e], world.pace[e]) * dt
+        way = np.sign(way) * np.sqrt(np.maximum(way**2 - world.sideways[e] ** 2, 0.0))
+        way = np.where(rows & ~world.moved[e], way, 0.0)
+        for k, track in enumerate(world.tracks[e]):
+            at = np.flatnonzero(rows & ~world.moved[e] & (world.track[e] == k))
+            if at.size:
+                _advance(world, e, track, at, way[at])
+        free = rows & (world.track[e] == FREE)
+        if not free.any():
+            continue
+        # Who has come to the end of a trajectory and has no road to go on by stops.
+        lost = free & world.frozen[e] & ~world.moved[e]
+        world.speed[e][lost], way = 0.0, np.where(lost, 0.0, way)
+        world.x[e] += np.where(free, way * np.cos(world.heading[e]), 0.0)
+        world.y[e] += np.where(free, way * np.sin(world.heading[e]), 0.0)
+    gone_x, gone_y = world.x - world.from_x, world.y - world.from_y
+    chord = np.hypot(gone_x, gone_y)
+    if dt > 0:
+        world.gone = (gone_x / dt, gone_y / dt)
+        chord = np.where(np.isfinite(chord), chord, 0.0)
+        world.odometer += chord
+        world.velocity = chord / dt
+    world.time += dt
+    world.from_x, world.from_y, world.from_heading = world.x.copy(), world.y.copy(), world.heading.copy()
+    world.moved[:] = False
+    world.pace[:] = np.nan
+    world.sideways[:] = 0.0
+    if dt > 0:
+        world.turn_rate = ((world.heading - before_heading + np.pi) % (2 * np.pi) - np.pi) / dt
+    moving = np.abs(world.speed) > 1e-6
+    world.standing_since = np.where(moving, np.inf, np.minimum(world.standing_since, world.time))
+
+
+def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
+    """Put an entity where its place on its track is, before the step ends."""
+    for k, track in enumerate(world.tracks[entity]):
+        at = np.flatnonzero(where & (world.track[entity] == k))
+        if at.size:
+            _advance(world, entity, track, at, np.zeros(at.size))
+
+
+def pull_entity(
+    world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
+) -> None:
+    """Put an entity where somebody else has moved it in the coming step, each shape (N,), along its track."""
+    every = np.arange(world.scenarios)
+    world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
+    world.moved[entity] = True
+    for k, track in enumerate(world.tracks[entity]):
+        at = every[(world.track[entity] == k) & world.running]
+        if at.size:
+            along = track.nearest(x[at], y[at], at, world.distance[entity][at])
+            on_x, on_y, ahead = track.at(along, np.zeros(len(at)), at)
+            world.distance[entity][at] = along
+            world.offset[entity][at] = (y[at] - on_y) * np.cos(ahead) - (x[at] - on_x) * np.sin(ahead)
+            world.turn[entity][at] = (heading[at] - ahead + np.pi) % (2 * np.pi) - np.pi
+
+
+def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:
+    offset = world.offset[e][at]
+    if isinstance(track, LaneTrack) and offset.any():
+        # Who goes beside the line on the inside of a bend gets on faster along it.
+        way = way / np.maximum(1.0 - track.curvature(world.distance[e][at], at) * offset, 0.1)
+    distance = world.distance[e][at] + way
+    if isinstance(track, LaneTrack):
+        over = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & (way < 0.0))
+        distance = np.clip(distance, 0.0, track.length)
+        # Who still wants to go on from there stops, as in esmini with the second step.
+        late = world.at_end_since[e][at] < world.time - 1.5 * world.last_step
+        world.speed[e][at[over & late & np.isnan(world.pace[e][at])]] = 0.0
+        world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], world.time), np.inf)
+    world.distance[e][at] = distance
+    x, y, heading = track.at(distance, offset, at)
+    world.x[e][at], world.y[e][at] = x, y
+    world.heading[e][at] = np.where(world.frozen[e][at], world.heading[e][at], heading + world.turn[e][at])

@@ -1,0 +1,212 @@
+"""State of all entities of all concrete scenarios of a batch.
+
+Arrays are (entity, scenario), so that one entity's row is contiguous over the scenarios.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.roads import RoadNetwork
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
+from cornercase.simulators.builtin.tracks.track import FREE, Track
+
+LONGITUDINAL, LATERAL = "longitudinal", "lateral"
+
+
+class Decision(Protocol):
+    """Somebody who decides an entity's speed where in charge."""
+
+    def step(self, dt: float) -> None:
+        """Decide the entity's speed at the end of the coming time step."""
+        ...
+
+
+@dataclass(frozen=True)
+class Entity:
+    """What does not change about an entity.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        Vehicle category, ``"pedestrian"`` or ``"misc"``.
+    length, width, center_x : float
+        Bounding box in m.
+    max_speed, max_acceleration, max_deceleration : float
+        m/s, m/s², m/s²; infinite where the file sets no limit.
+    slides : bool
+        Whether it goes along trajectories whatever heading they give it.
+    """
+
+    name: str
+    kind: str
+    length: float
+    width: float
+    center_x: float
+    max_speed: float
+    max_acceleration: float
+    max_deceleration: float
+    slides: bool = False
+
+
+class World:
+    """State of E entities in N concrete scenarios.
+
+    Attributes
+    ----------
+    time : float
+        s; the same for all, since they run in lock-step.
+    x, y, heading, speed, acceleration : ndarray of float64, shape (E, N)
+    odometer : ndarray of float64, shape (E, N)
+        Travelled distance in m, as the sum of chords.
+    standing_since : ndarray of float64, shape (E, N)
+        Time at which the entity came to rest; infinite while it moves.
+    present : ndarray of bool, shape (E, N)
+    running : ndarray of bool, shape (N,)
+        Scenarios that have not ended.
+    touching : ndarray of bool, shape (E, E, N)
+        Which entities' boxes overlap, as of the last row.
+    distance, offset : ndarray of float64, shape (E, N)
+        Place along the entity's track, and to the left of it, in m.
+    turn : ndarray of float64, shape (E, N)
+        Heading relative to the track, in rad.
+    turn_rate : ndarray of float64, shape (E, N)
+        rad/s.
+    frozen : ndarray of bool, shape (E, N)
+        Whether the heading stays as it is wherever the track leads.
+    sideways : ndarray of float64, shape (E, N)
+        What of the coming step's way goes across the track, in m.
+    pace : ndarray of float64, shape (E, N)
+        Speed in m/s with which the coming step is made where an action decided that before the speed changed, or NaN.
+    velocity : ndarray of float64, shape (E, N)
+        What the last step covered, in m/s.
+    moved : ndarray of bool, shape (E, N)
+        Entities whose place at the end of the step an action has decided already.
+    route : ndarray of int64, shape (E, N)
+        Route that the entity was given, as index into `routes`.
+    last_road : ndarray of int64, shape (E, N)
+        Road on which an entity that follows no lane was when that was last asked, or -1.
+    last_s : ndarray of float64, shape (E, N)
+        Its s there, in m.
+    at_end_since : ndarray of float64, shape (E, N)
+        Time at which the entity came to the end of its road; infinite before.
+    variables, parameters : dict of str to ndarray, each (N,)
+        The file's variables, and its parameters as conditions see them, as numbers or as texts.
+    signals : dict of str to ndarray, each (N,)
+        States of the traffic signals that were switched, as texts.
+    selections : dict of str to list of int
+        Rows of the entities of each selection.
+    actor : int or None
+        Row of the entity for which a position is being resolved.
+    target_speed : ndarray of float64, shape (E, N)
+        What speed actions ask of an entity; infinite where they ask nothing.
+    drivers : list of Decision
+        Everybody who may be in charge of an entity.
+    driver : ndarray of int64, shape (E, N)
+        Which of them is assigned to the entity; -1 for none.
+    activated : ndarray of bool, shape (E, N)
+        Whether the controller of the entity may act along its way.
+    driven : ndarray of bool, shape (E, N)
+        Whether a driver is in charge: it is told what speed to want, and decides.
+    kept : list of bool, length E
+        Whether the driver was chosen by who runs the file, which the file cannot change.
+    visible : ndarray of bool, shape (E, N)
+        Whether others in the traffic can see the entity.
+    from_x, from_y, from_heading : ndarray of float64, shape (E, N)
+        Where the entity was when the last step ended.
+    gone : tuple of two ndarray of float64, each (E, N)
+        What the last step covered along x and y, in m/s.
+    last_step : float
+        Length of the last time step in s.
+    tracks : list of list of Track
+        By entity, all that it has followed.
+    track : ndarray of int64, shape (E, N)
+        Which of them it follows, or `FREE`.
+    routes : list of tuple
+        All routes that were assigned, each as (road, lane, s) of what it passes.
+    lane_tracks : dict
+        Tracks along lanes, by where they begin, so that the same lane is the same object.
+    errors : dict of int to str
+        Why scenarios failed.
+    """
+
+    def __init__(self, entities: tuple[Entity, ...], scenarios: int, network: RoadNetwork | None) -> None:
+        shape = (len(entities), scenarios)
+        self.entities = entities
+        self.names = [entity.name for entity in entities]
+        self.scenarios = scenarios
+        self.network = network
+        self.time = 0.0
+        self.x, self.y, self.heading = (np.full(shape, np.nan) for _ in range(3))
+        self.speed, self.acceleration, self.odometer = (np.zeros(shape) for _ in range(3))
+        self.standing_since = np.zeros(shape)
+        self.present = np.zeros(shape, dtype=np.bool_)
+        self.running = np.ones(scenarios, dtype=np.bool_)
+        self.touching = np.zeros((len(entities), *shape), dtype=np.bool_)
+        self.distance, self.offset = np.zeros(shape), np.zeros(shape)
+        self.target_speed = np.full(shape, np.inf)
+        self.signals: dict[str, npt.NDArray[np.str_]] = {}
+        self.drivers: list[Decision] = []
+        self.driver = np.full(shape, -1)
+        self.activated, self.driven = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
+        self.kept = [False] * len(entities)
+        self.visible = np.ones(shape, dtype=np.bool_)
+        self.tracks: list[list[Track]] = [[] for _ in entities]
+        self.track = np.full(shape, FREE)
+        self.turn, self.turn_rate, self.sideways, self.velocity = (np.zeros(shape) for _ in range(4))
+        self.pace = np.full(shape, np.nan)
+        self.from_x, self.from_y, self.from_heading = (np.full(shape, np.nan) for _ in range(3))
+        self.gone = (np.zeros(shape), np.zeros(shape))
+        self.frozen, self.moved = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
+        self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
+        self.route = np.zeros(shape, dtype=np.int64)
+        self.at_end_since = np.full(shape, np.inf)
+        self.last_road, self.last_s = np.full(shape, -1), np.zeros(shape)
+        self.variables: dict[str, Any] = {}
+        self.parameters: dict[str, Any] = {}
+        self.selections: dict[str, list[int]] = {}
+        self.actor: int | None = None
+        self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
+        self.last_step = 0.0
+        self.errors: dict[int, str] = {}
+        self._owner = {domain: np.full(shape, -1) for domain in (LONGITUDINAL, LATERAL)}
+        self._actions = 0
+
+    def fail(self, where: BoolArray, why: str) -> None:
+        """End the scenarios of a mask with an error."""
+        for i in np.flatnonzero(where & self.running):
+            self.errors[int(i)] = why
+        self.running &= ~where
+
+    def number_action(self) -> int:
+        """Give an action the number under which it claims control, counted from 0 in each batch."""
+        self._actions += 1
+        return self._actions - 1
+
+    def claim(self, domain: str, entity: int, action: int, where: BoolArray) -> None:
+        """Give an action the control of one of the entity's domains, and so end the one that had it."""
+        self._owner[domain][entity][where] = action
+
+    def controls(self, domain: str, entity: int, action: int) -> BoolArray:
+        """Scenarios in which the action still has the control that it claimed, shape (N,)."""
+        return np.asarray(self._owner[domain][entity] == action)
+
+    def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
+        """Give an entity a speed in the scenarios of the mask, or tell its driver to want it."""
+        self.target_speed[entity][where] = speed[where]
+        own = where & ~self.driven[entity]
+        self.speed[entity][own] = speed[own]
+
+    def control(self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None) -> None:
+        """Assign a driver (-1 for none) or activate control along the way; None leaves it as it is."""
+        if driver is not None:
+            self.driver[entity][where] = driver
+        if activated is not None:
+            self.activated[entity][where] = activated
+        self.driven[entity] = self.activated[entity] & (self.driver[entity] >= 0)

@@ -1,0 +1,122 @@
+"""Where entities are on the roads."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
+from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.state import World
+
+# From this far beside the middle of its lane on, in m, an entity's lane is looked up.
+_BESIDE: Final = 1.0
+
+
+def on_lane(world: World, entity: int) -> BoolArray:
+    """Whether the entity follows a lane, shape (N,)."""
+    result = np.zeros(world.scenarios, dtype=np.bool_)
+    for k, track in enumerate(world.tracks[entity]):
+        if isinstance(track, LaneTrack):
+            result |= world.track[entity] == k
+    return result
+
+
+def lane_of(world: World, entity: int) -> Pose:
+    """Where an entity is on the roads."""
+    pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
+    if world.network is None:
+        return pose
+    place = world.network.locate(world.x[entity], world.y[entity])
+    pose = Pose(pose.x, pose.y, pose.heading, *place)
+    for k, track in enumerate(world.tracks[entity]):
+        if isinstance(track, LaneTrack):
+            # Who is far from the middle may be on another lane by now.
+            near = np.abs(world.offset[entity]) < _BESIDE
+            rows = np.flatnonzero((world.track[entity] == k) & near & world.present[entity])
+            if rows.size:
+                pose = track.lane_pose(pose, rows, world.distance[entity][rows], world.offset[entity][rows])
+    return pose
+
+
+def on_road(world: World, entity: int) -> BoolArray:
+    """Whether an entity's reference point lies within the width of a road, shape (N,)."""
+    assert world.network is not None
+    place = world.network.locate(world.x[entity], world.y[entity])
+    width = np.zeros(world.scenarios)
+    for road, lane in sorted({*zip(place.road.tolist(), place.lane.tolist(), strict=True)}):
+        rows = (place.road == road) & (place.lane == lane)
+        one = world.network.roads[road]
+        section = one.section_at(place.s[rows])
+        width[rows] = [
+            float(one.width(int(k), lane, place.s[rows][i : i + 1])[0]) for i, k in enumerate(section.tolist())
+        ]
+    return np.asarray(np.abs(place.offset) <= 0.5 * width + 1e-6)
+
+
+def road_heading(world: World, pose: Pose) -> FloatArray:
+    """Direction of the road's s at a pose, shape (N,)."""
+    assert world.network is not None
+    assert pose.road is not None
+    assert pose.s is not None
+    heading = np.zeros(world.scenarios)
+    for road in np.unique(pose.road):
+        rows = pose.road == road
+        heading[rows] = world.network.roads[int(road)].reference(pose.s[rows])[2]
+    return heading
+
+
+def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
+    """Speed along the road that an entity is on, without sign, in m/s, shape (N,).
+
+    Off a lane it is that of the last step as it was gone, which on a bend is a chord.
+    """
+    speed = np.abs(world.speed[entity] * np.cos(np.where(where, world.turn[entity], 0.0)))
+    at = np.flatnonzero(where & ~on_lane(world, entity))
+    if world.network is not None and at.size:
+        x, y, heading = world.x[entity][at], world.y[entity][at], world.heading[entity][at]
+        road, s = world.network.road_from(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
+        world.last_road[entity][at], world.last_s[entity][at] = road, s
+        for one in np.unique(road):
+            mine = road == one
+            direction = world.network.roads[int(one)].reference(s[mine])[2]
+            gone_x, gone_y = world.gone[0][entity][at[mine]], world.gone[1][entity][at[mine]]
+            speed[at[mine]] = np.abs(gone_x * np.cos(direction) + gone_y * np.sin(direction))
+    return np.asarray(speed)
+
+
+def lateral_speed(world: World, entity: int) -> FloatArray:
+    """Speed across the entity's track in m/s, shape (N,); positive to the left."""
+    return np.asarray(world.speed[entity] * np.sin(world.turn[entity]))
+
+
+def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
+    """How many lanes further to the left of a pose another is, as it drives, shape (N,)."""
+    assert one.lane is not None
+    assert two.lane is not None
+    # There is no lane 0.
+    apart = two.lane - one.lane
+    crossing = np.sign(one.lane) != np.sign(two.lane)
+    apart = apart - np.where(crossing, np.sign(apart), 0)
+    return np.asarray(apart * np.where(np.cos(one.heading - road_heading(world, one)) > -1e-6, 1, -1))
+
+
+def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
+    """Whether a drivable lane lies within a range of lanes from a pose, shape (N,)."""
+    assert world.network is not None
+    assert pose.road is not None
+    assert pose.lane is not None
+    assert pose.s is not None
+    result = np.zeros(world.scenarios, dtype=np.bool_)
+    for road in np.unique(pose.road):
+        rows = np.flatnonzero(pose.road == road)
+        one = world.network.roads[int(road)]
+        for k in np.unique(section := one.section_at(pose.s[rows])):
+            at = rows[section == k]
+            lane = pose.lane[at]
+            for number, other in one.sections[int(k)][1].items():
+                there = (number >= lane + first) & (number <= lane + last) & other.drivable
+                result[at] |= there & (opposite | (np.sign(number) == np.sign(lane)))
+    return result
