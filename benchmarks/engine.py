@@ -19,11 +19,11 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "x_intersection"
 PROGRAM = """
 import json, resource, sys, time
 from cornercase import BuiltinSimulator, LogicalScenario
-from cornercase.optimizers import SequenceOptimizer
+from cornercase.optimizers import RandomOptimizer
 scenario, count, alone, *varied = sys.argv[1:]
 files = [one for one in varied if "=" not in one]
 logical = LogicalScenario.read(scenario, files[0] if files else None, [one for one in varied if "=" in one], True)
-points = SequenceOptimizer(logical.space, 0, "random").ask(int(count))
+points = RandomOptimizer(logical.space, 0).ask(int(count))
 concretes = [logical.concrete(values) for values in logical.space.values(points)]
 simulator = BuiltinSimulator(duration=40.0)
 list(simulator.run(concretes[:1]))

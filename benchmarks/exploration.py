@@ -42,7 +42,7 @@ from cornercase.optimizers import (
     GridOptimizer,
     LevelSetOptimizer,
     OptunaOptimizer,
-    SequenceOptimizer,
+    SobolOptimizer,
 )
 from cornercase.scenario import Parameter, ParameterSpace
 
@@ -87,7 +87,7 @@ CASES = {
 
 SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
     "grid": lambda space, seed, critical, budget: GridOptimizer(space, seed, budget),
-    "sobol": lambda space, seed, critical, budget: SequenceOptimizer(space, seed, "sobol"),
+    "sobol": lambda space, seed, critical, budget: SobolOptimizer(space, seed),
     "bayes, filling 0": lambda space, seed, critical, budget: BayesOptimizer(space, seed, filling=0.0),
     "bayes": lambda space, seed, critical, budget: BayesOptimizer(space, seed),
     "evolutionary": lambda space, seed, critical, budget: EvolutionaryOptimizer(space, seed),

@@ -15,7 +15,7 @@ from command_line import SPACE, X, cornercase
 from cornercase.evidence import CriticalSet, GaussianProcess, encoded
 from cornercase.evidence.gaussian_process import _loss
 from cornercase.metrics import METRICS
-from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SequenceOptimizer
+from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
 from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
@@ -38,7 +38,7 @@ def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
     for optimizer in (
         LevelSetOptimizer(CUBE, 3, THRESHOLD),
         BayesOptimizer(CUBE, 3),
-        SequenceOptimizer(CUBE, 3, "sobol"),
+        SobolOptimizer(CUBE, 3),
     ):
         points = explored(optimizer, 200, function=tube)
         told = CriticalSet(CUBE, points, tube(points), THRESHOLD).found(EVERYWHERE)

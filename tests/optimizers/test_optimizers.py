@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from cornercase.optimizers import OPTIMIZERS, BayesOptimizer, GridOptimizer, SequenceOptimizer
+from cornercase._common.errors import InputError
+from cornercase.optimizers import (
+    OPTIMIZERS,
+    BayesOptimizer,
+    GridOptimizer,
+    Optimizer,
+    RandomOptimizer,
+    SobolOptimizer,
+    create_optimizer,
+    optimizer_needs,
+)
+from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.scenario.distributions import Distribution
 from searches import CUBE, explored, ridge
@@ -12,14 +23,14 @@ from searches import CUBE, explored, ridge
 
 def test_sobol_is_scipys_scrambled_sequence_of_the_seed():
     expected = qmc.Sobol(3, scramble=True, seed=np.random.default_rng(4)).random(1024)
-    np.testing.assert_array_equal(explored(SequenceOptimizer(CUBE, 4, "sobol"), 1000), expected[:1000])
+    np.testing.assert_array_equal(explored(SobolOptimizer(CUBE, 4), 1000), expected[:1000])
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: SequenceOptimizer(CUBE, 1, "sobol"),
-        lambda: SequenceOptimizer(CUBE, 1, "random"),
+        lambda: SobolOptimizer(CUBE, 1),
+        lambda: RandomOptimizer(CUBE, 1),
         lambda: GridOptimizer(CUBE, 1, 400),
     ],
 )
@@ -28,17 +39,17 @@ def test_the_sequence_does_not_depend_on_the_size_of_the_rounds(make):
 
 
 def test_asking_again_without_telling_gives_the_same():
-    optimizer = SequenceOptimizer(CUBE, 1, "sobol")
+    optimizer = SobolOptimizer(CUBE, 1)
     np.testing.assert_array_equal(optimizer.ask(30)[:10], optimizer.ask(10))
 
 
-@pytest.mark.parametrize("kind", ["sobol", "random"])
-def test_rare_values_of_a_finite_space_are_run_in_the_end(kind):
+@pytest.mark.parametrize("make", [SobolOptimizer, RandomOptimizer])
+def test_rare_values_of_a_finite_space_are_run_in_the_end(make):
     rare = Distribution("set", 0.0, 2.0, (1.0, 1e-9, 1e3))
     space = ParameterSpace(
         [Parameter("s", 0.0, 2.0, choices=("x", "y", "z"), distribution=rare), Parameter("t", 0.0, 9.0, 1.0)]
     )
-    optimizer, seen = SequenceOptimizer(space, 0, kind), set()
+    optimizer, seen = make(space, 0), set()
     while len(points := optimizer.ask(4)):
         optimizer.tell(points, np.zeros(len(points)))
         seen.update((v["s"], v["t"]) for v in space.values(points))
@@ -75,7 +86,7 @@ def test_bayes_covers_the_critical_region_and_the_rest():
     # A tenth of the cube is critical.
     assert critical.mean() > 0.3
     along = {(int(a * 6), int(c * 6)) for a, _, c in points[critical]}
-    sobol = SequenceOptimizer(CUBE, 0, "sobol").ask(120)
+    sobol = SobolOptimizer(CUBE, 0).ask(120)
     assert len(along) > len({(int(a * 6), int(c * 6)) for a, _, c in sobol[ridge(sobol) == 0.0]})
     assert len({tuple(cell) for cell in (points * 3).astype(int)}) >= 25
 
@@ -135,9 +146,7 @@ def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_
         kind = parameters[1].numbers(points[:, 1])
         return np.where(points[:, 0] > 0.95, np.nan, np.abs(points[:, 0] - points[:, 2]) + 0.2 * kind)
 
-    options = {"threshold": 0.3} if name == "level-set" else {}
-    first = OPTIMIZERS.create(name, space=space, seed=3, **options)
-    again = OPTIMIZERS.create(name, space=space, seed=3, **options)
+    first, again = (create_optimizer(name, space, 3, threshold=0.3, budget=100) for _ in range(2))
     everything = []
     for size in (10, 10, 10, 10, 10, 13, 1, 10):
         points = first.ask(size)
@@ -150,3 +159,48 @@ def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_
     np.testing.assert_array_equal(space.snap(met), met)
     assert len(np.unique(met, axis=0)) == len(met)
     np.testing.assert_array_equal(first.ask(5), again.ask(5))
+
+
+class Threshold(Optimizer):
+    """One of another package, which declares what it needs."""
+
+    name, needs = "threshold", frozenset({"threshold", "budget"})
+
+    def __init__(self, space, seed, threshold, budget, gain=1.0):
+        self.given = (threshold, budget, gain)
+
+    def ask(self, n):
+        return np.zeros((0, 3))
+
+    def tell(self, points, scores):
+        pass
+
+
+def test_an_optimizer_of_another_package_gets_what_it_declares(monkeypatch):
+    monkeypatch.setitem(OPTIMIZERS._factories, "mine", (Threshold, {}))
+    assert optimizer_needs("mine:gain=2") == {"threshold", "budget"}
+    made = create_optimizer("mine:gain=2", CUBE, 0, threshold=0.5, budget=30)
+    assert made.given == (0.5, 30, 2)
+    with pytest.raises(InputError, match="what is critical"):
+        create_optimizer("mine", CUBE, 0, threshold=None, budget=30)
+    monkeypatch.setitem(OPTIMIZERS._factories, "function", (lambda space, seed: None, {}))
+    with pytest.raises(InputError, match="no subclass"):
+        create_optimizer("function", CUBE, 0, threshold=None, budget=30)
+
+
+def test_what_an_optimizer_does_not_declare_it_does_not_get():
+    assert Optimizer.needs == frozenset()
+    assert not Optimizer.takes_several
+    assert {name: optimizer_needs(name) for name in OPTIMIZERS.names() if optimizer_needs(name)} == {
+        "grid": {"budget"},
+        "level-set": {"threshold"},
+    }
+
+
+def test_the_same_concrete_scenario_is_proposed_once():
+    space = ParameterSpace.from_ranges(["a=0:9:1", "b=0:1"])
+    unseen = Unseen(space)
+    unseen.tell(np.array([[0.31, 0.5]]))
+    points = np.array([[0.35, 0.5], [0.35, 0.6], [0.39, 0.6], [0.75, 0.1], [0.95, 0.1]])
+    np.testing.assert_array_equal(unseen.among(points, besides=np.array([[0.99, 0.1]])), points[[1, 3]])
+    assert len(unseen) == 1

@@ -7,7 +7,7 @@ import pytest
 
 from conftest import car, event, same_recording, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
-from cornercase.optimizers import GridOptimizer, SequenceOptimizer
+from cornercase.optimizers import GridOptimizer, SobolOptimizer
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario
 from cornercase.simulators import BuiltinSimulator, write_scenario_runner
 
@@ -348,7 +348,7 @@ rule="lessThan" value="12"/></ConstraintGroup><ConstraintGroup><ValueConstraint 
 def test_constraints_are_kept_by_searches_and_by_the_simulator(tmp_path):
     path = scenario_file(tmp_path, init=moving(speed="$v"), parameters=CONSTRAINT)
     logical = LogicalScenario.read(path, ranges=["v=5:25"])
-    for optimizer in (SequenceOptimizer(logical.space, 0, "sobol"), GridOptimizer(logical.space, 0, 60)):
+    for optimizer in (SobolOptimizer(logical.space, 0), GridOptimizer(logical.space, 0, 60)):
         found = np.array([one["v"] for one in logical.space.values(optimizer.ask(40))])
         assert len(found) > 10
         assert ((found < 12) | ((found > 18) & (found <= 20))).all()
@@ -382,7 +382,7 @@ def test_values_of_a_set_stay_together(tmp_path):
     assert again.values(again.lattice()) == logical.space.values(logical.space.lattice())
     ranged = LogicalScenario.read(None, tmp_path / "space.xosc", ["v=1:2"])
     assert sorted(ranged.space.assigns) == ["v", "w"]
-    assert all(1 <= one["v"] <= 2 for one in ranged.space.values(SequenceOptimizer(ranged.space, 0, "sobol").ask(5)))
+    assert all(1 <= one["v"] <= 2 for one in ranged.space.values(SobolOptimizer(ranged.space, 0).ask(5)))
 
 
 @pytest.mark.parametrize("batch", [1, 7])

@@ -47,5 +47,5 @@ def test_the_budget_may_grow_and_the_simulator_run_elsewhere():
     more = replace(FULL, budget=500, simulator="synthetic:host=a", version="0.0.1")
     FULL.require_same(more, Path("s.db"))
     replace(FULL, critical=None).require_same(more, Path("s.db"))
-    with pytest.raises(InputError, match="a grid of 0 scenarios; give the same `budget`"):
+    with pytest.raises(InputError, match="a budget of 0 scenarios; give the same `budget`"):
         FULL.require_same(more, Path("s.db"), same_budget=True)

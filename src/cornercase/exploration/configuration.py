@@ -13,7 +13,7 @@ from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
 from cornercase.metrics import METRICS
-from cornercase.optimizers import OPTIMIZERS
+from cornercase.optimizers import create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario, Scenario
 from cornercase.simulators import SIMULATORS, ParallelSimulator, Simulator, WorkerSimulator, told
 from cornercase.study import Study, StudyMeta
@@ -107,16 +107,11 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
     metrics = [METRICS.create(name) for name in dict.fromkeys(one.metrics)]
     objective = Objective(metrics, one.weights, one.pareto)
     criteria = [Criterion.parse(text) for text in one.stop_when]
-    kind = one.optimizer.partition(":")[0]
-    required = kind == "level-set" or bool(criteria)
+    needs = optimizer_needs(one.optimizer)
+    required = "threshold" in needs or bool(criteria)
     limit = objective.limit(one.critical) if required else objective.limit_where_known(one.critical)
-    options: dict[str, Any] = {}
-    if kind == "grid":
-        options["budget"] = one.budget
-    elif kind == "level-set":
-        options["threshold"] = limit
-    optimizer = OPTIMIZERS.create(one.optimizer, space=one.logical.space, seed=one.seed, **options)
-    if one.pareto and not getattr(optimizer, "takes_several", False):
+    optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=limit, budget=one.budget)
+    if one.pareto and not optimizer.takes_several:
         raise InputError(f"--pareto: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     simulator = _simulator(one)
     # Before there is a study, as nothing of the scenario could be run.
@@ -140,7 +135,7 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
         repeats=one.repeats,
     )
     with Study.open(path) if path.exists() else Study.create(path, meta) as study:
-        study.meta.require_same(meta, path, same_budget=kind == "grid")
+        study.meta.require_same(meta, path, same_budget="budget" in needs)
         explorer = ScenarioExplorer(
             one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
             budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,

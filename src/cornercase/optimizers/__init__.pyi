@@ -1,3 +1,4 @@
+from .base import Need as Need
 from .base import Optimizer as Optimizer
 from .bayes import BayesOptimizer as BayesOptimizer
 from .evolutionary import EvolutionaryOptimizer as EvolutionaryOptimizer
@@ -5,4 +6,7 @@ from .grid import GridOptimizer as GridOptimizer
 from .level_set import LevelSetOptimizer as LevelSetOptimizer
 from .optuna_sampler import OptunaOptimizer as OptunaOptimizer
 from .registry import OPTIMIZERS as OPTIMIZERS
-from .sequences import SequenceOptimizer as SequenceOptimizer
+from .registry import create_optimizer as create_optimizer
+from .registry import optimizer_needs as optimizer_needs
+from .sequences import RandomOptimizer as RandomOptimizer
+from .sequences import SobolOptimizer as SobolOptimizer

@@ -2,35 +2,84 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
+from typing import ClassVar, Literal
 
 from cornercase._common.typing import FloatArray
 
+Need = Literal["threshold", "budget"]
+"""What an optimizer may need beside the space and the seed."""
 
-class Optimizer(Protocol):
-    """Where to look next, in the unit cube; lower scores are more critical.
 
-    An optimizer is a function of its space, its seed and what it was told, in the order of the calls: a new one
-    of the same seed that is told the same rounds asks for the same points. So a study goes on after any kind of
-    death, by telling it again.
+class Optimizer(ABC):
+    """Chooses where to look next, in the unit cube.
+
+    An optimizer depends on its space, its seed and what it was told, in the order of the calls, and on nothing else:
+    a new one of the same seed that is told the same rounds asks for the same points. So a study that was killed goes
+    on by telling it again.
+
+    A subclass takes ``space`` (a `ParameterSpace`), ``seed`` (int) and what it needs as keyword arguments, and
+    defines `ask` and `tell`. Further arguments have defaults; users set them behind a colon, as in
+    ``bayes:filling=0``.
 
     Attributes
     ----------
     name : str
         As on the command line.
-    takes_several : bool, optional
-        Whether it takes several scores of each scenario, for a Pareto front; not if it is not there.
+    takes_several : bool, default False
+        Whether it takes several scores per scenario and searches their Pareto front.
+    needs : frozenset of {"threshold", "budget"}, default empty
+        What it is given as keyword arguments beside ``space`` and ``seed``: ``threshold``, the oriented score up to
+        which a scenario is critical; ``budget``, the number of scenarios in all. An optimizer that needs the budget
+        asks for other points with another one, so its studies keep the budget that they began with.
+
+    See Also
+    --------
+    cornercase.optimizers.OPTIMIZERS : Optimizers by name, also those of other packages.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.optimizers import Optimizer
+    >>> class Centre(Optimizer):
+    ...     name = "centre"
+    ...
+    ...     def __init__(self, space, seed):
+    ...         self._points = np.full((1, space.dimension), 0.5)
+    ...
+    ...     def ask(self, n):
+    ...         return self._points[:n]
+    ...
+    ...     def tell(self, points, scores):
+    ...         self._points = self._points[:0]
     """
 
     name: str
+    takes_several: ClassVar[bool] = False
+    needs: ClassVar[frozenset[Need]] = frozenset()
 
+    @abstractmethod
     def ask(self, n: int) -> FloatArray:
-        """Return at most `n` new points, shape (m, d); m < n only when the space has no more."""
-        ...
+        """Propose points that were not told yet.
 
-    def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take the scores, shape (m,), of points, shape (m, d), of one round; NaN for a scenario that failed.
+        Parameters
+        ----------
+        n : int
 
-        Of several scores for each the shape is (m, k).
+        Returns
+        -------
+        ndarray of float64, shape (m, d)
+            In the unit cube; m < n only when the space has no more.
         """
-        ...
+
+    @abstractmethod
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Take the scores of one round.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (m, d)
+        scores : ndarray of float64, shape (m,) or (m, k)
+            Oriented: lower is more critical. NaN for a scenario that failed. Several scores each, k of them, only
+            where the optimizer `takes_several`.
+        """

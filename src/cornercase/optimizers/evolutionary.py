@@ -8,25 +8,28 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.optimizers.sequences import SequenceOptimizer
+from cornercase.optimizers.base import Optimizer
+from cornercase.optimizers.sequences import SobolOptimizer
+from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
 
 _TRIES = 50
 
 
-class EvolutionaryOptimizer:
+class EvolutionaryOptimizer(Optimizer):
     """Genetic algorithm; with several scores it is NSGA-II and looks for their Pareto front.
 
     The parents of a round are the best of all that was told, by non-dominated sorting and crowding distance, chosen in
-    tournaments of two; their children come from simulated binary crossover and polynomial mutation, of choices among
-    names from uniform ones. Children that were run before, or that no constraint admits, are made anew.
+    tournaments of two. Their children come from simulated binary crossover and polynomial mutation; parameters with
+    choices are inherited from some parent or drawn anew. Children that were run before, or that the constraints do
+    not admit, are made again.
 
     Parameters
     ----------
     space : ParameterSpace
     seed : int
     population : int, default 40
-        Points of a Sobol' sequence at the beginning, and best ones that can be parents.
+        Points of the Sobol' sequence at the beginning, and number of the best that can be parents.
 
     Raises
     ------
@@ -47,25 +50,28 @@ class EvolutionaryOptimizer:
             raise InputError(f"evolutionary cannot take a population of {population:g}; give 2 or more.")
         self._space, self._seed, self._population = space, seed, int(population)
         self._named = np.array([bool(parameter.choices) for parameter in space.parameters])
-        self._sequence = SequenceOptimizer(space, seed, "sobol")
+        self._sequence = SobolOptimizer(space, seed)
+        self._unseen = Unseen(space)
         self._points = np.zeros((0, space.dimension))
         self._scores: FloatArray | None = None
 
     def ask(self, n: int) -> FloatArray:
-        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
+        """Propose at most `n` points, shape (m, d), as of `Optimizer.ask`."""
         if self._scores is None or np.isfinite(self._scores).all(axis=1).sum() < self._population:
             return self._sequence.ask(n)
         children = self._children(n)
         return np.concatenate([children, self._sequence.ask(n - len(children), besides=children)])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, shape (m,) or (m, k), lower being more critical; NaN for a scenario that failed."""
+        """Take scores, shape (m,) or (m, k), of points, shape (m, d), as of `Optimizer.tell`."""
         columns = scores.reshape(len(points), -1)
         self._points = np.concatenate([self._points, points])
         self._scores = columns if self._scores is None else np.concatenate([self._scores, columns])
-        self._sequence.tell(points, np.zeros(len(points)))
+        self._unseen.tell(points)
+        self._sequence.tell(points, scores)
 
     def _children(self, n: int) -> FloatArray:
+        """Make at most `n` points, shape (m, d), that were not told yet, from the best that were."""
         from pymoo.core.mating import Mating
         from pymoo.core.population import Population
         from pymoo.core.problem import Problem
@@ -81,21 +87,17 @@ class EvolutionaryOptimizer:
         everyone = Population.new(X=self._points[known], F=self._scores[known])
         parents = RankAndCrowding().do(problem, everyone, n_survive=self._population, random_state=rng)
         mating = Mating(TournamentSelection(func_comp=_better), SBX(), PM())
-        met = {point.tobytes() for point in self._space.snap(self._points)}
-        found: list[FloatArray] = []
+        found = np.zeros((0, self._space.dimension))
         for _ in range(_TRIES):
             if len(found) == n:
                 break
             children = mating.do(problem, parents, 2 * n, random_state=rng).get("X")
-            children = self._space.snap(self._with_names(np.clip(children, 0.0, 1.0), parents.get("X"), rng))
-            for child in children[self._space.admits(children)]:
-                if len(found) < n and child.tobytes() not in met:
-                    met.add(child.tobytes())
-                    found.append(child)
-        return np.array(found).reshape(-1, self._space.dimension)
+            children = self._with_names(np.clip(children, 0.0, 1.0), parents.get("X"), rng)
+            found = np.concatenate([found, self._unseen.among(children, besides=found)])[:n]
+        return found
 
     def _with_names(self, children: FloatArray, parents: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Children whose choices among names are those of some parent, or now and then any."""
+        """Give children the choices of some parent, or with a probability of 1/d any choice."""
         inherited = parents[rng.integers(len(parents), size=children.shape), np.arange(children.shape[1])]
         new = rng.random(children.shape)
         mutates = rng.random(children.shape) < 1.0 / children.shape[1]
@@ -103,7 +105,7 @@ class EvolutionaryOptimizer:
 
 
 def _better(population: Any, pairs: Any, random_state: Any = None, **_: Any) -> Any:
-    """Winner of each pair: the lower rank, or in the same rank who is less crowded."""
+    """Winner of each pair: the lower rank; of the same rank the less crowded."""
     rank, crowding = population.get("rank"), population.get("crowding")
     first, second = pairs.T
     wins = (rank[first] < rank[second]) | ((rank[first] == rank[second]) & (crowding[first] >= crowding[second]))

@@ -6,23 +6,25 @@ import numpy as np
 from scipy.stats import qmc
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.optimizers.base import Optimizer
 from cornercase.scenario import ParameterSpace
 
 
-class GridOptimizer:
+class GridOptimizer(Optimizer):
     """Full factorial design.
 
     Parameters
     ----------
     space : ParameterSpace
     seed : int
-        Not used; a grid has no chance in it.
+        Not used: nothing of a grid is random.
     budget : int, default 3375
         The grid has as many steps per parameter as fit into this number of scenarios, and one at least.
     """
 
     name = "grid"
     takes_several = True
+    needs = frozenset({"budget"})
 
     def __init__(self, space: ParameterSpace, seed: int, budget: int = 3375) -> None:
         self._told = 0

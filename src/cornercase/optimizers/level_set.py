@@ -42,6 +42,7 @@ class LevelSetOptimizer(CandidateOptimizer):
     """
 
     name = "level-set"
+    needs = frozenset({"threshold"})
 
     def __init__(
         self, space: ParameterSpace, seed: int, threshold: float, candidates: int = 20_000, filling: float = 0.2

@@ -9,14 +9,16 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import FloatArray
-from cornercase.optimizers.sequences import SequenceOptimizer
+from cornercase.optimizers.base import Optimizer
+from cornercase.optimizers.sequences import SobolOptimizer
+from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
 
 _SAMPLERS: Final = ("tpe", "nsga2", "cmaes", "gp", "random")
 _TRIES = 20
 
 
-class OptunaOptimizer:
+class OptunaOptimizer(Optimizer):
     """A sampler of Optuna, with one score or several.
 
     Parameters
@@ -36,8 +38,8 @@ class OptunaOptimizer:
     -----
     Source: T. Akiba et al., "Optuna: A next-generation hyperparameter optimization framework", KDD (2019).
 
-    A sampler keeps more in mind than points and scores. So when it is told points that it was not asked for, as when
-    a study goes on, it is asked for as many first; with the same rounds these are the same points.
+    A sampler has a state of its own beside points and scores. So when it is told points that it was not asked for, as
+    when a study goes on, it is first asked for as many; in the same rounds these are the same points.
     """
 
     name = "optuna"
@@ -47,15 +49,16 @@ class OptunaOptimizer:
         if sampler not in _SAMPLERS:
             raise InputError(f"There is no sampler '{sampler}' of Optuna here; {suggestion(sampler, _SAMPLERS)}")
         self._space, self._seed, self._kind = space, seed, sampler
-        self._sequence = SequenceOptimizer(space, seed, "sobol")
-        self._told: set[bytes] = set()
+        self._sequence = SobolOptimizer(space, seed)
+        self._unseen = Unseen(space)
+        # Optuna's trials of points that were asked for and not told yet; None for points of the sequence.
         self._asked: dict[bytes, Any] = {}
         self._study: Any = None
         self._optuna = _imported()
         self._sampler = self._made()
 
     def ask(self, n: int) -> FloatArray:
-        """Return at most `n` points, shape (m, d), none of which was told; m < n only when the space has no more."""
+        """Propose at most `n` points, shape (m, d), as of `Optimizer.ask`."""
         if self._study is None:
             # Optuna has to know the number of scores, which comes with the first.
             return self._sequence.ask(n)
@@ -63,8 +66,7 @@ class OptunaOptimizer:
         for _ in range(n):
             point = self._new()
             if point is None:
-                asked = np.array([np.frombuffer(key) for key in self._asked])
-                found = self._sequence.ask(1, besides=asked.reshape(-1, self._space.dimension))
+                found = self._sequence.ask(1, besides=self._open)
                 if not len(found):
                     break
                 point = found[0]
@@ -73,7 +75,7 @@ class OptunaOptimizer:
         return np.array(points).reshape(-1, self._space.dimension)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, shape (m,) or (m, k), lower being more critical; NaN for a scenario that failed."""
+        """Take scores, shape (m,) or (m, k), of points, shape (m, d), as of `Optimizer.tell`."""
         columns = scores.reshape(len(points), -1)
         if self._study is None:
             self._study = self._optuna.create_study(directions=["minimize"] * columns.shape[1], sampler=self._sampler)
@@ -91,23 +93,26 @@ class OptunaOptimizer:
                         params=self._parameters(point), distributions=self._distributions(), values=score
                     )
                 )
-        # What was asked for and never told will not come any more.
+        # What was asked for and is not told in this round never will be.
         for trial in self._asked.values():
             if trial is not None:
                 self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
         self._asked.clear()
-        self._told |= {point.tobytes() for point in points}
-        self._sequence.tell(points, np.zeros(len(points)))
+        self._unseen.tell(points)
+        self._sequence.tell(points, scores)
+
+    @property
+    def _open(self) -> FloatArray:
+        """Points that were asked for and not told yet, shape (m, d)."""
+        return np.array([np.frombuffer(key) for key in self._asked]).reshape(-1, self._space.dimension)
 
     def _new(self) -> FloatArray | None:
-        """A point that was not met yet; None if the sampler proposes none."""
+        """Point of the sampler that was not proposed yet, shape (d,); None if it finds none."""
         for _ in range(_TRIES):
             trial = self._study.ask(self._distributions())
-            point: FloatArray = self._space.snap(self._point(trial.params)[None])[0]
-            key = point.tobytes()
-            if key not in self._told and key not in self._asked and self._space.admits(point[None])[0]:
-                self._asked[key] = trial
-                return point
+            for point in self._unseen.among(self._point(trial.params)[None], besides=self._open):
+                self._asked[point.tobytes()] = trial
+                return np.asarray(point)
             self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
         return None
 

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Final
 
 import numpy as np
 from scipy.stats import qmc
 
 from cornercase._common.typing import FloatArray
+from cornercase.optimizers.base import Optimizer
+from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
 
 _CHUNK: Final = 256
 _MOST: Final = 1 << 20
+"""Points that are drawn before a sequence counts as used up; more where many were told."""
 
 
-class SequenceOptimizer:
-    """Proposes an endless sequence of points, leaving out scenarios that were told before.
+class SequenceOptimizer(Optimizer):
+    """Proposes the points of an endless sequence, without scenarios that were told before.
 
     A finite space is run whole: when the sequence hardly meets new scenarios any more, those that are left follow in a
     random order of the same seed.
@@ -24,50 +28,48 @@ class SequenceOptimizer:
     ----------
     space : ParameterSpace
     seed : int
-    kind : {"sobol", "random"}
-        A scrambled Sobol' sequence (Owen 1998), or independent uniform points.
     """
 
     takes_several = True
 
-    def __init__(self, space: ParameterSpace, seed: int, kind: str) -> None:
-        self.name = kind
+    def __init__(self, space: ParameterSpace, seed: int) -> None:
         self._space, self._seed = space, seed
-        self._told: set[bytes] = set()
-        self._sequence = np.zeros((0, space.dimension))
-        self._keys: list[bytes] = []
-        self._first, self._drawn, self._over = 0, 0, False
-        self._random = np.random.default_rng(seed)
-        self._sobol = qmc.Sobol(space.dimension, scramble=True, seed=np.random.default_rng(seed))
+        self._unseen = Unseen(space)
+        # Points of the sequence that were drawn and can be proposed.
+        self._ahead = np.zeros((0, space.dimension))
+        self._drawn, self._over = 0, False
+
+    @abstractmethod
+    def _draw(self, count: int) -> FloatArray:
+        """Return the next points of the sequence, shape (count, d)."""
 
     def ask(self, n: int, besides: FloatArray | None = None) -> FloatArray:
-        """Return at most `n` points, shape (m, d), none of which was told or is in `besides`, shape (k, d).
+        """Propose the next points of the sequence.
 
-        m < n only when the space has no more.
+        Parameters
+        ----------
+        n : int
+        besides : ndarray of float64, shape (k, d), optional
+            Further points to leave out.
+
+        Returns
+        -------
+        ndarray of float64, shape (m, d)
+            None of them was told or is in `besides`; m < n only when the space has no more.
         """
-        left_out = self._told if besides is None else self._told | self._as_keys(besides)
-        while self._first < len(self._keys) and self._keys[self._first] in self._told:
-            self._first += 1
-        found: dict[bytes, int] = {}
-        place = self._first
-        while len(found) < n and (place < len(self._keys) or self._lengthen()):
-            key = self._keys[place]
-            if key not in left_out:
-                found.setdefault(key, place)
-            place += 1
-        return self._sequence[list(found.values())].reshape(-1, self._space.dimension)
+        while len(found := self._unseen.left(self._ahead, besides)) < n and self._lengthen():
+            pass
+        return found[:n]
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Remember what was run."""
-        self._told |= self._as_keys(points)
-
-    def _as_keys(self, points: FloatArray) -> set[bytes]:
-        return {point.tobytes() for point in self._space.snap(points)}
+        """Leave these points, shape (m, d), out from now on; the scores are not looked at."""
+        self._unseen.tell(points)
+        self._ahead = self._unseen.left(self._ahead)
 
     def _lengthen(self) -> bool:
         """Draw as many points again; False when there are no more."""
         size = self._space.size
-        if self._over or self._drawn >= _MOST + 4 * len(self._told):
+        if self._over or self._drawn >= _MOST + 4 * len(self._unseen):
             return False
         if size is not None and size <= _MOST // 4 and self._drawn >= 4 * size:
             points = np.random.default_rng(self._seed).permutation(self._space.lattice())
@@ -75,22 +77,49 @@ class SequenceOptimizer:
         else:
             count = max(_CHUNK, self._drawn)
             self._drawn += count
-            points = self._space.snap(
-                self._sobol.random(count)
-                if self.name == "sobol"
-                else self._random.random((count, self._space.dimension))
-            )
-        points = points[self._space.admits(points)]
-        self._sequence = np.concatenate([self._sequence, points])
-        self._keys += [point.tobytes() for point in points]
+            points = self._draw(count)
+        self._ahead = np.concatenate([self._ahead, self._unseen.among(points, besides=self._ahead)])
         return True
 
 
-def sobol(space: ParameterSpace, seed: int) -> SequenceOptimizer:
-    """Scrambled Sobol' sequence of scipy."""
-    return SequenceOptimizer(space, seed, "sobol")
+class SobolOptimizer(SequenceOptimizer):
+    """Scrambled Sobol' sequence.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+
+    Notes
+    -----
+    Source: A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points", Journal of Complexity 14 (1998); implemented
+    in scipy.
+    """
+
+    name = "sobol"
+
+    def __init__(self, space: ParameterSpace, seed: int) -> None:
+        super().__init__(space, seed)
+        self._sobol = qmc.Sobol(space.dimension, scramble=True, seed=np.random.default_rng(seed))
+
+    def _draw(self, count: int) -> FloatArray:
+        return np.asarray(self._sobol.random(count))
 
 
-def random(space: ParameterSpace, seed: int) -> SequenceOptimizer:
-    """Independent uniform points."""
-    return SequenceOptimizer(space, seed, "random")
+class RandomOptimizer(SequenceOptimizer):
+    """Independent points, uniform over the unit cube.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+    """
+
+    name = "random"
+
+    def __init__(self, space: ParameterSpace, seed: int) -> None:
+        super().__init__(space, seed)
+        self._random = np.random.default_rng(seed)
+
+    def _draw(self, count: int) -> FloatArray:
+        return self._random.random((count, self._space.dimension))

@@ -149,4 +149,6 @@ class StudyMeta:
                 " `study`, or give the same `critical`."
             )
         if same_budget and self.budget != other.budget:
-            raise InputError(f"{path}: belongs to a grid of {self.budget} scenarios; give the same `budget`.")
+            raise InputError(
+                f"{path}: its optimizer chose for a budget of {self.budget} scenarios; give the same `budget`."
+            )
