@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.threads import available_cpus
+from cornercase._common.platform import available_cpus
 from cornercase.dtw import disk, distance_matrix
 
 Series = list[npt.NDArray[np.float64]]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.recordings import Recording
-from cornercase.simulators import SIMULATORS
+from cornercase.simulators import SIMULATORS, Simulator
 
 
 class Unsendable:
@@ -25,7 +27,7 @@ class Plan:
         self.folder, self.does, self.start = Path(folder), does or {}, start
 
 
-class FailingSimulator:
+class FailingSimulator(Simulator):
     """Fails as its plan says, and notes each start and each try in the plan's folder."""
 
     name = "failing"
@@ -36,28 +38,44 @@ class FailingSimulator:
         self._begun = False
 
     def run(self, concretes):
+        self._begin()
+        for concrete in concretes:
+            yield self._outcome(int(concrete.values["k"]))
+
+    def close(self):
+        if self._begun:
+            self._note("ends")
+
+    def _begin(self):
         if not self._begun:
             self._begun = True
             self._note("starts")
-        for concrete in concretes:
-            k = int(concrete.values["k"])
-            tries = self._note(f"tries-{k}")
-            plan = self._plan.does.get(k, ["well"])
-            what = plan[min(tries, len(plan)) - 1]
-            if what == "crash":
-                os._exit(3)
-            elif what == "hang":
-                time.sleep(600)
-            elif what == "raise":
-                raise ZeroDivisionError("of the adapter")
-            elif what == "refuse":
-                raise InputError("The licence server is gone; start it.")
-            elif what == "cut":
-                yield Unsendable()
-            elif what == "fail":
-                yield SimulationError("it cannot be")
-            else:
-                yield recording(k)
+
+    def _outcome(self, k):
+        tries = self._note(f"tries-{k}")
+        plan = self._plan.does.get(k, ["well"])
+        what = plan[min(tries, len(plan)) - 1]
+        if what == "crash":
+            os._exit(3)
+        elif what == "hang":
+            time.sleep(600)
+        elif what == "raise":
+            raise ZeroDivisionError("of the adapter")
+        elif what == "refuse":
+            raise InputError("The licence server is gone; start it.")
+        elif what == "cut":
+            return Unsendable()
+        elif what == "fail":
+            return SimulationError("it cannot be")
+        elif what == "lose":
+            return SimulatorError("the program is gone")
+        elif what == "nap":
+            time.sleep(0.3)
+        elif what == "child":
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+            (self._plan.folder / "children").write_text(str(child.pid))
+            time.sleep(600)
+        return recording(k)
 
     def _note(self, name):
         path = self._plan.folder / name
@@ -66,7 +84,20 @@ class FailingSimulator:
         return path.stat().st_size
 
 
-class NoisySimulator:
+class BatchSimulator(FailingSimulator):
+    """Runs all in lock-step: what befalls one befalls all, and results come at the end."""
+
+    name = "batches"
+    takes_batches = True
+
+    def run(self, concretes):
+        self._begin()
+        with (self._plan.folder / "batches").open("a") as file:
+            file.write(f"{len(concretes)} ")
+        yield from [self._outcome(int(concrete.values["k"])) for concrete in concretes]
+
+
+class NoisySimulator(Simulator):
     """Never gives the same twice: the other stands somewhere else in each run, and every fifth run fails."""
 
     name = "noisy"
@@ -101,3 +132,4 @@ if "noisy" not in SIMULATORS.names():
     SIMULATORS.register("noisy", NoisySimulator)
 if "failing" not in SIMULATORS.names():
     SIMULATORS.register("failing", FailingSimulator)
+    SIMULATORS.register("batches", BatchSimulator)

@@ -5,14 +5,15 @@
 
 from __future__ import annotations
 
-import fcntl
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
 from numba import njit
 from numba.core.caching import FunctionCache
+
+from cornercase._common.locks import held_lock
 
 
 class _SharedCache(FunctionCache):
@@ -23,12 +24,15 @@ class _SharedCache(FunctionCache):
     """
 
     def load_overload(self, sig, target_context):
-        with _locked(self.cache_path, fcntl.LOCK_SH):
+        with held_lock(self._lock_path()):
             return super().load_overload(sig, target_context)
 
     def save_overload(self, sig, data):
-        with _locked(self.cache_path, fcntl.LOCK_EX):
+        with held_lock(self._lock_path()):
             super().save_overload(sig, data)
+
+    def _lock_path(self):
+        return Path(self.cache_path) / "cornercase.lock"
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -53,16 +57,3 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
         return cast(Callable[..., Any], compiled)
 
     return decorate
-
-
-@contextmanager
-def _locked(folder: str, how: int) -> Iterator[None]:
-    with ExitStack() as opened:
-        lock = None
-        # Where nothing can be written, nothing is.
-        with suppress(OSError):
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            lock = opened.enter_context((Path(folder) / "cornercase.lock").open("ab"))
-        if lock is not None:
-            fcntl.flock(lock, how)
-        yield

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from cornercase._common.errors import InputError
+from cornercase._common.platform import new_file_mode, replace_file
 
 
 @contextmanager
@@ -41,15 +42,9 @@ def written_whole(path: Path | str) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
+        os.chmod(temporary, new_file_mode())
+        replace_file(temporary, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -22,11 +22,14 @@ class Registry(Generic[T]):
         What is registered, as it stands in messages: ``"metric"``.
     group : str
         Entry-point group in which other packages name theirs: ``"cornercase.metrics"``.
+    base : type, optional
+        Class of which each factory has to be a subclass, so that `class_of` finds what it declares.
     """
 
-    def __init__(self, kind: str, group: str) -> None:
+    def __init__(self, kind: str, group: str, base: type[Any] | None = None) -> None:
         self._kind = kind
         self._group = group
+        self._base = base
         self._factories: dict[str, tuple[Callable[..., T] | str, dict[str, Any]]] = {}
 
     def register(self, name: str, factory: Callable[..., T] | str, /, **options: Any) -> None:
@@ -50,13 +53,29 @@ class Registry(Generic[T]):
         self._factories[name] = (factory, options)
 
     def names(self) -> list[str]:
-        """Return all names in alphabetical order."""
+        """Return all names, also those of other packages.
+
+        Returns
+        -------
+        list of str
+            In alphabetical order.
+        """
         return sorted({*self._factories, *(entry.name for entry in entry_points(group=self._group))})
 
     def create(self, name: str, **options: Any) -> T:
-        """Build the one called `name`, which may hold options behind a colon: ``"ttc:accelerating=true"``.
+        """Build the one called `name`.
 
-        What is built then has the whole of it as its name.
+        Parameters
+        ----------
+        name : str
+            May hold options behind a colon: ``"ttc:accelerating=true"``; what is built then has the whole of it as its
+            name.
+        **options
+            What its factory gets besides.
+
+        Returns
+        -------
+        object
 
         Raises
         ------
@@ -93,21 +112,62 @@ class Registry(Generic[T]):
         return cast(T, made)
 
     def factory(self, name: str) -> Callable[..., T]:
-        """What builds the one called `name`, without options.
+        """Return what builds the one called `name`, without options.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        callable
 
         Raises
         ------
         InputError
-            No such name.
+            No such name, or what is registered is no subclass of the base class.
         """
+        loaded, options = self._loaded(name)
+        return partial(loaded, **options) if options else loaded
+
+    def class_of(self, name: str) -> type[T]:
+        """Return the class of the one called `name`, which tells what it declares.
+
+        Parameters
+        ----------
+        name : str
+            May hold options behind a colon.
+
+        Returns
+        -------
+        type
+
+        Raises
+        ------
+        InputError
+            No such name, or what is registered is no class.
+        """
+        loaded, _ = self._loaded(name.partition(":")[0])
+        if not isinstance(loaded, type):
+            raise InputError(f"The {self._kind} '{name}' is registered as a function; register its class.")
+        return loaded
+
+    def _loaded(self, name: str) -> tuple[Callable[..., T], dict[str, Any]]:
         if name in self._factories:
             known, options = self._factories[name]
-            loaded: Callable[..., T] = EntryPoint(name, known, self._group).load() if isinstance(known, str) else known
-            return partial(loaded, **options) if options else loaded
+            loaded = EntryPoint(name, known, self._group).load() if isinstance(known, str) else known
+            return self._checked(name, loaded), options
         for entry in entry_points(group=self._group, name=name):
-            factory: Callable[..., T] = entry.load()
-            return factory
+            return self._checked(name, entry.load()), {}
         raise InputError(f"There is no {self._kind} '{name}'; {suggestion(name, self.names())}")
+
+    def _checked(self, name: str, loaded: Callable[..., T]) -> Callable[..., T]:
+        base = self._base
+        if base is not None and not (isinstance(loaded, type) and issubclass(loaded, base)):
+            place = f"{getattr(loaded, '__module__', '?')}.{getattr(loaded, '__qualname__', loaded)}"
+            public = f"{base.__module__.rpartition('.')[0]}.{base.__qualname__}"
+            raise InputError(f"The {self._kind} '{name}' is {place}, which is no subclass of {public}; make it one.")
+        return loaded
 
 
 def _value(text: str) -> bool | float | str:

@@ -113,8 +113,7 @@ def explore(
     from cornercase.scenario import LogicalScenario, Scenario
 
     logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
-    if simulator.partition(":")[0] in ("builtin", "sumo"):
-        _notice(Scenario.read(logical.path))
+    _notice(Scenario.read(logical.path), simulator)
     explored(
         explore_scenario,
         Exploration(
@@ -234,7 +233,7 @@ def simulate(
     pairs = parsing.pairs(values or (), "--set")
     read = Scenario.read(scenario)
     read.require_parameters(list(pairs))
-    _notice(read)
+    _notice(read, "builtin")
     simulator = BuiltinSimulator(
         time_step=time_step,
         duration=duration,
@@ -380,10 +379,10 @@ def simulators(
     out.print(table)
 
 
-def _notice(scenario: Any) -> None:
-    """Say once which actions and conditions of a file have no effect here."""
-    from cornercase.simulators import without_effect
+def _notice(scenario: Any, simulator: str) -> None:
+    """Say once what of a file has no effect in a simulator."""
+    from cornercase.simulators import SIMULATORS
 
-    ignored = without_effect(scenario)
+    ignored = SIMULATORS.class_of(simulator).without_effect(scenario)
     if ignored:
         err.print(f"Without effect here: {', '.join(ignored)}.", markup=False)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
-from cornercase._common.threads import available_cpus
+from cornercase._common.platform import available_cpus
 from cornercase.dtw import disk, pairs
 from cornercase.dtw.pairs import Settings
 

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
-from cornercase._common.threads import available_cpus
+from cornercase._common.platform import available_cpus
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import ParameterSpace
 

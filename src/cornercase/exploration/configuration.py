@@ -15,7 +15,7 @@ from cornercase.exploration.stopping import Criterion
 from cornercase.metrics import METRICS
 from cornercase.optimizers import create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario, Scenario
-from cornercase.simulators import SIMULATORS, ParallelSimulator, Simulator, WorkerSimulator, told
+from cornercase.simulators import Simulator, start_simulator
 from cornercase.study import Study, StudyMeta
 
 
@@ -115,7 +115,7 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
         raise InputError(f"--pareto: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     simulator = _simulator(one)
     # Before there is a study, as nothing of the scenario could be run.
-    getattr(simulator, "require_means", lambda _: None)(file)
+    simulator.require_means(file)
     meta = StudyMeta(
         scenario=str(one.logical.path.resolve()),
         fingerprint=one.logical.fingerprint,
@@ -144,8 +144,7 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
         try:
             return explorer.run(progress)
         finally:
-            # Simulators in processes of their own have something to end.
-            getattr(simulator, "close", lambda: None)()
+            simulator.close()
 
 
 def _simulator(one: Exploration) -> Simulator:
@@ -160,13 +159,6 @@ def _simulator(one: Exploration) -> Simulator:
     }
     for name in one.drivers.values():
         named_driver(name)
-    if "ego" in told(one.simulator):
-        options["ego"] = one.ego
-    if one.timeout is not None and not 0.0 < one.timeout < float("inf"):
-        raise InputError(f"--timeout {one.timeout:g}: give a time above 0 s.")
-    # Its own process protects from a simulator that is not ours; the builtin one steps batches.
-    if one.simulator.partition(":")[0] != "builtin" or one.timeout is not None:
-        return WorkerSimulator(one.simulator, options, one.workers, one.timeout, one.retries)
-    if one.workers > 1:
-        return ParallelSimulator(one.simulator, options, one.workers)
-    return SIMULATORS.create(one.simulator, **options)
+    return start_simulator(
+        one.simulator, options, ego=one.ego, workers=one.workers, timeout=one.timeout, retries=one.retries
+    )

@@ -1,15 +1,13 @@
 from .base import Availability as Availability
 from .base import Simulator as Simulator
 from .builtin.check import check_scenario as check_scenario
-from .builtin.check import without_effect as without_effect
 from .builtin.simulator import BuiltinSimulator as BuiltinSimulator
 from .carla.openscenario_1_0 import write_scenario_runner as write_scenario_runner
 from .carla.simulator import CarlaSimulator as CarlaSimulator
 from .carmaker.simulator import CarMakerSimulator as CarMakerSimulator
 from .esmini import EsminiSimulator as EsminiSimulator
-from .pool import ParallelSimulator as ParallelSimulator
 from .registry import SIMULATORS as SIMULATORS
 from .registry import availabilities as availabilities
-from .registry import told as told
+from .starting import start_simulator as start_simulator
 from .sumo.simulator import SumoSimulator as SumoSimulator
 from .workers import WorkerSimulator as WorkerSimulator

@@ -1,67 +1,170 @@
-"""What a simulator is."""
+"""The base class of simulators, and checks of the options that several have."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Self
 
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError, SimulationError, suggestion
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario
-
-
-class Simulator(Protocol):
-    """Runs concrete scenarios.
-
-    One that cannot run every scenario that the builtin one can may have a method ``require_means(scenario)``, which
-    raises an `InputError` for what it cannot; it is asked before anything is run.
-
-    Attributes
-    ----------
-    name : str
-        As on the command line: ``"builtin"``.
-    settings : dict
-        Everything besides the scenario that the recordings depend on, as plain JSON values. It is stored with a
-        study, and a study goes on only with the same settings.
-    """
-
-    name: str
-    settings: dict[str, object]
-
-    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Give one recording or one error per concrete scenario, in order.
-
-        Raises
-        ------
-        InputError
-            The scenario file itself cannot be used, so none of them can run.
-        """
-        ...
+from cornercase.scenario import ConcreteScenario, Scenario
 
 
 @dataclass(frozen=True)
 class Availability:
-    """Whether a simulator can run here; what a simulator's class method `availability` gives, where it has one.
+    """Whether a simulator can run here.
 
     Attributes
     ----------
     version : str
-        Empty where that is not known.
+        Empty where it is not known.
     missing : str
         What is missing and how to get it, as a sentence; empty where nothing is.
     abilities : tuple of str
         What it can do, in a few words each.
     """
 
-    version: str
-    missing: str
-    abilities: tuple[str, ...]
+    version: str = ""
+    missing: str = ""
+    abilities: tuple[str, ...] = ()
+
+
+class Simulator(ABC):
+    """Runs concrete scenarios; the base class of all simulators.
+
+    A simulator of your own is a subclass with `settings` and `run`, named in the entry-point group
+    ``cornercase.simulators``. What it declares besides has defaults that are right for a program that runs one
+    scenario after the other.
+
+    The options of its constructor are keyword arguments. All simulators get ``time_step`` and ``duration`` in s,
+    ``on_collision``, which is ``"continue"`` or ``"stop"``, and ``drivers``, a driver or its name by entity. More come
+    from behind the colon of its name (``"esmini:seed=3"``).
+
+    Attributes
+    ----------
+    name : str
+        As it is registered; with its options where it was made with some: ``"esmini:seed=3"``.
+    settings : dict
+        Everything besides the scenario that the recordings depend on, as plain JSON values. It is stored with a
+        study, and a study is continued only with the same settings.
+    needs : tuple of str
+        Options that it gets besides: ``"ego"``, the name of the entity under test, and ``"worker"``, the number of its
+        worker process from 0 on.
+    in_process : bool, default False
+        Whether it may run in cornercase's own process: it does not crash, does not hang, and leaves nothing behind.
+    takes_batches : bool, default False
+        Whether many scenarios in one call take less time than one after the other. Such a simulator is given as
+        many at once as there are; any other gets them one by one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.recordings import Recording
+    >>> from cornercase.simulators import Simulator
+    >>> class Standing(Simulator):
+    ...     name = "standing"
+    ...
+    ...     def __init__(self, **options):
+    ...         self.settings = {}
+    ...
+    ...     def run(self, concretes):
+    ...         for _ in concretes:
+    ...             rest, one = np.zeros((1, 2)), np.ones(1)
+    ...             yield Recording(
+    ...                 time=np.array([0.0, 0.1]), names=("Ego",), kinds=("car",), x=rest, y=rest, heading=rest,
+    ...                 speed=rest, acceleration=rest, length=one, width=one, center_x=0.0 * one,
+    ...             )
+    """
+
+    name: str
+    settings: dict[str, object]
+    needs: ClassVar[tuple[str, ...]] = ()
+    in_process: ClassVar[bool] = False
+    takes_batches: ClassVar[bool] = False
+
+    @abstractmethod
+    def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        """Run scenarios.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+
+        Yields
+        ------
+        Recording or SimulationError
+            One for each scenario, in order.
+
+        Raises
+        ------
+        InputError
+            None of them can run, whatever its values are; the scenario file cannot be used, for one.
+        """
+
+    def require_means(self, scenario: Scenario) -> None:  # noqa: B027 - optional
+        """Refuse a scenario that this simulator cannot run; asked before anything is run.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Raises
+        ------
+        InputError
+            It lacks what the scenario asks for. By default nothing is refused.
+        """
+
+    @classmethod
+    def without_effect(cls, scenario: Scenario) -> dict[str, int]:
+        """Count what of a scenario file changes nothing in this simulator.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Returns
+        -------
+        dict of str to int
+            How many there are of each kind of element; empty by default.
+        """
+        return {}
+
+    @classmethod
+    def availability(cls) -> Availability:
+        """Tell whether it can run here.
+
+        Returns
+        -------
+        Availability
+            By default nothing is missing.
+        """
+        return Availability()
+
+    def close(self) -> None:  # noqa: B027 - optional
+        """End what it has started; by default there is nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
 
 
 def checked_seed(seed: int, whose: str) -> int:
     """Return a seed that a simulator takes.
+
+    Parameters
+    ----------
+    seed : int
+    whose : str
+        For the message.
+
+    Returns
+    -------
+    int
 
     Raises
     ------
@@ -76,7 +179,19 @@ def checked_seed(seed: int, whose: str) -> int:
 def checked_settings(
     time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver] | None
 ) -> dict[str, object]:
-    """Settings that all simulators with a storyboard have, as plain values.
+    """Return the settings that all simulators with a storyboard have, as plain values.
+
+    Parameters
+    ----------
+    time_step, duration : float
+        s.
+    on_collision : str
+    drivers : mapping of str to str or Driver, or None
+        By entity.
+
+    Returns
+    -------
+    dict
 
     Raises
     ------
@@ -84,11 +199,11 @@ def checked_settings(
         One is out of range.
     """
     if not 0.001 <= time_step <= 1.0:
-        raise InputError(f"The time step is {time_step} s; choose one from 0.001 s to 1 s.")
+        raise InputError(f"`time_step` {time_step:g}: choose a time from 0.001 s to 1 s.")
     if not time_step <= duration <= 3600.0:
-        raise InputError(f"The duration is {duration} s; choose one from one time step to 3600 s.")
+        raise InputError(f"`duration` {duration:g}: choose a time from one time step to 3600 s.")
     if on_collision not in ("continue", "stop"):
-        raise InputError(f"on_collision is '{on_collision}'; it is continue or stop.")
+        raise InputError(f"`on_collision` {on_collision}: {suggestion(on_collision, ('continue', 'stop'))}")
     return {
         "time_step": time_step,
         "duration": duration,

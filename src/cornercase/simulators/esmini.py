@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
-from cornercase.simulators.base import Availability, checked_seed, checked_settings
+from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 
 VARIABLE: Final = "CORNERCASE_ESMINI"
 _MISSING: Final = (
@@ -43,7 +43,7 @@ class _State(ctypes.Structure):
     )  # fmt: skip
 
 
-class EsminiSimulator:
+class EsminiSimulator(Simulator):
     """Runs concrete scenarios with esmini, whose state there is once in a process.
 
     Parameters

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
 from cornercase.simulators.base import Availability, Simulator
 
-SIMULATORS: Final[Registry[Simulator]] = Registry("simulator", "cornercase.simulators")
-"""Simulators by name."""
+SIMULATORS: Final[Registry[Simulator]] = Registry("simulator", "cornercase.simulators", Simulator)
+"""Simulators by name; each is a subclass of `Simulator`."""
 
 for _name, _place in (
     ("builtin", "builtin.simulator:BuiltinSimulator"),
@@ -21,18 +22,17 @@ for _name, _place in (
 
 
 def availabilities() -> dict[str, Availability]:
-    """Whether each simulator can run here, by name; of other packages' what they tell."""
+    """Tell which simulators can run here.
+
+    Returns
+    -------
+    dict of str to Availability
+        By name, also those of other packages. One that cannot be loaded is not available, and says why.
+    """
     found = {}
     for name in SIMULATORS.names():
-        tell = getattr(SIMULATORS.factory(name), "availability", None)
-        found[name] = Availability("", "", ()) if tell is None else tell()
+        try:
+            found[name] = SIMULATORS.class_of(name).availability()
+        except InputError as error:
+            found[name] = Availability(missing=str(error))
     return found
-
-
-def told(name: str) -> tuple[str, ...]:
-    """What a simulator wants to be told beside the options that all have, as its class attribute ``told`` says.
-
-    That is ``worker``, the number of the worker in which it runs, and ``ego``, the entity that is it.
-    """
-    wanted: tuple[str, ...] = getattr(SIMULATORS.factory(name.partition(":")[0]), "told", ())
-    return wanted

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import importlib
 import io
 import json
@@ -13,12 +12,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from filelock import BaseFileLock
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.files import written_whole
+from cornercase._common.locks import taken_lock
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Collision, Recording, write_courses
 from cornercase.scenario import Value
@@ -83,7 +84,7 @@ class Study:
         What is varied.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, lock: IO[bytes] | None) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection, lock: BaseFileLock | None) -> None:
         self.path = path
         self._connection, self._lock = connection, lock
         self.meta = StudyMeta.from_json(
@@ -118,7 +119,7 @@ class Study:
                 connection.commit()
             return cls._opened(path, lock)
         except BaseException:
-            lock.close()
+            lock.release()
             raise
 
     @classmethod
@@ -142,11 +143,11 @@ class Study:
         try:
             return cls._opened(path, lock)
         except BaseException:
-            lock.close()
+            lock.release()
             raise
 
     @classmethod
-    def _opened(cls, path: Path, lock: IO[bytes] | None) -> Study:
+    def _opened(cls, path: Path, lock: BaseFileLock | None) -> Study:
         """Open for writing under a lock, for reading without."""
         with _sentences(path):
             connection = _connected(path)
@@ -175,7 +176,7 @@ class Study:
         """Close the file."""
         self._connection.close()
         if self._lock is not None:
-            self._lock.close()
+            self._lock.release()
 
     def __enter__(self) -> Study:
         return self
@@ -406,17 +407,14 @@ def _connected(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(location, uri=True, timeout=30.0)
 
 
-def _locked(path: Path) -> IO[bytes]:
+def _locked(path: Path) -> BaseFileLock:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = open(path.with_name(path.name + ".lock"), "ab")  # noqa: SIM115 - held as long as the study is open
+        lock = taken_lock(path.with_name(path.name + ".lock"))
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        lock.close()
-        raise InputError(f"{path}: another cornercase is writing to it; wait until it has ended.") from None
+    if lock is None:
+        raise InputError(f"{path}: another cornercase is writing to it; wait until it has ended.")
     return lock
 
 

@@ -9,14 +9,15 @@ from cornercase._common.version import __version__
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, VariesError
-from cornercase.simulators.base import Availability, checked_settings
+from cornercase.simulators.base import Availability, Simulator, checked_settings
 from cornercase.simulators.builtin.batch import Batch
+from cornercase.simulators.builtin.effect import without_effect
 
 # A batch keeps the whole motion of its scenarios; this many take about 300 MB for four entities and 400 instants.
 _LARGEST_BATCH = 4096
 
 
-class BuiltinSimulator:
+class BuiltinSimulator(Simulator):
     """Steps all concrete scenarios at once: one code path for one and for a hundred thousand.
 
     Parameters
@@ -38,6 +39,8 @@ class BuiltinSimulator:
     """
 
     name = "builtin"
+    in_process = True
+    takes_batches = True
 
     def __init__(
         self,
@@ -63,6 +66,11 @@ class BuiltinSimulator:
                 "batches",
             ),
         )  # fmt: skip
+
+    @classmethod
+    def without_effect(cls, scenario: Scenario) -> dict[str, int]:
+        """Count what of a scenario file changes nothing here."""
+        return without_effect(scenario)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Give one recording or one error per concrete scenario, in order.

@@ -17,7 +17,7 @@ from cornercase._common.errors import InputError, SimulationError, SimulatorErro
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording, read_carla_log
 from cornercase.scenario import ConcreteScenario, Scenario
-from cornercase.simulators.base import Availability, checked_seed, checked_settings
+from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 from cornercase.simulators.carla.dialect import BEHAVIORS, DRIVER, adapt
 from cornercase.simulators.carla.openscenario_1_0 import write_scenario_runner
 from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
@@ -34,7 +34,7 @@ _UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
 _SILENCE: Final = 3
 
 
-class CarlaSimulator:
+class CarlaSimulator(Simulator):
     """Runs concrete scenarios on a CARLA that is there for nothing else, by ScenarioRunner in synchronous mode.
 
     Each is written as OpenSCENARIO 1.0 and run by a ScenarioRunner of its own, in its own environment. A second client
@@ -86,7 +86,7 @@ class CarlaSimulator:
     """
 
     name = "carla"
-    told = ("worker", "ego")
+    needs = ("worker", "ego")
 
     def __init__(
         self,

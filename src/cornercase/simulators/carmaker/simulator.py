@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError, SimulationError, SimulatorErro
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording, read_erg
 from cornercase.scenario import ConcreteScenario, Scenario, Value
-from cornercase.simulators.base import Availability
+from cornercase.simulators.base import Availability, Simulator
 from cornercase.simulators.carmaker.cmapi import CarMakerApi, has_cmapi
 from cornercase.simulators.hosts import address
 
@@ -24,7 +24,7 @@ _LONGEST_REPLY: Final = 1_000_000
 _PATIENCE: Final = 60.0
 
 
-class CarMakerSimulator:
+class CarMakerSimulator(Simulator):
     """Runs a TestRun of CarMaker, with a named value for each parameter.
 
     Where IPG's Python module ``cmapi`` can be imported, it starts a CarMaker; else there has to be one that listens on
@@ -67,7 +67,7 @@ class CarMakerSimulator:
     """
 
     name = "carmaker"
-    told = ("worker",)
+    needs = ("worker",)
 
     def __init__(
         self,

@@ -13,15 +13,16 @@ from cornercase._common.typing import FloatArray
 from cornercase.drivers import DRIVERS, Driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario
-from cornercase.simulators.base import Availability, checked_seed, checked_settings
+from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 from cornercase.simulators.builtin.batch import Batch
+from cornercase.simulators.builtin.effect import without_effect
 from cornercase.simulators.sumo.coupling import TYPES, SumoCoupling
 from cornercase.simulators.sumo.network import sumo_network
 
 _MISSING = "SUMO is not installed; pip install 'cornercase[sumo]'."
 
 
-class SumoSimulator:
+class SumoSimulator(Simulator):
     """Runs concrete scenarios with SUMO's car-following and junction model at the wheel.
 
     Entities with the driver ``cautious``, ``normal`` or ``aggressive`` are driven by SUMO, as a vehicle type of that
@@ -92,6 +93,11 @@ class SumoSimulator:
                 "deterministic",
             ),
         )
+
+    @classmethod
+    def without_effect(cls, scenario: Scenario) -> dict[str, int]:
+        """Count what of a scenario file changes nothing in the builtin storyboard."""
+        return without_effect(scenario)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Give one recording or one error per concrete scenario, in order.

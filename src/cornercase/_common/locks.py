@@ -1,0 +1,61 @@
+"""Locks that processes on one machine share; the end of a process frees those that it holds, however it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from filelock import BaseFileLock, FileLock, Timeout
+
+# s between looks at a lock that is held for milliseconds, and until it is given up.
+_SOON, _LONGEST = 0.005, 60.0
+
+
+def taken_lock(path: Path) -> BaseFileLock | None:
+    """Take a lock that nobody else holds.
+
+    Parameters
+    ----------
+    path : Path
+        File of the lock; it is made where it is missing.
+
+    Returns
+    -------
+    FileLock or None
+        To be released; None where another one holds it, in this process or in another.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    # Whichever thread has taken it, any may release it.
+    lock = FileLock(path, thread_local=False)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        return None
+    except NotImplementedError as error:
+        raise OSError(None, "its file system has no locks") from error
+    return lock
+
+
+@contextmanager
+def held_lock(path: Path) -> Iterator[None]:
+    """Wait for a lock and hold it meanwhile; a thread that holds it already goes on at once.
+
+    Where its file cannot be written there is nothing to protect, and nothing is held. A holder that has not come back
+    after a minute has been stopped, and is waited for no longer.
+
+    Parameters
+    ----------
+    path : Path
+        File of the lock; it is made where it is missing, with its folder.
+    """
+    with ExitStack() as held:
+        # A time-out is an OSError, too.
+        with suppress(OSError, NotImplementedError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            held.enter_context(FileLock(path, is_singleton=True).acquire(timeout=_LONGEST, poll_interval=_SOON))
+        yield

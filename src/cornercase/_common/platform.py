@@ -1,0 +1,158 @@
+"""What differs between Linux, macOS and Windows; no other module asks which of them it is."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import psutil
+
+_WINDOWS: Final = sys.platform == "win32"
+# A virus scanner or an indexer may hold a new file for a moment.
+_TRIES, _PAUSE = 20, 0.05
+# Exit codes from here on are those of Windows' exceptions, which are known by their hexadecimal numbers.
+_EXCEPTIONS: Final = 0xC0000000
+
+
+def available_cpus() -> int:
+    """Return the number of CPUs that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def user_cache() -> Path:
+    """Return the folder in which a user's programs keep what they can make again."""
+    named = os.environ.get("XDG_CACHE_HOME") or (os.environ.get("LOCALAPPDATA") if _WINDOWS else None)
+    if named:
+        return Path(named)
+    return Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
+
+
+def new_file_mode() -> int:
+    """Return the permissions that a new file gets by the user's choice."""
+    # It can only be read by setting it.
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return 0o666 & ~mask
+
+
+def replace_file(source: Path, target: Path) -> None:
+    """Give a file the name of another, which it replaces.
+
+    Windows refuses it while a program has one of the two open, and programs that look at each new file do so for a
+    moment.
+
+    Parameters
+    ----------
+    source, target : Path
+
+    Raises
+    ------
+    OSError
+        It cannot be done; on Windows after a second of trying.
+    """
+    for _ in range(_TRIES if _WINDOWS else 0):
+        with suppress(PermissionError):
+            os.replace(source, target)
+            return
+        time.sleep(_PAUSE)
+    os.replace(source, target)
+
+
+def bytes_of_path(path: Path) -> bytes:
+    """Return a path as the C library of this platform takes it: on Windows in the code page of the system.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    UnicodeEncodeError
+        The code page has no such character.
+    """
+    return str(path).encode("mbcs", "strict") if _WINDOWS else os.fsencode(path)
+
+
+def leave_terminal() -> None:
+    """Let Ctrl-C pass this process by; with all that it will start it is a group, where there are groups."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "setsid"):
+        os.setsid()
+
+
+def end_process_tree(number: int) -> None:
+    """End a process and all that it has started, at once.
+
+    Parameters
+    ----------
+    number : int
+        Of the process; where there is none any more, of the group that it has made by `leave_terminal`.
+    """
+    found: list[psutil.Process] = []
+    with suppress(psutil.Error):
+        process = psutil.Process(number)
+        found.append(process)
+        found += process.children(recursive=True)
+    if hasattr(os, "killpg"):
+        # Its group also holds those whose parents have ended.
+        with suppress(OSError):
+            os.killpg(number, signal.SIGKILL)
+    for one in found:
+        with suppress(psutil.Error):
+            one.kill()
+
+
+def words_of_exit_code(code: int | None) -> str:
+    """Say how a process ended.
+
+    Parameters
+    ----------
+    code : int or None
+        As of `multiprocessing.Process.exitcode`.
+
+    Returns
+    -------
+    str
+        ``"ended with exit code 3"``, ``"was ended by SIGSEGV"``.
+    """
+    if not code:
+        return "ended"
+    if code < 0:
+        names = {one.value: one.name for one in signal.Signals}
+        return f"was ended by {names.get(-code, f'signal {-code}')}"
+    return f"ended with exit code {code:#010x}" if code >= _EXCEPTIONS else f"ended with exit code {code}"
+
+
+def parent_watch() -> Callable[[], bool]:
+    """Return a function that says whether the process that has started this one is still there."""
+    number = os.getppid()
+    try:
+        parent = psutil.Process(number)
+    except psutil.Error:
+        # One outside of what can be seen from here, as in a container.
+        return lambda: os.getppid() == number
+    # Windows gives the same number also when that process is gone.
+    return lambda: os.getppid() == number and parent.is_running()
+
+
+def forgive_narrow_output() -> None:
+    """Let output to a file or a pipe replace the characters that its encoding lacks, instead of ending the program.
+
+    On Windows that is a code page of 256 characters, unless the user says otherwise.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        reconfigure = getattr(stream, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="replace")

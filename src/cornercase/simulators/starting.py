@@ -1,0 +1,71 @@
+"""A simulator by name, ready to run: in this process or in processes of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from cornercase._common.errors import InputError
+from cornercase.simulators.base import Simulator
+from cornercase.simulators.registry import SIMULATORS
+from cornercase.simulators.workers import WorkerSimulator
+
+
+def start_simulator(
+    name: str,
+    options: Mapping[str, Any] | None = None,
+    *,
+    ego: str = "Ego",
+    workers: int = 1,
+    timeout: float | None = None,
+    retries: int = 1,
+) -> Simulator:
+    """Make a simulator that runs where it has to.
+
+    One that declares that it may, and has neither company nor a time-out, runs in this process. All others run in
+    worker processes, where a crash or a hang costs the one scenario that is at fault.
+
+    Parameters
+    ----------
+    name : str
+        Registered simulator, with options behind a colon if need be: ``"esmini:seed=3"``.
+    options : mapping, optional
+        Keyword arguments that all simulators take: ``time_step``, ``duration``, ``on_collision``, ``drivers``; their
+        values have to be picklable.
+    ego : str, default "Ego"
+        Entity under test, for a simulator that needs to know it.
+    workers : int, default 1
+        Simulators side by side.
+    timeout : float, optional
+        s after which a scenario is given up.
+    retries : int, default 1
+        How often a scenario is run again after the simulator died or hung.
+
+    Returns
+    -------
+    Simulator
+        To be closed, best as a context manager.
+
+    Raises
+    ------
+    InputError
+        There is no such simulator, it cannot run here, or an option is out of range.
+
+    Examples
+    --------
+    >>> from cornercase.simulators import start_simulator
+    >>> with start_simulator("builtin", {"duration": 20.0}) as simulator:
+    ...     simulator.settings["duration"]
+    20.0
+    """
+    if timeout is not None and not 0.0 < timeout < float("inf"):
+        raise InputError(f"`timeout` {timeout:g}: give a time above 0 s.")
+    if workers < 1:
+        raise InputError(f"`workers` {workers}: give 1 or more.")
+    if retries < 0:
+        raise InputError(f"`retries` {retries}: give 0 or more.")
+    declared = SIMULATORS.class_of(name)
+    given = dict(options or {}) | ({"ego": ego} if "ego" in declared.needs else {})
+    if declared.in_process and workers == 1 and timeout is None:
+        return SIMULATORS.create(name, **given)
+    return WorkerSimulator(name, given, workers, timeout, retries)

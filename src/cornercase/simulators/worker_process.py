@@ -1,0 +1,216 @@
+"""One worker process, in which a simulator runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.platform import end_process_tree, leave_terminal, words_of_exit_code
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators.base import Simulator
+from cornercase.simulators.registry import SIMULATORS
+
+# s that a simulator may take to start, to say how it has died, and to end by itself.
+_STARTED, _DIED, _ENDED = 60.0, 0.2, 10.0
+
+Outcome = Recording | SimulationError
+
+
+@dataclass(frozen=True)
+class Task:
+    """Scenarios that a worker runs in one call of its simulator.
+
+    Attributes
+    ----------
+    indices : tuple of int
+        Which of all scenarios they are.
+    tries : int
+        How often they were tried before.
+    """
+
+    indices: tuple[int, ...]
+    tries: int = 0
+
+
+@dataclass(frozen=True)
+class Raised:
+    """What a simulator raised in place of results."""
+
+    words: str
+
+
+class Worker:
+    """One process with a simulator, started when it is first needed, and anew after it has ended.
+
+    Parameters
+    ----------
+    name : str
+        Registered simulator.
+    options : dict
+        What to make it with; has to be picklable.
+    timeout : float or None
+        s for each scenario.
+
+    Attributes
+    ----------
+    waiting : list of int
+        Scenarios of its task that have no result yet; empty while it has nothing to do.
+    task : Task
+        The last one that it was given.
+    connection : Connection
+    deadline : float
+        When its time is up, as of `time.monotonic`.
+    """
+
+    connection: Connection
+    task: Task
+
+    def __init__(self, name: str, options: dict[str, Any], timeout: float | None) -> None:
+        self._name, self._options, self._timeout = name, options, timeout
+        self._process: Any = None
+        self._code: int | None = None
+        self._started = False
+        self.waiting: list[int] = []
+        self.deadline = float("inf")
+
+    def give(self, task: Task, concretes: Sequence[ConcreteScenario]) -> None:
+        """Let it run the scenarios of a task."""
+        if self._process is None or not self._process.is_alive():
+            self.stop()
+            # Started anew rather than forked: threads of numerical libraries do not survive a fork.
+            context = get_context("spawn")
+            self.connection, theirs = context.Pipe()
+            self._process = context.Process(target=_serve, args=(theirs, self._name, self._options), daemon=True)
+            self._process.start()
+            theirs.close()
+        self.task, self.waiting = task, list(task.indices)
+        self._set_deadline()
+        # If it has just ended, this is noticed when its answer is awaited.
+        with suppress(OSError):
+            self.connection.send([concretes[k] for k in task.indices])
+
+    def _set_deadline(self) -> None:
+        if not self._started:
+            self.deadline = time.monotonic() + _STARTED
+        elif self._timeout is None:
+            self.deadline = float("inf")
+        else:
+            # A simulator may run its scenarios side by side, or one after the other.
+            self.deadline = time.monotonic() + self._timeout * len(self.waiting)
+
+    def answer(self) -> Outcome | InputError | Raised | None:
+        """Take the next message of the process.
+
+        Returns
+        -------
+        Recording, SimulationError, InputError, Raised or None
+            What came of the next scenario, or why none follows; None says that the simulator has started.
+
+        Raises
+        ------
+        TimeoutError
+            Its time is up.
+        EOFError, OSError
+            The process has ended.
+        """
+        if not self.connection.poll():
+            doing = f"end within {self._timeout:g} s" if self._started else f"start within {_STARTED:g} s"
+            raise TimeoutError(f"the simulator did not {doing}")
+        found: Outcome | InputError | Raised | None = self.connection.recv()
+        if isinstance(found, Recording | SimulationError):
+            self.waiting.pop(0)
+        self._started = True
+        self._set_deadline()
+        return found
+
+    def ending(self) -> str:
+        """Say how the process ended."""
+        return f"the simulator's process {words_of_exit_code(self._code)}"
+
+    def stop(self) -> None:
+        """End the process at once, if there is one."""
+        self.waiting, self._code, self._started = [], None, False
+        if self._process is None:
+            return
+        # One that has ended by itself tells its exit code, if it is given a moment.
+        self._process.join(_DIED)
+        self._code = self._process.exitcode
+        if self._process.is_alive():
+            end_process_tree(self._process.pid)
+            self._process.join(_ENDED)
+        self._forget()
+
+    def hang_up(self) -> None:
+        """Tell the process that nothing follows; it closes its simulator and ends. One at work is stopped."""
+        if self.waiting:
+            self.stop()
+        elif self._process is not None:
+            self.connection.close()
+
+    def wait(self) -> None:
+        """Wait until a process that was told so has ended, and end it if it does not."""
+        if self._process is None:
+            return
+        self._process.join(_ENDED)
+        if self._process.is_alive():
+            end_process_tree(self._process.pid)
+            self._process.join(_ENDED)
+        self._started = False
+        self._forget()
+
+    def _forget(self) -> None:
+        self.connection.close()
+        self._process = None
+
+
+def _serve(connection: Connection, name: str, options: dict[str, Any]) -> None:
+    """Make a simulator, and run what comes until nothing follows."""
+    # Ctrl-C is for the process that the user sees, which lets this one finish its scenario or stops it.
+    leave_terminal()
+    try:
+        simulator = SIMULATORS.create(name, **options)
+    except InputError as error:
+        connection.send(error)
+        return
+    connection.send(None)
+    with simulator:
+        while True:
+            try:
+                concretes = connection.recv()
+            except EOFError:
+                return
+            _answer(connection, simulator, concretes)
+
+
+def _answer(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
+    results = _results(simulator, concretes)
+    while True:
+        try:
+            found: Outcome | InputError | Raised | None = next(results, None)
+        except InputError as error:
+            found = error
+        except Exception as error:
+            found = Raised(f"the simulator failed ({type(error).__name__}: {error})")
+        if found is None:
+            return
+        connection.send(found)
+        if isinstance(found, InputError | Raised):
+            return
+
+
+def _results(simulator: Simulator, concretes: list[ConcreteScenario]) -> Iterator[Outcome]:
+    results = simulator.run(concretes)
+    nothing = SimulationError("the simulator ended without a result")
+    for k in range(len(concretes)):
+        found = next(results, nothing)
+        if k == len(concretes) - 1:
+            # What it clears up at its end belongs to the last scenario, too.
+            next(results, None)
+        yield found

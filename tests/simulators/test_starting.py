@@ -1,0 +1,108 @@
+"""What simulators declare, and where they run."""
+
+from __future__ import annotations
+
+import pytest
+
+import fake_simulators  # noqa: F401 - makes its simulators known
+from command_line import X
+from cornercase._common.errors import InputError
+from cornercase._common.registry import Registry
+from cornercase.scenario import Scenario
+from cornercase.simulators import (
+    SIMULATORS,
+    BuiltinSimulator,
+    Simulator,
+    WorkerSimulator,
+    availabilities,
+    start_simulator,
+)
+
+
+class Least(Simulator):
+    """All that a simulator has to have."""
+
+    name = "least"
+
+    def __init__(self, **options):
+        self.settings, self.options = {}, options
+
+    def run(self, concretes):
+        yield from ()
+
+
+class Duck:
+    """Looks like a simulator, and is none."""
+
+    name = "duck"
+
+    def __init__(self, **options):
+        self.settings = {}
+
+    def run(self, concretes):
+        yield from ()
+
+
+def test_the_least_simulator_refuses_nothing_and_has_nothing_to_close():
+    scenario = Scenario.read(X)
+    with Least() as simulator:
+        simulator.require_means(scenario)
+        assert simulator.without_effect(scenario) == {}
+        assert list(simulator.run([])) == []
+    assert Least.availability().missing == ""
+    assert (Least.in_process, Least.takes_batches, Least.needs) == (False, False, ())
+
+
+def test_a_simulator_that_cannot_run_is_none():
+    class Half(Simulator):
+        pass
+
+    with pytest.raises(TypeError, match="run"):
+        Half()
+
+
+@pytest.mark.parametrize("what", [Duck, lambda **options: Least()])
+def test_what_subclasses_nothing_is_refused_in_one_sentence(what):
+    registry = Registry("simulator", "cornercase.none", Simulator)
+    registry.register("duck", what)
+    for ask in (registry.create, registry.class_of):
+        with pytest.raises(InputError, match=r"'duck' is .*no subclass of cornercase\.simulators\.Simulator; make it"):
+            ask("duck")
+
+
+def test_one_that_cannot_be_loaded_is_not_available(monkeypatch):
+    monkeypatch.setitem(SIMULATORS._factories, "duck", (Duck, {}))
+    found = availabilities()
+    assert "no subclass" in found["duck"].missing
+    assert found["builtin"].missing == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "kind"),
+    [
+        ("builtin", {}, BuiltinSimulator),
+        ("builtin", {"timeout": 9.0}, WorkerSimulator),
+        ("builtin", {"workers": 2}, WorkerSimulator),
+        ("noisy", {}, WorkerSimulator),
+    ],
+)
+def test_who_may_runs_in_this_process_where_nothing_can_be_gained(name, options, kind):
+    with start_simulator(name, {}, **options) as simulator:
+        assert isinstance(simulator, kind)
+
+
+def test_a_simulator_is_given_what_it_says_it_needs(monkeypatch):
+    class Needy(Least):
+        needs = ("ego",)
+        in_process = True
+
+    monkeypatch.setitem(SIMULATORS._factories, "needy", (Needy, {}))
+    monkeypatch.setitem(SIMULATORS._factories, "plain", (type("Plain", (Least,), {"in_process": True}), {}))
+    assert start_simulator("needy", {"duration": 9.0}, ego="Hero").options == {"duration": 9.0, "ego": "Hero"}
+    assert start_simulator("plain", ego="Hero").options == {}
+
+
+@pytest.mark.parametrize("options", [{"timeout": 0.0}, {"timeout": float("inf")}, {"workers": 0}, {"retries": -1}])
+def test_numbers_out_of_range_are_refused(options):
+    with pytest.raises(InputError, match=f"`{next(iter(options))}`"):
+        start_simulator("builtin", **options)
