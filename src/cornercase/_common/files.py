@@ -3,13 +3,40 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.platform import new_file_mode, replace_file
+
+# What a file name of Windows must not have in it, and the names of its devices.
+_REFUSED: Final = re.compile(r'[<>:"/\\|?*\x00-\x1f]+')
+_DEVICES: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
+
+
+def portable_name(text: str) -> str:
+    """Return a text as the name of a file that every platform takes.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+        The same for all platforms; characters that one of them refuses become hyphens.
+
+    Examples
+    --------
+    >>> portable_name("criticality-ttc:accelerating=true")
+    'criticality-ttc-accelerating=true'
+    """
+    name = _REFUSED.sub("-", text).rstrip(". ") or "-"
+    return f"-{name}" if _DEVICES.match(name) else name
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import sys
 
 # Their order is that of the commands in the help.
 from cornercase._common.errors import InputError
+from cornercase._common.platform import forgive_narrow_output
 from cornercase.cli import running, studies
 from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import app, err
@@ -15,6 +16,7 @@ __all__ = ["app", "main", "running", "studies"]
 
 def main() -> None:
     """Run the command line; what a user can mend becomes one sentence and exit code 2."""
+    forgive_narrow_output()
     try:
         app(standalone_mode=True)
     except InputError as error:

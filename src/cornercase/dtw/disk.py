@@ -137,7 +137,7 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
 def _begun(journal: Path, fingerprint: str) -> set[tuple[int, int]]:
     """Return the squares that are in the file; a journal that is not there is begun."""
     if not journal.exists():
-        journal.write_text(fingerprint + "\n")
+        journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
         return set()
     content = journal.read_bytes()
     # A line without its end was not all written when the machine went down.
@@ -146,7 +146,7 @@ def _begun(journal: Path, fingerprint: str) -> set[tuple[int, int]]:
         journal.write_bytes(whole)
     first, *squares = whole.decode().splitlines() or [fingerprint]
     if not whole:
-        journal.write_text(fingerprint + "\n")
+        journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
     if first != fingerprint:
         raise InputError(
             f"{journal}: tells of other series or settings; give those again, or delete it and the matrix."

@@ -159,7 +159,7 @@ def reduce_study(
         "critical": critical,
     }
     with written_whole(folder / "manifest.json") as temporary:
-        temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8", newline="\n")
     study.save_analysis(
         "reduction",
         {},

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.files import written_whole
+from cornercase._common.files import portable_name, written_whole
 from cornercase._common.typing import FloatArray
 from cornercase.clustering import EGO_TRAJECTORY, compare_clusterings, unit_of
 from cornercase.exploration import Objective
@@ -62,6 +62,7 @@ def write_report(study: Study, path: Path | str) -> None:
             "<meta name='viewport' content='width=device-width, initial-scale=1'>"
             f"<title>{title}</title><style>{_STYLE}</style></head><body>\n{body}\n</body></html>\n",
             encoding="utf-8",
+            newline="\n",
         )
 
 
@@ -388,7 +389,9 @@ class _Page:
 
     def _figure(self, figure: Any, name: str, caption: str) -> str:
         data = figures.png(figure)
-        with written_whole(self._path.with_name(f"{self._path.stem}-figures") / f"{name}.png") as temporary:
+        with written_whole(
+            self._path.with_name(f"{self._path.stem}-figures") / f"{portable_name(name)}.png"
+        ) as temporary:
             temporary.write_bytes(data)
         source = base64.b64encode(data).decode()
         text = escape(caption)

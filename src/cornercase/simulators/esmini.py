@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.platform import bytes_of_path
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
@@ -85,7 +86,7 @@ class EsminiSimulator(Simulator):
         library: str | None = None,
     ) -> None:
         if drivers:
-            raise InputError("--driver: esmini has no drivers of cornercase; its own stand in the scenario file.")
+            raise InputError("`drivers`: esmini has no drivers of cornercase; its own stand in the scenario file.")
         self._path = _library(library)
         self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
         self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)
@@ -133,7 +134,7 @@ class EsminiSimulator(Simulator):
             return
         name, driver = next(iter(scenario.drivers.items()))
         raise InputError(
-            f"{scenario.path}: '{name}' asks for the driver '{driver}', which esmini does not have; --simulator"
+            f"{scenario.path}: '{name}' asks for the driver '{driver}', which esmini does not have; `simulator`"
             " esmini:undriven=true runs it by the storyboard alone."
         )
 
@@ -154,7 +155,7 @@ class EsminiSimulator(Simulator):
         lib.SE_RegisterParameterDeclarationCallback(callback, None)
         lib.SE_SetSeed(self._seed)
         lib.SE_CollisionDetection(True)
-        if lib.SE_Init(os.fsencode(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
+        if lib.SE_Init(_encoded(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
             return SimulationError("esmini cannot load the scenario; run it with esmini to see why")
         if refused:
             return SimulationError(f"esmini does not take the parameter {refused[0]}")
@@ -172,6 +173,13 @@ class EsminiSimulator(Simulator):
             if lib.SE_GetQuitFlag() != 0:
                 break
         return log.recording(self._time_step)
+
+
+def _encoded(path: Path) -> bytes:
+    try:
+        return bytes_of_path(path)
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: esmini cannot open a path with such characters here; move the scenario.") from None
 
 
 class _Log:

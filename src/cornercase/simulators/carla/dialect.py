@@ -52,7 +52,7 @@ def adapt(
         if module.get("value") not in _KNOWN:
             raise InputError(
                 f"{source}: a controller names the module '{module.get('value')}'; code that a scenario names is not"
-                " run, give your own as --simulator carla:agent=FILE."
+                " run, give your own as `simulator` carla:agent=FILE."
             )
     header = root.find("FileHeader")
     assert header is not None

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
+from cornercase._common.platform import end_process_tree, parent_watch
 from cornercase.simulators.carla.tracker import Tracker
 
 RUNNER: Final = "SCENARIO_RUNNER_ROOT"
@@ -132,8 +133,8 @@ def _watch(
     process: subprocess.Popen[bytes], tracker: Tracker, duration: float, until_collision: bool, silence: float
 ) -> bool:
     """Wait until the run has ended or who asked for it is gone; True where it has to be ended."""
-    parent, frames, heard = os.getppid(), 0, time.monotonic()
-    while process.poll() is None and os.getppid() == parent:
+    has_parent, frames, heard = parent_watch(), 0, time.monotonic()
+    while process.poll() is None and has_parent():
         tracker.look()
         elapsed, ended = tracker.progress()
         if ended:
@@ -153,13 +154,13 @@ def _watch(
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Let ScenarioRunner clear up, or make it end."""
+    """Let ScenarioRunner clear up, where a program can be asked to; else, or if it does not end, make it."""
     if process.poll() is None:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
             process.wait(_ENDING)
     if process.poll() is None:
-        process.kill()
+        end_process_tree(process.pid)
         process.wait()
 
 

@@ -116,7 +116,7 @@ class CarlaSimulator(Simulator):
         for entity, driver in (drivers or {}).items():
             if driver not in BEHAVIORS:
                 raise InputError(
-                    f"--driver {entity}: CARLA has no drivers of cornercase; {suggestion(str(driver), BEHAVIORS)}"
+                    f"`drivers` {entity}: CARLA has no drivers of cornercase; {suggestion(str(driver), BEHAVIORS)}"
                 )
         if record not in ("client", "recorder"):
             raise InputError(f"record={record}: {suggestion(str(record), ('client', 'recorder'))}")
@@ -206,7 +206,7 @@ class CarlaSimulator(Simulator):
                 found[name] = driver
             elif driver and not self._undriven and not (name == self._ego and self._agent):
                 raise InputError(
-                    f"{scenario.path}: '{name}' asks for the driver '{driver}', which CARLA does not have; --simulator"
+                    f"{scenario.path}: '{name}' asks for the driver '{driver}', which CARLA does not have; `simulator`"
                     " carla:undriven=true leaves it to the storyboard alone."
                 )
         return found

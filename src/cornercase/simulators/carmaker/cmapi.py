@@ -9,10 +9,13 @@ from collections.abc import Mapping
 from concurrent.futures import Future
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.scenario import Value
+
+# s that CarMaker may take to end.
+_ENDING: Final = 5.0
 
 
 def has_cmapi() -> bool:
@@ -45,7 +48,8 @@ class CarMakerApi:
         self._cmapi: Any = cmapi
         self._project, self._testrun, self._patience = project, testrun, patience
         self._started: Future[asyncio.AbstractEventLoop] = Future()
-        threading.Thread(target=self._live, daemon=True).start()
+        self._thread = threading.Thread(target=self._live, daemon=True)
+        self._thread.start()
         try:
             self._loop = self._started.result(patience)
         except Exception as error:
@@ -124,5 +128,6 @@ class CarMakerApi:
         return {path: path.stat().st_mtime_ns for path in (self._project / "SimOutput").rglob("*.erg")}
 
     def close(self) -> None:
-        """End CarMaker."""
+        """End CarMaker, and wait a moment until it has."""
         self._loop.call_soon_threadsafe(self._over.set)
+        self._thread.join(_ENDING)

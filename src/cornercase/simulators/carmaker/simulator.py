@@ -85,11 +85,11 @@ class CarMakerSimulator(Simulator):
         speedup: float = 1.0,
     ) -> None:
         if drivers:
-            raise InputError("--driver: CarMaker has no drivers of cornercase; its own stands in the TestRun.")
+            raise InputError("`drivers`: CarMaker has no drivers of cornercase; its own stands in the TestRun.")
         if on_collision != "continue":
-            raise InputError("--on-collision stop: in CarMaker a collision ends a run only where the TestRun says so.")
+            raise InputError("`on_collision` stop: in CarMaker a collision ends a run only where the TestRun says so.")
         if not testrun or not project:
-            raise InputError("CarMaker needs a TestRun: --simulator carmaker:testrun=NAME,project=FOLDER.")
+            raise InputError("CarMaker needs a TestRun: `simulator` carmaker:testrun=NAME,project=FOLDER.")
         projects = project.split("+")
         for folder in projects:
             if not Path(folder).is_dir():
@@ -111,7 +111,7 @@ class CarMakerSimulator(Simulator):
         self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
         if self._api_wanted and worker >= len(projects):
             raise InputError(
-                f"--workers: by cmapi each needs a CarMaker project of its own, and there are {len(projects)}; give"
+                f"`workers`: by cmapi each needs a CarMaker project of its own, and there are {len(projects)}; give"
                 " more as project=A+B, or use carmaker:via=port."
             )
         self._api: CarMakerApi | None = None
@@ -154,6 +154,15 @@ class CarMakerSimulator(Simulator):
                 self._line.close()
                 self._line = None
                 yield error
+
+    def close(self) -> None:
+        """End the CarMaker that was started here; hang up on one that was not."""
+        if self._api is not None:
+            self._api.close()
+            self._api = None
+        if self._line is not None:
+            self._line.close()
+            self._line = None
 
     def require_means(self, scenario: Scenario) -> None:
         """Refuse a scenario with entities that CarMaker does not have."""

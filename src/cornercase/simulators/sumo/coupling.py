@@ -79,7 +79,7 @@ class SumoCoupling:
         self._known: dict[int, str] = {}
         self._looked_up: dict[int, tuple[tuple[float, float, float], bool]] = {}
         self.error: SimulationError | None = None
-        self._folder = tempfile.TemporaryDirectory()
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         kinds = Path(self._folder.name) / "types.add.xml"
         kinds.write_text(_types(), encoding="utf-8")
         arguments = [

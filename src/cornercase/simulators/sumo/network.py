@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import subprocess
 import tempfile
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
+from cornercase._common.platform import user_cache
 from cornercase.scenario import Scenario, Value
 
 _PATIENCE: Final = 120.0
@@ -47,22 +47,17 @@ def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[s
     if roads.name.endswith(".net.xml"):
         raise InputError(
             f"{scenario.path}: names SUMO's network {roads.name} as its roads, where positions on roads need OpenDRIVE;"
-            " name an OpenDRIVE file there, and give the network by --simulator sumo:network=FILE."
+            " name an OpenDRIVE file there, and give the network by `simulator` sumo:network=FILE."
         )
     try:
         key = hashlib.sha256(roads.read_bytes()).hexdigest()[:32]
     except OSError as error:
         raise InputError(f"{roads}: cannot be read ({error.strerror}).") from error
-    cached = _cache() / f"{key}.net.xml"
+    cached = user_cache() / "cornercase" / "sumo" / f"{key}.net.xml"
     if not cached.exists():
         with written_whole(cached) as temporary:
             _convert(roads, temporary)
     return cached
-
-
-def _cache() -> Path:
-    home = os.environ.get("XDG_CACHE_HOME")
-    return (Path(home) if home else Path.home() / ".cache") / "cornercase" / "sumo"
 
 
 def _convert(roads: Path, target: Path) -> None:
@@ -73,11 +68,14 @@ def _convert(roads: Path, target: Path) -> None:
         command = [program, "--opendrive", str(roads), "--output-file", str(written)]
         command += ["--offset.disable-normalization", "true", "--xml-validation", "never"]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE, check=False)
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", timeout=_PATIENCE, check=False
+            )
         except subprocess.TimeoutExpired:
             raise InputError(f"{roads}: netconvert did not convert it within {_PATIENCE:g} s.") from None
         if done.returncode != 0 or not written.exists():
-            lines = [line for line in done.stderr.splitlines() if "rror" in line] or done.stderr.splitlines() or ["?"]
+            said = done.stderr.decode("utf-8", "replace").splitlines()
+            lines = [line for line in said if "rror" in line] or said or ["?"]
             raise InputError(f"{roads}: netconvert cannot convert it ({lines[0].strip()}).")
         target.write_bytes(written.read_bytes())
 
@@ -87,8 +85,7 @@ def _netconvert() -> str:
     if found is None and find_spec("sumo") is not None:
         import sumo
 
-        beside = Path(sumo.SUMO_HOME) / "bin" / "netconvert"
-        found = str(beside) if beside.exists() else None
+        found = which("netconvert", path=str(Path(sumo.SUMO_HOME) / "bin"))
     if found is None:
         raise InputError(
             "netconvert, which makes SUMO's network of OpenDRIVE, is missing; pip install 'cornercase[sumo]'."

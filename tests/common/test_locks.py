@@ -1,0 +1,76 @@
+"""Locks between threads and between processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from cornercase._common.locks import held_lock, taken_lock
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from cornercase._common.locks import taken_lock
+lock = taken_lock(Path(sys.argv[1]))
+print(lock is not None, flush=True)
+time.sleep(600)
+"""
+
+
+def test_one_process_at_a_time_holds_a_lock_and_its_end_frees_it(tmp_path):
+    path = tmp_path / "study.db.lock"
+    process = subprocess.Popen([sys.executable, "-c", HOLDER, str(path)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline().strip() == "True"
+    assert taken_lock(path) is None
+    process.kill()
+    process.wait()
+    lock = taken_lock(path)
+    assert lock is not None
+    lock.release()
+
+
+def test_one_process_holds_a_lock_once_and_any_thread_may_release_it(tmp_path):
+    path = tmp_path / "study.db.lock"
+    lock = taken_lock(path)
+    assert taken_lock(path) is None
+    releasing = threading.Thread(target=lock.release)
+    releasing.start()
+    releasing.join()
+    again = taken_lock(path)
+    assert again is not None
+    again.release()
+
+
+def test_a_lock_that_cannot_be_made_is_an_error(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="file"):
+        taken_lock(tmp_path / "file" / "study.db.lock")
+
+
+def test_a_thread_that_holds_a_lock_goes_on_and_others_wait(tmp_path):
+    path, order = tmp_path / "cache" / "cornercase.lock", []
+    inside, go_on = threading.Event(), threading.Event()
+
+    def other():
+        inside.wait()
+        go_on.set()
+        with held_lock(path):
+            order.append("other")
+
+    waiting = threading.Thread(target=other)
+    waiting.start()
+    with held_lock(path), held_lock(path):
+        inside.set()
+        go_on.wait()
+        order.append("first")
+    waiting.join()
+    assert order == ["first", "other"]
+
+
+def test_where_nothing_can_be_written_nothing_is_locked(tmp_path):
+    (tmp_path / "file").touch()
+    with held_lock(tmp_path / "file" / "cornercase.lock"):
+        pass

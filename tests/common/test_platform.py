@@ -1,0 +1,155 @@
+"""What differs between platforms, as far as it can be seen on one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from cornercase._common import platform
+from cornercase._common.files import portable_name, written_whole
+
+
+def test_a_tree_of_processes_ends_as_a_whole():
+    inner = "import time; time.sleep(600)"
+    outer = f"""
+import subprocess, sys, time
+child = subprocess.Popen([sys.executable, "-c", {inner!r}])
+print(child.pid, flush=True)
+time.sleep(600)
+"""
+    process = subprocess.Popen([sys.executable, "-c", outer], stdout=subprocess.PIPE, text=True)
+    child = psutil.Process(int(process.stdout.readline()))
+    platform.end_process_tree(process.pid)
+    process.wait(30)
+    psutil.wait_procs([child], timeout=30)
+    assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
+    platform.end_process_tree(process.pid)
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (None, "ended"),
+        (0, "ended"),
+        (3, "ended with exit code 3"),
+        (-11, "was ended by SIGSEGV"),
+        (-99, "was ended by signal 99"),
+        (0xC0000005, "ended with exit code 0xc0000005"),
+    ],
+)
+def test_exit_codes_of_all_platforms_have_words(code, words):
+    assert platform.words_of_exit_code(code) == words
+
+
+def test_a_parent_that_is_gone_is_noticed(monkeypatch):
+    watch = platform.parent_watch()
+    assert watch()
+    monkeypatch.setattr(os, "getppid", lambda: 1)
+    assert not watch()
+
+
+def test_a_parent_that_is_gone_is_noticed_where_its_number_stays(monkeypatch):
+    """As on Windows."""
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    monkeypatch.setattr(os, "getppid", lambda: process.pid)
+    watch = platform.parent_watch()
+    assert watch()
+    process.communicate(b"\n", timeout=60)
+    assert not watch()
+
+
+def test_windows_keeps_its_cache_where_its_programs_do(monkeypatch, tmp_path):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("LOCALAPPDATA", str(tmp_path))
+    monkeypatch.setattr(platform, "_WINDOWS", True)
+    assert platform.user_cache() == tmp_path
+    monkeypatch.setattr(platform, "_WINDOWS", False)
+    assert platform.user_cache().parent == Path.home()
+
+
+def test_a_file_that_is_looked_at_for_a_moment_is_replaced_all_the_same(monkeypatch, tmp_path):
+    tries = []
+
+    def held(source, target, replace=os.replace):
+        tries.append(source)
+        if len(tries) < 3:
+            raise PermissionError("held by another program")
+        replace(source, target)
+
+    monkeypatch.setattr(platform, "_WINDOWS", True)
+    monkeypatch.setattr(platform, "_PAUSE", 0.0)
+    monkeypatch.setattr(os, "replace", held)
+    with written_whole(tmp_path / "file.txt") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "file.txt").read_text() == "new"
+    assert len(tries) == 3
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="permissions are those of POSIX")
+def test_a_new_file_has_the_permissions_of_the_users_choice(tmp_path):
+    mask = os.umask(0o027)
+    try:
+        with written_whole(tmp_path / "file.txt") as temporary:
+            temporary.write_text("new")
+        assert os.umask(0o027) == 0o027
+    finally:
+        os.umask(mask)
+    assert (tmp_path / "file.txt").stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("clusters-ttc:accelerating=true.png", "clusters-ttc-accelerating=true.png"),
+        ("a/b\\c?.csv", "a-b-c-.csv"),
+        ("con.csv", "-con.csv"),
+        ("COM1", "-COM1"),
+        ("console.csv", "console.csv"),
+        ("dots. .", "dots"),
+        ("", "-"),
+    ],
+)
+def test_names_of_files_are_such_as_every_platform_takes(text, name):
+    assert portable_name(text) == name
+
+
+def test_output_in_a_narrow_encoding_loses_a_character_rather_than_the_program():
+    program = """
+from cornercase._common.platform import forgive_narrow_output
+forgive_narrow_output()
+print("m/s² ≥ π")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, env={**os.environ, "PYTHONIOENCODING": "cp1252"}
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.decode("cp1252").strip() == "m/s² ? ?"
+
+
+def test_a_worker_is_not_ended_by_the_ctrl_c_of_the_terminal():
+    program = """
+import os, signal
+from cornercase._common.platform import leave_terminal
+leave_terminal()
+signal.raise_signal(signal.SIGINT)
+print("still here", os.getsid(0) == os.getpid() if hasattr(os, "setsid") else True)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout.strip() == "still here True", done.stderr
+
+
+def test_no_other_module_knows_what_only_some_platforms_have():
+    known = ("fcntl", "setsid", "killpg", "SIGKILL", "umask", "sched_getaffinity", "getppid", "sys.platform", "os.name")
+    source = Path(platform.__file__).parents[1]
+    for path in source.rglob("*.py"):
+        if path == Path(platform.__file__):
+            continue
+        text = path.read_text(encoding="utf-8")
+        assert not [word for word in known if word in text], path
+    assert signal.SIGINT
