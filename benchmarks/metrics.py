@@ -25,6 +25,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,17 +102,17 @@ def recorded(actors: tuple[tuple[float, ...], ...], steps: int, turn: float) -> 
     x, y = x + way * np.cos(heading), y + way * np.sin(heading)
     box = np.full(len(actors), 1.0)
     return Recording(
-        t,
-        tuple(str(k + 1) for k in range(len(actors))),
-        ("car",) * len(actors),
-        math.cos(turn) * x - math.sin(turn) * y,
-        math.sin(turn) * x + math.cos(turn) * y,
-        heading + turn + 0 * t,
-        np.where(t < stop, speed + acceleration * t, 0.0),
-        np.where(t < stop, acceleration, 0.0),
-        LENGTH * box,
-        WIDTH * box,
-        0 * box,
+        time=t,
+        names=tuple(str(k + 1) for k in range(len(actors))),
+        kinds=("car",) * len(actors),
+        x=math.cos(turn) * x - math.sin(turn) * y,
+        y=math.sin(turn) * x + math.cos(turn) * y,
+        heading=heading + turn + 0 * t,
+        speed=np.where(t < stop, speed + acceleration * t, 0.0),
+        acceleration=np.where(t < stop, acceleration, 0.0),
+        length=LENGTH * box,
+        width=WIDTH * box,
+        center_x=0 * box,
     )
 
 
@@ -271,10 +272,9 @@ def _their_exposure(recording: Recording, power: int) -> float:
     """Sum over the steps, with their time to collision."""
     total = 0.0
     for k in range(len(recording.time) - 1):
-        one = Recording(
-            recording.time[k:], recording.names, recording.kinds, *(getattr(recording, c)[:, k:] for c in MOTION),
-            recording.length, recording.width, recording.center_x,
-        )  # fmt: skip
+        one = replace(
+            recording, time=recording.time[k:], **{column: getattr(recording, column)[:, k:] for column in MOTION}
+        )
         ttc = _their_ttc(one) if _state(one)["gap"] > 0 else math.inf
         if ttc <= 2.0:
             total += STEP * (2.0 - ttc) ** power
@@ -446,7 +446,15 @@ def joined(recordings: list[Recording], copies: int) -> Recording:
     one = recordings[0]
     motion = [np.tile(np.concatenate([getattr(r, c) for r in recordings], axis=1), copies) for c in MOTION]
     time_ = np.arange(motion[0].shape[1]) * STEP
-    return Recording(time_, one.names, one.kinds, *motion, one.length, one.width, one.center_x)
+    return Recording(
+        time=time_,
+        names=one.names,
+        kinds=one.kinds,
+        **dict(zip(MOTION, motion, strict=True)),
+        length=one.length,
+        width=one.width,
+        center_x=one.center_x,
+    )
 
 
 def batch() -> dict[str, Any]:

@@ -116,7 +116,17 @@ class NoisySimulator(Simulator):
             self.given.append(float(self._rng.uniform(10.0, 50.0)))
             row, still, one = np.array([[0.0] * 3, [self.given[-1]] * 3]), np.zeros((2, 3)), np.ones(2)
             yield Recording(
-                np.arange(3) * 0.1, ("Ego", "C"), ("car",) * 2, row, still, still, still, still, one, one, 0 * one
+                time=np.arange(3) * 0.1,
+                names=("Ego", "C"),
+                kinds=("car",) * 2,
+                x=row,
+                y=still,
+                heading=still,
+                speed=still,
+                acceleration=still,
+                length=one,
+                width=one,
+                center_x=0 * one,
             )
 
 
@@ -125,7 +135,20 @@ def recording(k):
     row = np.full((1, 3), float(k))
     still = np.zeros((1, 3))
     one = np.ones(1)
-    return Recording(np.arange(3) * 0.1, ("Ego",), ("car",), row, still, still, still, still, one, one, 0 * one, ())
+    return Recording(
+        time=np.arange(3) * 0.1,
+        names=("Ego",),
+        kinds=("car",),
+        x=row,
+        y=still,
+        heading=still,
+        speed=still,
+        acceleration=still,
+        length=one,
+        width=one,
+        center_x=0 * one,
+        collisions=(),
+    )
 
 
 if "noisy" not in SIMULATORS.names():

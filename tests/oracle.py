@@ -36,17 +36,17 @@ def recorded(actors, time) -> Recording:
     driven = np.minimum(time, stop)
     way = v * driven + 0.5 * a * driven**2
     return Recording(
-        time,
-        tuple(str(i) for i in range(len(actors))),
-        tuple(actor(**a)["cls"] for a in actors),
-        columns["x"] + way * np.cos(yaw),
-        columns["y"] + way * np.sin(yaw),
-        yaw + 0 * time,
-        np.where(time < stop, v + a * time, 0.0),
-        np.where(time < stop, a, 0.0) + 0 * time,
-        np.array([actor(**a)["length"] for a in actors]),
-        np.array([actor(**a)["width"] for a in actors]),
-        np.zeros(len(actors)),
+        time=time,
+        names=tuple(str(i) for i in range(len(actors))),
+        kinds=tuple(actor(**a)["cls"] for a in actors),
+        x=columns["x"] + way * np.cos(yaw),
+        y=columns["y"] + way * np.sin(yaw),
+        heading=yaw + 0 * time,
+        speed=np.where(time < stop, v + a * time, 0.0),
+        acceleration=np.where(time < stop, a, 0.0) + 0 * time,
+        length=np.array([actor(**a)["length"] for a in actors]),
+        width=np.array([actor(**a)["width"] for a in actors]),
+        center_x=np.zeros(len(actors)),
     )
 
 

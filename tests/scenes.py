@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from cornercase.recordings import Recording
+from cornercase.recordings import MOTION, Recording
 
 TIME = np.arange(0, 6, 0.25)
 KINDS = ("car", "truck", "bicycle", "pedestrian", "misc")
@@ -38,11 +38,11 @@ def drive(entities) -> Recording:
         x, y = e["x"] + np.cumsum(step * np.cos(heading)), e["y"] + np.cumsum(step * np.sin(heading))
         rows.append((x, y, heading, speed, np.where(speed > 0, e["acceleration"], 0.0)))
     return Recording(
-        TIME,
-        tuple(str(i) for i in range(len(rows))),
-        tuple(e["kind"] for e in entities),
-        *(np.array(column) for column in zip(*rows, strict=True)),
-        *(np.array([e[k] for e in entities], dtype=float) for k in ("length", "width", "center_x")),
+        time=TIME,
+        names=tuple(str(i) for i in range(len(rows))),
+        kinds=tuple(e["kind"] for e in entities),
+        **dict(zip(MOTION, map(np.array, zip(*rows, strict=True)), strict=True)),
+        **{k: np.array([e[k] for e in entities], dtype=float) for k in ("length", "width", "center_x")},
     )
 
 

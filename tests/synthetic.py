@@ -46,17 +46,17 @@ class Synthetic:
             still = np.zeros((2, 5))
             x = np.stack([np.zeros(5), np.full(5, 10 * abs(a - b))])
             yield Recording(
-                np.arange(5.0),
-                ("Ego", "B"),
-                ("car", "car"),
-                x,
-                still,
-                still,
-                still,
-                still,
-                np.full(2, 4.0),
-                np.full(2, 2.0),
-                np.zeros(2),
+                time=np.arange(5.0),
+                names=("Ego", "B"),
+                kinds=("car", "car"),
+                x=x,
+                y=still,
+                heading=still,
+                speed=still,
+                acceleration=still,
+                length=np.full(2, 4.0),
+                width=np.full(2, 2.0),
+                center_x=np.zeros(2),
             )
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cornercase._common.geometry import box_corners, box_distance
 from cornercase.metrics import METRICS, Distance, Pet, TrafficQuality, TrajectoryDistance, Ttc, Wttc, capped
-from cornercase.recordings import Recording
+from cornercase.recordings import MOTION, Recording
 from scenes import TIME, quick, same, scenes
 
 PAIRWISE = (Distance(), TrajectoryDistance(), Ttc(), Ttc(accelerating=True), Wttc(), Pet(), Pet(signed=True))
@@ -163,13 +163,13 @@ def test_pet_of_straight_tracks_is_that_of_the_swept_parallelogram(angle, d1, d2
         way = v * time - d
         rows.append((way * math.cos(heading), way * math.sin(heading), 0 * time + heading, 0 * time + v, 0 * time))
     scene = Recording(
-        time,
-        ("0", "1"),
-        ("car", "car"),
-        *(np.array(column) for column in zip(*rows, strict=True)),
-        np.array([s[0] for s in sizes]),
-        np.array([s[1] for s in sizes]),
-        np.zeros(2),
+        time=time,
+        names=("0", "1"),
+        kinds=("car", "car"),
+        **dict(zip(MOTION, map(np.array, zip(*rows, strict=True)), strict=True)),
+        length=np.array([s[0] for s in sizes]),
+        width=np.array([s[1] for s in sizes]),
+        center_x=np.zeros(2),
     )
     first, second = sorted(windows)
     gap = max(windows[0][0] - windows[1][1], windows[1][0] - windows[0][1])

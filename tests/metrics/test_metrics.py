@@ -204,17 +204,17 @@ def together(time, *tracks) -> Recording:
     points, heading, speed, length, width = zip(*tracks, strict=True)
     n = len(tracks)
     return Recording(
-        np.asarray(time, dtype=float),
-        tuple(str(i) for i in range(n)),
-        ("car",) * n,
-        np.array([p[:, 0] for p in points]),
-        np.array([p[:, 1] for p in points]),
-        np.array(heading),
-        np.array([np.broadcast_to(s, len(time)) for s in speed], dtype=float),
-        np.zeros((n, len(time))),
-        np.array(length),
-        np.array(width),
-        np.zeros(n),
+        time=np.asarray(time, dtype=float),
+        names=tuple(str(i) for i in range(n)),
+        kinds=("car",) * n,
+        x=np.array([p[:, 0] for p in points]),
+        y=np.array([p[:, 1] for p in points]),
+        heading=np.array(heading),
+        speed=np.array([np.broadcast_to(s, len(time)) for s in speed], dtype=float),
+        acceleration=np.zeros((n, len(time))),
+        length=np.array(length),
+        width=np.array(width),
+        center_x=np.zeros(n),
     )
 
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.recordings import Collision, Recording, read_recording
+from cornercase.recordings import MOTION, Collision, Recording, read_recording
 from cornercase.recordings.recording import COLUMNS
+from cornercase.recordings.sketch import tracks_as_svg
 
 HEADER = ",".join(COLUMNS)
 FIELDS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
@@ -25,9 +28,9 @@ def recording() -> Recording:
     for values in motion.values():
         values[1, 2:] = np.nan
     return Recording(
-        time,
-        ("ego", "walker"),
-        ("car", "pedestrian"),
+        time=time,
+        names=("ego", "walker"),
+        kinds=("car", "pedestrian"),
         **motion,
         length=np.array([4.5, 0.5]),
         width=np.array([1.8, 0.6]),
@@ -142,3 +145,51 @@ def test_a_second_row_of_one_entity_and_time_is_refused(tmp_path):
     (tmp_path / "r.csv").write_text("\n".join([*lines, lines[2]]) + "\n")
     with pytest.raises(InputError, match=rf"r.csv, line {len(lines) + 1}: .* line 3 already"):
         read_recording(tmp_path / "r.csv")
+
+
+def test_a_table_has_the_rows_and_columns_of_the_csv(tmp_path):
+    one = recording()
+    one.to_csv(tmp_path / "one.csv")
+    written = pandas.read_csv(
+        tmp_path / "one.csv", keep_default_na=False, na_values="nan", float_precision="round_trip"
+    )
+    table = one.table()
+    assert list(table.columns) == list(written.columns)
+    assert len(table) == len(one.names) * len(one.time)
+    for column in ("time", "entity", "kind", "x", "length", "collision"):
+        assert table[column].equals(written[column]), column
+    assert table.collision.tolist()[2:4] == ["walker", ""]
+
+
+def test_a_recording_says_in_a_line_what_it_is():
+    words = "<Recording of ego (car), walker (pedestrian), 0.3 s in 4 instants, ego and walker collide at 0.1 s>"
+    assert repr(recording()) == words
+    assert repr(replace(recording(), collisions=())).endswith("no collision>")
+
+
+def test_a_notebook_shows_who_is_there_and_where_they_go():
+    one = replace(recording(), names=("<b>ego</b>", "walker"), collisions=())
+    page = etree.HTML(one._repr_html_())
+    assert [cell.text for cell in page.iterfind(".//th")] == ["entity", "kind", "there", "speed"]
+    cells = ["".join(cell.itertext()) for cell in page.iterfind(".//td")]
+    assert cells[:3] == ["● <b>ego</b>", "car", "0 s to 0.3 s"]
+    assert cells[6] == "0 s to 0.1 s"
+    assert len(page.findall(".//polyline")) == len(page.findall(".//circle")) == 2
+
+
+def test_tracks_have_gaps_and_who_never_comes_has_none():
+    x = np.array([[0.0, 1.0, np.nan, 3.0], [np.nan] * 4])
+    drawing = etree.fromstring(tracks_as_svg(x, x))
+    assert [len(one.get("points").split()) for one in drawing.iterfind("polyline")] == [2, 1]
+    # Upwards, in equal scales.
+    (first, second), _ = ([tuple(map(float, p.split(","))) for p in one.get("points").split()] for one in drawing[:2])
+    assert second[0] - first[0] == pytest.approx(first[1] - second[1], abs=0.2)
+    assert tracks_as_svg(np.full((2, 3), np.nan), np.zeros((2, 3))) == ""
+
+
+def test_an_empty_recording_has_words_a_page_and_a_table():
+    one = recording()
+    empty = replace(one, time=one.time[:0], **{column: getattr(one, column)[:, :0] for column in MOTION}, collisions=())
+    assert "0 s in 0 instants" in repr(empty)
+    assert "never" in empty._repr_html_()
+    assert empty.table().empty

@@ -10,7 +10,7 @@ import pytest
 
 from conftest import same_recording
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.recordings import Collision, Recording, read_recording
+from cornercase.recordings import MOTION, Collision, Recording, read_recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
 from synthetic import about
@@ -25,9 +25,15 @@ def recording(seed: int = 0) -> Recording:
     motion = random.normal(size=(5, 2, 40)) * 10.0 ** random.integers(-9, 9, (5, 2, 40))
     motion[:, 1, 30:] = np.nan
     return Recording(
-        np.arange(40) * 0.05, ("Ego", "Übergang"), ("car", "pedestrian"), *motion, np.array([4.5, 0.5]),
-        np.array([2.0, 0.6]), np.array([1.4, 0.0]), (Collision(0.1, ("Ego", "Übergang")),),
-    )  # fmt: skip
+        time=np.arange(40) * 0.05,
+        names=("Ego", "Übergang"),
+        kinds=("car", "pedestrian"),
+        **dict(zip(MOTION, motion, strict=True)),
+        length=np.array([4.5, 0.5]),
+        width=np.array([2.0, 0.6]),
+        center_x=np.array([1.4, 0.0]),
+        collisions=(Collision(0.1, ("Ego", "Übergang")),),
+    )
 
 
 def courses(seed: int = 0) -> dict[str, tuple[np.ndarray, float]]:

@@ -68,18 +68,18 @@ def read_csv(path: Path) -> Recording:
         for other in _touched(path, line, row.get("collision") or "", names)
     )
     return Recording(
-        time,
-        names,
-        tuple(rows[i][1]["kind"] for i in first),
-        x,
-        y,
-        heading,
-        speed,
-        acceleration,
-        length,
-        width,
-        center_x,
-        tuple(sorted(collisions, key=lambda c: c.time)),
+        time=time,
+        names=names,
+        kinds=tuple(rows[i][1]["kind"] for i in first),
+        x=x,
+        y=y,
+        heading=heading,
+        speed=speed,
+        acceleration=acceleration,
+        length=length,
+        width=width,
+        center_x=center_x,
+        collisions=tuple(sorted(collisions, key=lambda c: c.time)),
     )
 
 

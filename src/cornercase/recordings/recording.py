@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import written_whole
 from cornercase._common.typing import FloatArray
+from cornercase.recordings.sketch import COLORS, tracks_as_svg
+
+if TYPE_CHECKING:
+    import pandas
 
 COLUMNS = (
     "time", "entity", "kind", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x",
@@ -35,7 +41,7 @@ class Collision:
     entities: tuple[str, str]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
     """Motion of A entities at T instants.
 
@@ -61,6 +67,18 @@ class Recording:
         How far the centre of the bounding box lies ahead of the reference point, in m.
     collisions : tuple of Collision
         In order of time.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.recordings import Recording
+    >>> still, one = np.zeros((1, 3)), np.ones(1)
+    >>> Recording(
+    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego",), kinds=("car",),
+    ...     x=np.array([[0.0, 1.0, 2.0]]), y=still, heading=still, speed=still + 10.0, acceleration=still,
+    ...     length=4.5 * one, width=1.8 * one, center_x=1.4 * one,
+    ... )
+    <Recording of Ego (car), 0.2 s in 3 instants, no collision>
     """
 
     time: FloatArray
@@ -76,8 +94,44 @@ class Recording:
     center_x: FloatArray
     collisions: tuple[Collision, ...] = ()
 
+    def __repr__(self) -> str:
+        who = ", ".join(f"{name} ({kind})" for name, kind in zip(self.names, self.kinds, strict=True))
+        return f"<Recording of {who}, {self._span()}, {self._contacts()}>"
+
+    def _repr_html_(self) -> str:
+        """Show in a notebook who is there, who collides, and where all go."""
+        rows = []
+        for a, name in enumerate(self.names):
+            there = np.flatnonzero(np.isfinite(self.x[a]))
+            when = f"{self.time[there[0]]:g} s to {self.time[there[-1]]:g} s" if len(there) else "never"
+            speeds = self.speed[a, there]
+            how = f"{speeds.min():.1f} to {speeds.max():.1f} m/s" if len(there) else ""
+            dot = f'<span style="color:{COLORS[a % len(COLORS)]}">●</span>'
+            rows.append(f"<td>{dot} {escape(name)}</td><td>{escape(self.kinds[a])}</td><td>{when}</td><td>{how}</td>")
+        head = "<th>entity</th><th>kind</th><th>there</th><th>speed</th>"
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        about = escape(f"{self._span()}; {self._contacts()}")
+        return f"<p>{about}</p><table><tr>{head}</tr>{body}</table>{tracks_as_svg(self.x, self.y)}"
+
+    def _span(self) -> str:
+        duration = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
+        return f"{duration:g} s in {len(self.time)} instants"
+
+    def _contacts(self) -> str:
+        return "; ".join(f"{' and '.join(one.entities)} collide at {one.time:g} s" for one in self.collisions) or (
+            "no collision"
+        )
+
     def index(self, name: str) -> int:
-        """Row of the entity called `name`.
+        """Return the row of an entity.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        int
 
         Raises
         ------
@@ -89,26 +143,76 @@ class Recording:
         return self.names.index(name)
 
     def center(self, name: str) -> FloatArray:
-        """Centre of the bounding box over time, in m, shape (T, 2)."""
-        i = self.index(name)
-        ahead = self.center_x[i]
-        return np.stack([self.x[i] + ahead * np.cos(self.heading[i]), self.y[i] + ahead * np.sin(self.heading[i])], -1)
+        """Return where the centre of an entity's bounding box is over time.
 
-    def to_csv(self, path: Path | str) -> None:
-        """Write one row per entity and instant, with the columns `COLUMNS` and ``collision``.
+        Parameters
+        ----------
+        name : str
 
-        Numbers are written so that reading gives the same bits. ``collision`` names the entities whose box is
-        first touched at that instant, separated by semicolons.
+        Returns
+        -------
+        ndarray of float64, shape (T, 2)
+            x and y in m.
 
         Raises
         ------
         InputError
-            The name of an entity that collides has a semicolon in it.
+            There is no such entity.
         """
+        i = self.index(name)
+        ahead = self.center_x[i]
+        return np.stack([self.x[i] + ahead * np.cos(self.heading[i]), self.y[i] + ahead * np.sin(self.heading[i])], -1)
+
+    def table(self) -> pandas.DataFrame:
+        """Return the recording as a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row per instant and entity, in this order, with the columns of the CSV: ``time`` in s, ``entity``,
+            ``kind``, ``x``, ``y``, ``heading``, ``speed``, ``acceleration``, ``length``, ``width``, ``center_x`` in m,
+            rad, m/s and m/s²; and ``collision``, the entities whose box is first touched at that instant, separated
+            by semicolons.
+        """
+        import pandas
+
+        entities, instants = len(self.names), len(self.time)
+        touched = self._touched()
+        columns: dict[str, object] = {
+            "time": np.repeat(self.time, entities),
+            "entity": self.names * instants,
+            "kind": self.kinds * instants,
+        }
+        columns |= {column: getattr(self, column).T.ravel() for column in MOTION}
+        columns |= {column: np.tile(getattr(self, column), instants) for column in BOX}
+        columns["collision"] = [";".join(touched.get((t, name), ())) for t in self.time.tolist() for name in self.names]
+        return pandas.DataFrame(columns)
+
+    def _touched(self) -> dict[tuple[float, str], list[str]]:
+        """Whom an entity first touches at an instant."""
         touched: dict[tuple[float, str], list[str]] = {}
         for collision in self.collisions:
             first, second = collision.entities
             touched.setdefault((collision.time, first), []).append(second)
+        return touched
+
+    def to_csv(self, path: Path | str) -> None:
+        """Write one row per instant and entity, with the columns `COLUMNS` and ``collision``.
+
+        Numbers are written so that reading gives the same bits. ``collision`` names the entities whose box is
+        first touched at that instant, separated by semicolons.
+
+        Parameters
+        ----------
+        path : path
+
+        Raises
+        ------
+        InputError
+            The file cannot be written, or the name of an entity that collides has a semicolon in it.
+        """
+        touched = self._touched()
+        for second in (name for names in touched.values() for name in names):
             if ";" in second:
                 raise InputError(f"{path}: the name '{second}' has a semicolon in it; rename the entity.")
         with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:

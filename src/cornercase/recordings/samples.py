@@ -83,18 +83,18 @@ def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Seque
         if np.isnan(acceleration[exists]).any():
             acceleration[exists] = np.where(np.isnan(acceleration), _rate(time, speed, exists), acceleration)[exists]
     return Recording(
-        time,
-        tuple(tracks),
-        tuple(track.kind for track in tracks.values()),
-        motion[0],
-        motion[1],
-        motion[2],
-        motion[3],
-        motion[4],
-        np.array([track.length for track in tracks.values()]),
-        np.array([track.width for track in tracks.values()]),
-        np.zeros(len(tracks)),
-        tuple(collisions),
+        time=time,
+        names=tuple(tracks),
+        kinds=tuple(track.kind for track in tracks.values()),
+        x=motion[0],
+        y=motion[1],
+        heading=motion[2],
+        speed=motion[3],
+        acceleration=motion[4],
+        length=np.array([track.length for track in tracks.values()]),
+        width=np.array([track.width for track in tracks.values()]),
+        center_x=np.zeros(len(tracks)),
+        collisions=tuple(collisions),
     )
 
 

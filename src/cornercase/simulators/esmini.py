@@ -227,11 +227,21 @@ class _Log:
         # Who has just appeared has no speed before.
         acceleration = np.where(there, np.nan_to_num(acceleration), np.nan)
         kinds, lengths, widths, centers = zip(*self._about.values(), strict=True)
+        touched = sorted(self._collisions.items(), key=lambda one: one[1])
         return Recording(
-            np.arange(len(self._rows)) * time_step, tuple(self._about), kinds, x, y, heading, speed, acceleration,
-            np.array(lengths), np.array(widths), np.array(centers),
-            tuple(Collision(time, pair) for pair, time in sorted(self._collisions.items(), key=lambda one: one[1])),
-        )  # fmt: skip
+            time=np.arange(len(self._rows)) * time_step,
+            names=tuple(self._about),
+            kinds=kinds,
+            x=x,
+            y=y,
+            heading=heading,
+            speed=speed,
+            acceleration=acceleration,
+            length=np.array(lengths),
+            width=np.array(widths),
+            center_x=np.array(centers),
+            collisions=tuple(Collision(time, pair) for pair, time in touched),
+        )
 
 
 _CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)

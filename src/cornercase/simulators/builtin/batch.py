@@ -150,18 +150,18 @@ class Batch:
             return SimulationError("no entity is ever placed on the map")
         x, y, heading, speed, acceleration = motion
         return Recording(
-            np.arange(instants) * self._time_step,
-            tuple(world.names),
-            tuple(entity.kind for entity in world.entities),
-            x,
-            y,
-            heading,
-            speed,
-            acceleration,
-            np.array([entity.length for entity in world.entities]),
-            np.array([entity.width for entity in world.entities]),
-            np.array([entity.center_x for entity in world.entities]),
-            tuple(self._contacts[i]),
+            time=np.arange(instants) * self._time_step,
+            names=tuple(world.names),
+            kinds=tuple(entity.kind for entity in world.entities),
+            x=x,
+            y=y,
+            heading=heading,
+            speed=speed,
+            acceleration=acceleration,
+            length=np.array([entity.length for entity in world.entities]),
+            width=np.array([entity.width for entity in world.entities]),
+            center_x=np.array([entity.center_x for entity in world.entities]),
+            collisions=tuple(self._contacts[i]),
         )
 
 

@@ -68,9 +68,7 @@ def _convert(roads: Path, target: Path) -> None:
         command = [program, "--opendrive", str(roads), "--output-file", str(written)]
         command += ["--offset.disable-normalization", "true", "--xml-validation", "never"]
         try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", timeout=_PATIENCE, check=False
-            )
+            done = subprocess.run(command, capture_output=True, timeout=_PATIENCE, check=False)
         except subprocess.TimeoutExpired:
             raise InputError(f"{roads}: netconvert did not convert it within {_PATIENCE:g} s.") from None
         if done.returncode != 0 or not written.exists():
