@@ -25,8 +25,9 @@ from conftest import AXLES
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Collision
 from cornercase.scenario import ConcreteScenario, Scenario, read_xml
-from cornercase.simulators import CarlaSimulator, WorkerSimulator, write_scenario_runner
+from cornercase.simulators import CarlaSimulator, WorkerSimulator
 from cornercase.simulators.carla import dialect
+from cornercase.simulators.carla.openscenario_1_0 import write_1_0
 from cornercase.simulators.hosts import address
 from cornercase.study import Study
 
@@ -345,7 +346,7 @@ def test_workers_share_hosts_and_ports():
 
 def adapted(tmp_path, path=T, ego="Ego", behaviors=None, agent=None):
     scenario = Scenario.read(path)
-    write_scenario_runner(
+    write_1_0(
         scenario, {}, tmp_path / "one.xosc", ego=ego,
         adapt=lambda root: dialect.adapt(root, scenario.path, ego, behaviors or {}, agent, None),
     )  # fmt: skip

@@ -8,8 +8,8 @@ import pytest
 from conftest import car, event, same_recording, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
 from cornercase.optimizers import GridOptimizer, SobolOptimizer
-from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario
-from cornercase.simulators import BuiltinSimulator, write_scenario_runner
+from cornercase.scenario import ConcreteScenario, LogicalScenario
+from cornercase.simulators import BuiltinSimulator, convert
 
 DT = 0.05
 
@@ -258,7 +258,7 @@ parameterRef="to" value="${5*5}"/></ParameterAssignments></CatalogReference>"""
     assert recording.length[0] == 12
     assert recording.speed[0][-1] == 25
     # As OpenSCENARIO 1.0 it all stands in one file, which may lie anywhere.
-    write_scenario_runner(Scenario.read(path), {}, tmp_path / "elsewhere" / "one.xosc", ego="Ego")
+    convert(path, tmp_path / "elsewhere" / "one.xosc", ego="Ego")
     again = run(tmp_path / "elsewhere" / "one.xosc", 3.0)
     assert again.length[0] == 12
     np.testing.assert_allclose(again.x[0], recording.x[0], atol=25 * 0.1)

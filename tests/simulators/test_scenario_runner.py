@@ -9,8 +9,8 @@ import pytest
 
 from command_line import cornercase
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, Scenario, read_xml
-from cornercase.simulators import BuiltinSimulator, write_scenario_runner
+from cornercase.scenario import ConcreteScenario, read_xml
+from cornercase.simulators import BuiltinSimulator, convert
 
 pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
 
@@ -40,7 +40,7 @@ def issues(path):
 @pytest.mark.parametrize("path", [X, T])
 def test_asams_checker_finds_nothing_and_no_parameter_is_left(path, tmp_path):
     target = tmp_path / "one.xosc"
-    write_scenario_runner(Scenario.read(path), {}, target, ego="Ego")
+    convert(path, target, ego="Ego")
     assert issues(target) == []
     root = read_xml(target)
     assert "$" not in target.read_text()
@@ -57,7 +57,7 @@ def test_asams_checker_finds_nothing_and_no_parameter_is_left(path, tmp_path):
 
 def test_the_checker_would_find_something(tmp_path):
     target = tmp_path / "one.xosc"
-    write_scenario_runner(Scenario.read(X), {}, target, ego="Ego")
+    convert(X, target, ego="Ego")
     target.write_text(target.read_text().replace("<Storyboard>", "<Storyboard><Surprise/>", 1))
     assert issues(target)
 
@@ -65,7 +65,7 @@ def test_the_checker_would_find_something(tmp_path):
 def test_values_are_those_of_the_concrete_scenario_and_others_move_the_same(tmp_path):
     values = {"pedestrian_wait": 5.0, "p1_speed": 6.0}
     target = tmp_path / "one.xosc"
-    write_scenario_runner(Scenario.read(X), values, target, ego="Ego")
+    convert(X, target, ego="Ego", values=values)
     (before,) = BuiltinSimulator(duration=12.0).run([ConcreteScenario(X, values)])
     (after,) = BuiltinSimulator(duration=12.0, drivers={"Ego": "normal"}).run([ConcreteScenario(target, {})])
     shared = min(before.time.size, after.time.size)
@@ -82,13 +82,17 @@ def test_a_road_that_a_parameter_names_is_that_of_the_concrete_scenario(tmp_path
     text = T.read_text().replace('filepath="t_intersection.xodr"', 'filepath="$Road"')
     path.write_text(text.replace("<ParameterDeclarations>", f"<ParameterDeclarations>{declared}", 1))
     (tmp_path / "other.xodr").write_bytes(T.with_suffix(".xodr").read_bytes())
-    write_scenario_runner(Scenario.read(path), {"Road": "other.xodr"}, tmp_path / "out" / "one.xosc", ego="Ego")
+    convert(path, tmp_path / "out" / "one.xosc", ego="Ego", values={"Road": "other.xodr"})
     assert read_xml(tmp_path / "out" / "one.xosc").find("RoadNetwork/LogicFile").get("filepath") == "other.xodr"
     assert (tmp_path / "out" / "other.xodr").exists()
 
 
 def test_what_is_not_the_same_is_said(tmp_path):
-    notes = write_scenario_runner(Scenario.read(T), {"c_speed": 9.0}, tmp_path / "t.xosc", ego="Ego")
+    found = convert(T, tmp_path / "t.xosc", ego="Ego", values={"c_speed": 9.0})
+    notes = found.notes
+    assert found.path == tmp_path / "t.xosc"
+    assert repr(found).startswith(f"<Conversion {found.path}:\n  ")
+    assert len(repr(found).splitlines()) == 1 + len(notes)
     assert any("C is driven by the storyboard alone, not by cornercase's driver 'simple'" in one for one in notes)
     assert any("final speed of 9 m/s" in one for one in notes)
     assert any("'greaterOrEqual' became 'greaterThan'" in one for one in notes)
@@ -111,7 +115,7 @@ def test_what_cannot_be_said_is_refused_and_nothing_is_written(tmp_path, old, ne
     path.write_text(X.read_text().replace(old, new))
     (tmp_path / "x_intersection.xodr").write_bytes(X.with_suffix(".xodr").read_bytes())
     with pytest.raises(InputError) as caught:
-        write_scenario_runner(Scenario.read(path), {}, tmp_path / "out" / "one.xosc", ego="Ego")
+        convert(path, tmp_path / "out" / "one.xosc", ego="Ego")
     assert words in str(caught.value)
     assert not (tmp_path / "out").exists()
 

@@ -183,8 +183,8 @@ def check(
         raise typer.Exit(1)
 
 
-@app.command()
-def convert(
+@app.command(name="convert")
+def convert_(
     scenario: ScenarioFile,
     *,
     ego: Ego,
@@ -200,10 +200,9 @@ def convert(
       cornercase convert examples/t_intersection/t_intersection.xosc \\
           --set c_start_time=1 --ego Ego -o t10.xosc
     """
-    from cornercase.scenario import Scenario
-    from cornercase.simulators import write_scenario_runner
+    from cornercase.simulators import convert
 
-    for note in write_scenario_runner(Scenario.read(scenario), parsing.pairs(values or (), "--set"), output, ego=ego):
+    for note in convert(scenario, output, ego=ego, values=parsing.pairs(values or (), "--set")).notes:
         err.print(note, markup=False)
     out.print(f"Written to {output}")
 

@@ -2,7 +2,8 @@ from .base import Availability as Availability
 from .base import Simulator as Simulator
 from .builtin.check import check_scenario as check_scenario
 from .builtin.simulator import BuiltinSimulator as BuiltinSimulator
-from .carla.openscenario_1_0 import write_scenario_runner as write_scenario_runner
+from .carla.openscenario_1_0 import Conversion as Conversion
+from .carla.openscenario_1_0 import convert as convert
 from .carla.simulator import CarlaSimulator as CarlaSimulator
 from .carmaker.simulator import CarMakerSimulator as CarMakerSimulator
 from .esmini import EsminiSimulator as EsminiSimulator

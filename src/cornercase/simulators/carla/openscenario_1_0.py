@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import deepcopy
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -26,7 +27,72 @@ _NAMED: Final = str.maketrans("", "", "${}")
 _RULES: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
 
 
-def write_scenario_runner(
+@dataclass(frozen=True)
+class Conversion:
+    """A concrete scenario that was written as OpenSCENARIO 1.0.
+
+    Attributes
+    ----------
+    path : Path
+        Of the new file.
+    notes : tuple of str
+        What is not quite the same in 1.0, and how it was put, a sentence each.
+    """
+
+    path: Path
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        lines = "".join(f"\n  {note}" for note in self.notes) or "\n  nothing had to be put in other words"
+        return f"<Conversion {self.path}:{lines}>"
+
+
+def convert(
+    scenario: Scenario | Path | str,
+    output: Path | str,
+    *,
+    ego: str,
+    values: Mapping[str, Value] | None = None,
+) -> Conversion:
+    """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
+
+    All parameters and expressions become their values, as 1.0 has no expressions, and what stands in catalogs comes
+    into the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the new file, unless
+    it is the name of one of CARLA's maps (``Town01``).
+
+    Parameters
+    ----------
+    scenario : Scenario or path
+        OpenSCENARIO of any version.
+    output : path
+        File to write.
+    ego : str
+        Entity that becomes the ego vehicle.
+    values : mapping of str to float or str, optional
+        Of the scenario's parameters; the others keep the values of their declarations.
+
+    Returns
+    -------
+    Conversion
+
+    Raises
+    ------
+    InputError
+        A file cannot be read or written, the scenario has no such entity or parameter, or something in it cannot be
+        said in OpenSCENARIO 1.0.
+
+    Examples
+    --------
+    >>> from cornercase.simulators import convert
+    >>> convert("t_intersection.xosc", "t10.xosc", ego="Ego", values={"c_speed": 9.0}).notes  # doctest: +SKIP
+    ("Ego is driven by the agent that ScenarioRunner gives it, not by cornercase's driver 'normal'.", ...)
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = Scenario.read(scenario)
+    return Conversion(Path(output), write_1_0(scenario, values or {}, output, ego=ego))
+
+
+def write_1_0(
     scenario: Scenario,
     values: Mapping[str, Value],
     target: Path | str,
@@ -34,36 +100,52 @@ def write_scenario_runner(
     ego: str,
     adapt: Callable[[etree._Element], None] | None = None,
 ) -> tuple[str, ...]:
-    """Write a concrete scenario for ScenarioRunner.
-
-    All parameters and expressions become their values, as 1.0 has no expressions, and what stands in catalogs comes
-    into the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the target, unless
-    it is the name of one of CARLA's maps (``Town01``).
+    """Write a concrete scenario for ScenarioRunner, as `convert` does.
 
     Parameters
     ----------
     scenario : Scenario
-        Of any version.
     values : mapping of str to float or str
-        Of the scenario's parameters.
     target : path
     ego : str
-        Entity that becomes the ego vehicle.
     adapt : callable, optional
         Changes the tree before it is held against the schema and written.
 
     Returns
     -------
     tuple of str
-        What is not quite the same in 1.0, and how it was put, a sentence each.
+        What is not quite the same.
 
     Raises
     ------
     InputError
-        Something cannot be said in OpenSCENARIO 1.0, or the target cannot be written.
+        As of `convert`.
     """
     scenario.require_parameters(list(values))
     scenario.require_entity(ego, "ego")
+    root, notes = _tree_1_0(scenario, values, ego)
+    target, road = Path(target), scenario.road_file(values)
+    # What is no file is the name of one of CARLA's maps.
+    is_map = road is not None and not road.suffix and not road.exists()
+    file = root.find("RoadNetwork/LogicFile")
+    if road is not None and file is not None:
+        file.set("filepath", road.name)
+    if adapt is not None:
+        adapt(root)
+    wrong = schema_errors(root)
+    if wrong is None:
+        notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
+    elif wrong:
+        raise InputError(f"{scenario.path}: cannot be said in OpenSCENARIO 1.0 ({wrong[0]}).")
+    if road is not None and not is_map:
+        copy_beside(road, target.parent / road.name)
+    with written_whole(target) as temporary:
+        etree.ElementTree(root).write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
+    return tuple(dict.fromkeys(notes))
+
+
+def _tree_1_0(scenario: Scenario, values: Mapping[str, Value], ego: str) -> tuple[etree._Element, list[str]]:
+    """Tree of a concrete scenario in the words of 1.0, and what is not quite the same."""
     root = etree.fromstring(etree.tostring(scenario.root))
     notes: list[str] = []
     scope = Scope.of_file(str(scenario.path), scenario.root, [dict(values)], scenario.catalog_entry)
@@ -86,6 +168,12 @@ def write_scenario_runner(
     _trajectories(root)
     _conditions(root, notes)
     _synchronised(root, scenario, notes)
+    _later_words(root, notes)
+    return root, notes
+
+
+def _later_words(root: etree._Element, notes: list[str]) -> None:
+    """Leave out elements and attributes that came after 1.0."""
     for part in list(root.iter("TrailerHitch", "TrailerCoupler", "Trailer")):
         holder = part.getparent()
         if holder is not None:
@@ -99,25 +187,6 @@ def write_scenario_runner(
         for element in root.iter(tag):
             for name in names:
                 element.attrib.pop(name, "")
-    road = scenario.road_file(values)
-    file = root.find("RoadNetwork/LogicFile")
-    target = Path(target)
-    # What is no file is the name of one of CARLA's maps.
-    is_map = road is not None and not road.suffix and not road.exists()
-    if road is not None and file is not None:
-        file.set("filepath", road.name)
-    if adapt is not None:
-        adapt(root)
-    wrong = schema_errors(root)
-    if wrong is None:
-        notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
-    elif wrong:
-        raise InputError(f"{scenario.path}: cannot be said in OpenSCENARIO 1.0 ({wrong[0]}).")
-    if road is not None and not is_map:
-        copy_beside(road, target.parent / road.name)
-    with written_whole(target) as temporary:
-        etree.ElementTree(root).write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
-    return tuple(dict.fromkeys(notes))
 
 
 def _resolve(element: etree._Element, scope: Scope) -> None:

@@ -19,7 +19,7 @@ from cornercase.recordings import Recording, read_carla_log
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 from cornercase.simulators.carla.dialect import BEHAVIORS, DRIVER, adapt
-from cornercase.simulators.carla.openscenario_1_0 import write_scenario_runner
+from cornercase.simulators.carla.openscenario_1_0 import write_1_0
 from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
 from cornercase.simulators.carla.server import Server
 from cornercase.simulators.carla.tracker import Tracker
@@ -225,7 +225,7 @@ class CarlaSimulator(Simulator):
         self, folder: Path, scenario: Scenario, concrete: ConcreteScenario, behaviors: Mapping[str, str]
     ) -> Recording:
         file = folder / "cornercase.xosc"
-        write_scenario_runner(
+        write_1_0(
             scenario, concrete.values, file, ego=self._ego,
             adapt=partial(
                 adapt, source=scenario.path, ego=self._ego, behaviors=behaviors, agent=self._agent,
