@@ -110,10 +110,10 @@ def explore(
           --ego Ego --other Pedestrian --metric wttc --budget 100 -o study.db
     """
     from cornercase.exploration import Exploration, explore_scenario
-    from cornercase.scenario import LogicalScenario, Scenario
+    from cornercase.scenario import LogicalScenario
 
     logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
-    _notice(Scenario.read(logical.path), simulator)
+    _notice(logical.scenario, simulator)
     explored(
         explore_scenario,
         Exploration(

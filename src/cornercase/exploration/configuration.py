@@ -14,7 +14,7 @@ from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
 from cornercase.metrics import METRICS
 from cornercase.optimizers import create_optimizer, optimizer_needs
-from cornercase.scenario import LogicalScenario, Scenario
+from cornercase.scenario import LogicalScenario
 from cornercase.simulators import Simulator, start_simulator
 from cornercase.study import Study, StudyMeta
 
@@ -99,7 +99,7 @@ def explore_scenario(exploration: Exploration, path: Path, progress: bool = Fals
 
 
 def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
-    file = Scenario.read(one.logical.path)
+    file = one.logical.scenario
     file.require_entity(one.ego, "ego")
     file.require_entity(one.other, "other")
     if one.ego == one.other:

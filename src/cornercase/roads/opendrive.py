@@ -77,13 +77,41 @@ class RoadNetwork:
     def read(cls, path: Path | str) -> RoadNetwork:
         """Read an OpenDRIVE file, of version 1.4 to 1.8; elevation is left out.
 
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        RoadNetwork
+
         Raises
         ------
         InputError
             The file cannot be used; the message names the road.
         """
-        path = Path(path)
-        root = read_xml(path)
+        return cls.of_xml(read_xml(path), Path(path))
+
+    @classmethod
+    def of_xml(cls, root: etree._Element, path: Path) -> RoadNetwork:
+        """Network of an OpenDRIVE document that was read already.
+
+        Parameters
+        ----------
+        root : lxml element
+            It loses its namespaces.
+        path : Path
+            Where it comes from.
+
+        Returns
+        -------
+        RoadNetwork
+
+        Raises
+        ------
+        InputError
+            As of `read`.
+        """
         for element in root.iter():
             if isinstance(element.tag, str) and "}" in element.tag:
                 element.tag = element.tag.split("}", 1)[1]

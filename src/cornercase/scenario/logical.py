@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +26,29 @@ class ConcreteScenario:
         OpenSCENARIO file.
     values : mapping of str to float or str
         Parameters that differ from the file's own.
+    source : Scenario, optional
+        The file as it was read; without it, it is read when it runs.
     """
 
     path: Path
     values: Mapping[str, Value] = field(default_factory=dict)
+    source: Scenario | None = field(default=None, repr=False, compare=False)
+
+    def scenario(self, known: Scenario | None = None) -> Scenario:
+        """Give the scenario file: as it was read, or read now where it was not.
+
+        Parameters
+        ----------
+        known : Scenario, optional
+            Given instead where it is the same file with the same content, so that nothing of it is read again.
+
+        Raises
+        ------
+        InputError
+            The file cannot be used.
+        """
+        given = Scenario.read(self.path) if self.source is None else self.source
+        return known if known is not None and known.is_same(given) else given
 
 
 def admitted(file: Scenario, values: Sequence[Mapping[str, Value]]) -> BoolArray:
@@ -61,11 +81,19 @@ class LogicalScenario:
         What is varied, and in which bounds.
     fingerprint : str
         SHA-256 over the scenario file, its road file and its catalogs.
+    source : Scenario, optional
+        The file as it was read.
     """
 
     path: Path
     space: ParameterSpace
     fingerprint: str
+    source: Scenario | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario file, as it was read."""
+        return Scenario.read(self.path) if self.source is None else self.source
 
     @classmethod
     def read(
@@ -104,20 +132,20 @@ class LogicalScenario:
         varied = ParameterSpace.from_file(space) if space is not None else None
         if scenario is None:
             if space is None:
-                raise InputError("There is no scenario; name an OpenSCENARIO file, or a --space file that names one.")
+                raise InputError("There is no scenario; name an OpenSCENARIO file, or a `space` file that names one.")
             scenario = ParameterSpace.scenario_file(space)
         if ranges:
             varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
         if varied is None:
-            raise InputError(f"{scenario}: nothing is varied; give a --space file or a --range NAME=LOW:HIGH.")
+            raise InputError(f"{scenario}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
         file = Scenario.read(scenario)
         file.require_parameters(list(varied.assigns))
         varied = varied.continuous() if continuous else varied
         if file.root.find("ParameterDeclarations/ParameterDeclaration/ConstraintGroup") is not None:
             whole = varied
             varied = varied.limited(lambda points: admitted(file, whole.values(points)))
-        return cls(Path(scenario), varied, file.fingerprint())
+        return cls(Path(scenario), varied, file.fingerprint(), file)
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:
         """Return the concrete scenario of the given values."""
-        return ConcreteScenario(self.path, dict(values))
+        return ConcreteScenario(self.path, dict(values), self.source)

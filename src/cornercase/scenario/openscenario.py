@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from shutil import copyfile
@@ -16,46 +15,88 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import written_whole
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.space import Value
-from cornercase.scenario.xml import read_xml
+from cornercase.scenario.xml import XmlFiles
 
 DRIVER_PROPERTY = "cornercase.driver"
 
 
-@dataclass(frozen=True)
 class Scenario:
-    """An OpenSCENARIO scenario file.
+    """An OpenSCENARIO scenario file, and the catalogs and road files that belong to it.
+
+    Each of these files is read once, when it is first needed. A copy in another process knows only the path and the
+    fingerprint: it reads the files again when they are needed there, and refuses them where they have changed.
+
+    Parameters
+    ----------
+    path : path
+    fingerprint : str, optional
+        What `fingerprint` has to give; by default that of the files as they are.
 
     Attributes
     ----------
     path : Path
-    root : lxml element
-        ``OpenSCENARIO``.
     """
 
-    path: Path
-    root: etree._Element
+    def __init__(self, path: Path | str, fingerprint: str | None = None) -> None:
+        self.path = Path(path)
+        self._files = XmlFiles()
+        self._fingerprint = fingerprint
 
     @classmethod
     def read(cls, path: Path | str) -> Scenario:
         """Read a scenario file.
+
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        Scenario
 
         Raises
         ------
         InputError
             The file is missing, is not XML, or is not a scenario.
         """
-        path = Path(path)
-        root = read_xml(path)
+        scenario = cls(path)
+        scenario._require_scenario(scenario.root)
+        return scenario
+
+    def __repr__(self) -> str:
+        return f"Scenario({str(self.path)!r})"
+
+    def __reduce__(self) -> tuple[type[Scenario], tuple[Path, str]]:
+        return Scenario, (self.path, self.fingerprint())
+
+    @cached_property
+    def root(self) -> etree._Element:
+        """Root of the scenario file, ``OpenSCENARIO``; not to be changed."""
+        if self._fingerprint is not None and self._digest() != self._fingerprint:
+            raise InputError(
+                f"{self.path}: this file, its road file or a catalog has changed since it was read; run the command"
+                " again."
+            )
+        return self._document
+
+    @cached_property
+    def _document(self) -> etree._Element:
+        return self._files.root(self.path)
+
+    def xml(self, path: Path) -> etree._Element:
+        """Root of a file that belongs to the scenario, as of `read_xml`; not to be changed."""
+        return self._files.root(path)
+
+    def _require_scenario(self, root: etree._Element) -> None:
         if root.tag != "OpenSCENARIO":
             raise InputError(
-                f"{path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>."
+                f"{self.path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>."
             )
         if root.find("ParameterValueDistribution") is not None:
-            raise InputError(f"{path}: is a parameter value distribution, not a scenario; give it as --space.")
+            raise InputError(f"{self.path}: is a parameter value distribution, not a scenario; give it as `space`.")
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
-                raise InputError(f"{path}: has no <{needed}>, so there is nothing to run.")
-        return cls(path, root)
+                raise InputError(f"{self.path}: has no <{needed}>, so there is nothing to run.")
 
     @cached_property
     def entities(self) -> tuple[str, ...]:
@@ -119,16 +160,20 @@ class Scenario:
     @cached_property
     def _catalogs(self) -> dict[str, etree._Element]:
         found: dict[str, etree._Element] = {}
-        for file in self.catalog_files():
-            catalog = read_xml(file).find("Catalog")
+        for file in self._catalog_files:
+            catalog = self._files.root(file).find("Catalog")
             if catalog is not None:
                 found.setdefault(catalog.get("name", ""), catalog)
         return found
 
     def catalog_files(self) -> list[Path]:
         """All files in the catalog locations, in the order of the locations and then of their names."""
+        return list(self._catalog_files)
+
+    @cached_property
+    def _catalog_files(self) -> list[Path]:
         files: list[Path] = []
-        for directory in self.root.iterfind("CatalogLocations//Directory"):
+        for directory in self._document.iterfind("CatalogLocations//Directory"):
             folder = self.beside(directory.get("path", ""), "catalog location")
             found = sorted(folder.glob("*.xosc")) if folder.is_dir() else [folder]
             files += [file for file in found if file.is_file() and file not in files]
@@ -136,7 +181,7 @@ class Scenario:
 
     def logic_file(self) -> str:
         """Return the road file as it is named, possibly by a parameter; empty when there is none."""
-        file = self.root.find("RoadNetwork/LogicFile")
+        file = self._document.find("RoadNetwork/LogicFile")
         return "" if file is None else file.get("filepath", "")
 
     def road_file(self, values: Mapping[str, Value] | None = None) -> Path | None:
@@ -145,22 +190,31 @@ class Scenario:
         return self.beside(reference, "road file") if reference else None
 
     def fingerprint(self) -> str:
-        """SHA-256 over the scenario and all files that it is known to read."""
-        files = [self.path, *self.catalog_files()]
+        """SHA-256 over the scenario and all files that it is known to read, as they were when they were read."""
+        if self._fingerprint is None:
+            self._fingerprint = self._digest()
+        return self._fingerprint
+
+    def is_same(self, other: Scenario) -> bool:
+        """Whether another scenario is of the same path, and its files have the same content."""
+        return self is other or (self.path == other.path and self.fingerprint() == other.fingerprint())
+
+    def _digest(self) -> str:
+        files = [self.path, *self._catalog_files]
         road = self.road_file()
         if road is not None:
             files.append(road)
         digest = hashlib.sha256()
         for file in files:
             if file.is_file():
-                digest.update(hashlib.sha256(file.read_bytes()).digest())
+                digest.update(self._files.digest(file))
         return digest.hexdigest()
 
     def _parameter_text(self, text: str, values: Mapping[str, Value]) -> str:
         for name in names_in(text):
             if name in values:
                 return str(values[name])
-            for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+            for e in self._document.iterfind("ParameterDeclarations/ParameterDeclaration"):
                 if e.get("name") == name:
                     return e.get("value", "")
         return text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +31,26 @@ def read_xml(path: Path | str) -> etree._Element:
     InputError
         The file cannot be read, is no XML, has a document type declaration, or is too large or too deep.
     """
+    return parse_xml(read_file(path), path)
+
+
+def read_file(path: Path | str) -> bytes:
+    """Content of a file.
+
+    Parameters
+    ----------
+    path : path
+        A regular file of at most 200 MB.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is too large.
+    """
     path = Path(path)
     try:
         # A device or a pipe may never end.
@@ -38,9 +59,29 @@ def read_xml(path: Path | str) -> etree._Element:
         size = path.stat().st_size
         if size > _LARGEST:
             raise InputError(f"{path}: has {size} bytes; at most {_LARGEST} are read.")
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+
+
+def parse_xml(data: bytes, path: Path | str) -> etree._Element:
+    """Root of an XML document; entities are never resolved and nothing is fetched.
+
+    Parameters
+    ----------
+    data : bytes
+    path : path
+        Where it comes from, for messages.
+
+    Returns
+    -------
+    lxml element
+
+    Raises
+    ------
+    InputError
+        It is no XML, has a document type declaration, or is nested more than 200 deep.
+    """
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False
     )
@@ -56,3 +97,29 @@ def read_xml(path: Path | str) -> etree._Element:
         if depth > _DEEPEST:
             raise InputError(f"{path}: elements are nested more than {_DEEPEST} deep.")
     return root
+
+
+class XmlFiles:
+    """Files that belong together, each read once and parsed once, when it is first asked for.
+
+    What is parsed later is what was there when the file was read, so that it fits its digest.
+    """
+
+    def __init__(self) -> None:
+        self._data: dict[Path, bytes] = {}
+        self._roots: dict[Path, etree._Element] = {}
+
+    def digest(self, path: Path) -> bytes:
+        """SHA-256 of a file's content; raises an `InputError` where it cannot be read."""
+        return hashlib.sha256(self._content(path)).digest()
+
+    def root(self, path: Path) -> etree._Element:
+        """Root of a file, as of `read_xml`; the same object each time, which is not to be changed."""
+        if path not in self._roots:
+            self._roots[path] = parse_xml(self._content(path), path)
+        return self._roots[path]
+
+    def _content(self, path: Path) -> bytes:
+        if path not in self._data:
+            self._data[path] = read_file(path)
+        return self._data[path]

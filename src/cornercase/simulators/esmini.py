@@ -92,6 +92,7 @@ class EsminiSimulator(Simulator):
         self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)
         self._loaded: ctypes.CDLL | None = None
         self._fits = False
+        self._read: Scenario | None = None
         self.settings: dict[str, object] = {
             **checked_settings(time_step, duration, on_collision, None),
             "seed": checked_seed(seed, "esmini"),
@@ -121,7 +122,7 @@ class EsminiSimulator(Simulator):
         if self._loaded is None:
             self._loaded = _load(self._path)
         for concrete in concretes:
-            scenario = Scenario.read(concrete.path)
+            scenario = self._read = concrete.scenario(self._read)
             self.require_means(scenario)
             try:
                 yield self._run(self._loaded, scenario, concrete.values)

@@ -12,11 +12,11 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
-from cornercase.roads import RoadNetwork
 from cornercase.scenario import Scenario, Scope, Value
 from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
 from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.paths.positions import entities_in
+from cornercase.simulators.builtin.prepared import PreparedScenario
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
 from cornercase.simulators.builtin.world.contacts import find_contacts
 from cornercase.simulators.builtin.world.motion import move_entities
@@ -38,7 +38,8 @@ class Batch:
 
     Parameters
     ----------
-    scenario : Scenario
+    prepared : PreparedScenario
+        The file.
     values : sequence of mapping of str to float or str, length N
         Parameters of each concrete scenario.
     time_step : float
@@ -48,7 +49,6 @@ class Batch:
     stop_at_collision : bool
     drivers : mapping of str to Driver or str
         Who drives which entity; a name is one of `DRIVERS`. Beats the file's own controller properties.
-
     coupling : Coupling, optional
         Another simulator that moves some of the entities.
 
@@ -62,7 +62,7 @@ class Batch:
 
     def __init__(
         self,
-        scenario: Scenario,
+        prepared: PreparedScenario,
         values: Sequence[Mapping[str, Value]],
         time_step: float,
         duration: float,
@@ -70,10 +70,11 @@ class Batch:
         drivers: Mapping[str, Driver | str],
         coupling: Coupling | None = None,
     ) -> None:
+        scenario = prepared.scenario
         scope = Scope.of_file(str(scenario.path), scenario.root, values, scenario.catalog_entry)
         file = scenario.root.find("RoadNetwork/LogicFile")
         road_file = "" if file is None else scope.text(file, "filepath", "")
-        network = RoadNetwork.read(scenario.beside(road_file, "road file")) if road_file else None
+        network = prepared.network(road_file) if road_file else None
         objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
         if len(objects) > _MOST_ENTITIES:
             raise InputError(

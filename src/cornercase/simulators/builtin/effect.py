@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from lxml import etree
 
-from cornercase.scenario import DRIVER_PROPERTY, Scenario, read_xml
+from cornercase.scenario import DRIVER_PROPERTY, Scenario
 from cornercase.simulators.builtin.actions.basic import WITHOUT_EFFECT
 from cornercase.simulators.builtin.storyboard.triggers import NEVER_TRUE
 
@@ -39,13 +38,13 @@ def without_effect(scenario: Scenario) -> dict[str, int]:
     if foreign:
         found["Controller of another program"] = foreign
     road = scenario.road_file()
-    hilly = _hilly_roads(road) if road is not None and road.is_file() else 0
+    hilly = _hilly_roads(scenario.xml(road)) if road is not None and road.is_file() else 0
     return {**found, "elevation of roads": hilly} if hilly else found
 
 
-def _hilly_roads(path: Path) -> int:
+def _hilly_roads(network: etree._Element) -> int:
     hilly = 0
-    for road in read_xml(path).iterfind("{*}road"):
+    for road in network.iterfind("{*}road"):
         length = road.get("length", "0")
         climbs = (
             _steepest(road.findall("{*}elevationProfile/{*}elevation"), length, slope=True),

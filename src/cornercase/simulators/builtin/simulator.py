@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.version import __version__
@@ -12,6 +13,7 @@ from cornercase.scenario import ConcreteScenario, Scenario, VariesError
 from cornercase.simulators.base import Availability, Simulator, checked_settings
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.effect import without_effect
+from cornercase.simulators.builtin.prepared import PreparedScenario
 
 # A batch keeps the whole motion of its scenarios; this many take about 300 MB for four entities and 400 instants.
 _LARGEST_BATCH = 4096
@@ -53,7 +55,7 @@ class BuiltinSimulator(Simulator):
         self.settings = checked_settings(time_step, duration, on_collision, drivers)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
         self._drivers = dict(drivers or {})
-        self._batches: dict[str, set[str]] = {}
+        self._prepared: PreparedScenario | None = None
 
     @classmethod
     def availability(cls) -> Availability:
@@ -85,29 +87,37 @@ class BuiltinSimulator(Simulator):
 
     def _run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         ran: dict[int, tuple[Batch, int]] = {}
-        for path in dict.fromkeys(concrete.path for concrete in concretes):
-            scenario = Scenario.read(path)
+        files: dict[tuple[Path, Scenario | None], list[int]] = {}
+        for i, concrete in enumerate(concretes):
+            files.setdefault((concrete.path, concrete.source), []).append(i)
+        for chosen in files.values():
+            prepared = self._prepare(concretes[chosen[0]])
             for entity in self._drivers:
-                scenario.require_entity(entity, "driven entity")
-            chosen = [i for i, concrete in enumerate(concretes) if concrete.path == path]
-            for group in self._groups(concretes, chosen):
-                self._run_group(scenario, concretes, group, ran)
+                prepared.scenario.require_entity(entity, "driven entity")
+            for group in _groups(prepared, concretes, chosen):
+                self._run_group(prepared, concretes, group, ran)
         # One after the other, so that recordings that nobody keeps take no memory.
         for i in range(len(concretes)):
             batch, place = ran[i]
             yield batch.result(place)
 
+    def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
+        """What is known of a concrete scenario's file from the last run, as long as its content is the same."""
+        scenario = concrete.scenario(None if self._prepared is None else self._prepared.scenario)
+        if self._prepared is None or self._prepared.scenario is not scenario:
+            self._prepared = PreparedScenario(scenario)
+        return self._prepared
+
     def _run_group(
         self,
-        scenario: Scenario,
+        prepared: PreparedScenario,
         concretes: Sequence[ConcreteScenario],
         chosen: list[int],
         ran: dict[int, tuple[Batch, int]],
     ) -> None:
-        known = self._batches.setdefault(str(scenario.path), set())
         try:
             batch = Batch(
-                scenario,
+                prepared,
                 [concretes[i].values for i in chosen],
                 self._time_step,
                 self._duration,
@@ -117,18 +127,20 @@ class BuiltinSimulator(Simulator):
         except VariesError as varies:
             differing = {tuple(concretes[i].values.get(name) for name in sorted(varies.names)) for i in chosen}
             if len(differing) < 2:
-                raise InputError(f"{scenario.path}: an attribute that must be one value {varies}.") from None
-            known |= varies.names
-            for group in self._groups(concretes, chosen):
-                self._run_group(scenario, concretes, group, ran)
+                path = prepared.scenario.path
+                raise InputError(f"{path}: an attribute that must be one value {varies}.") from None
+            prepared.splitting |= varies.names
+            for group in _groups(prepared, concretes, chosen):
+                self._run_group(prepared, concretes, group, ran)
             return
         batch.run()
         ran.update((i, (batch, place)) for place, i in enumerate(chosen))
 
-    def _groups(self, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:
-        groups: dict[tuple[object, ...], list[int]] = {}
-        for i in chosen:
-            shaping = self._batches.get(str(concretes[i].path), set())
-            key = tuple(concretes[i].values.get(name) for name in sorted(shaping))
-            groups.setdefault(key, []).append(i)
-        return list(groups.values())
+
+def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:
+    """Concrete scenarios that go into one batch each, as far as is known."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for i in chosen:
+        key = tuple(concretes[i].values.get(name) for name in sorted(prepared.splitting))
+        groups.setdefault(key, []).append(i)
+    return list(groups.values())

@@ -128,6 +128,7 @@ class CarlaSimulator(Simulator):
         self._server = Server(*address(hosts, port, worker, _PORTS_EACH), patience)
         self._runner = ScenarioRunner(scenario_runner, python, carla_root)
         self._traffic_port, self._folder = 8000 + worker, folder
+        self._read: Scenario | None = None
         self._agent = None if not agent else _file(agent, "agent")
         self._agent_config = None if not agent_config else _file(agent_config, "agent_config")
         self.settings: dict[str, object] = settings | {
@@ -171,7 +172,7 @@ class CarlaSimulator(Simulator):
             No server answers, it is of another version than the client, or the scenario file cannot be used.
         """
         for concrete in concretes:
-            scenario = Scenario.read(concrete.path)
+            scenario = self._read = concrete.scenario(self._read)
             behaviors = self._behaviors(scenario)
             try:
                 yield self._run(scenario, concrete, behaviors)

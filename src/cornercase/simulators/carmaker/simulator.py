@@ -116,6 +116,7 @@ class CarMakerSimulator(Simulator):
             )
         self._api: CarMakerApi | None = None
         self._line: CommandPort | None = None
+        self._read: Scenario | None = None
         self.settings: dict[str, object] = {"testrun": testrun, "duration": duration}
 
     @classmethod
@@ -141,7 +142,8 @@ class CarMakerSimulator(Simulator):
             Nobody listens on the port, CarMaker has lost its licence, or the scenario has entities that it has not.
         """
         for concrete in concretes:
-            self.require_means(Scenario.read(concrete.path))
+            self._read = concrete.scenario(self._read)
+            self.require_means(self._read)
             if self._api_wanted:
                 yield self._run_by_api(concrete.values)
                 continue

@@ -16,6 +16,7 @@ from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.effect import without_effect
+from cornercase.simulators.builtin.prepared import PreparedScenario
 from cornercase.simulators.sumo.coupling import TYPES, SumoCoupling
 from cornercase.simulators.sumo.network import sumo_network
 
@@ -68,6 +69,7 @@ class SumoSimulator(Simulator):
             raise InputError(_MISSING)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
         self._drivers, self._seed, self._network = dict(drivers or {}), seed, network
+        self._prepared: PreparedScenario | None = None
         self.settings: dict[str, object] = {
             **settings,
             "seed": checked_seed(seed, "SUMO"),
@@ -107,8 +109,11 @@ class SumoSimulator(Simulator):
         InputError
             The scenario file cannot be used.
         """
+        prepared = self._prepared
         for concrete in concretes:
-            scenario = Scenario.read(concrete.path)
+            scenario = concrete.scenario(None if prepared is None else prepared.scenario)
+            if prepared is None or prepared.scenario is not scenario:
+                prepared = self._prepared = PreparedScenario(scenario)
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
             types = self._types(scenario)
@@ -116,7 +121,7 @@ class SumoSimulator(Simulator):
             with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
                 drivers = {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}
                 batch = Batch(
-                    scenario,
+                    prepared,
                     [concrete.values],
                     self._time_step,
                     self._duration,
