@@ -6,6 +6,7 @@ import sqlite3
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from conftest import same_recording
@@ -150,7 +151,7 @@ def test_another_schema_version_is_refused(study):
 
 
 def test_a_full_disk_is_said_and_harms_nothing(study):
-    connection = study._connection
+    connection = study._database.connection
     (pages,) = connection.execute("PRAGMA page_count").fetchone()
     connection.execute(f"PRAGMA max_page_count = {pages}")
     with pytest.raises(InputError, match=r"study\.db.*full"):
@@ -198,3 +199,64 @@ def test_parquet_without_its_package_names_the_extra(study, tmp_path, monkeypatc
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(InputError, match=r"cornercase\[parquet\]"):
         study.export(tmp_path / "tables", parquet=True)
+
+
+def test_a_row_of_the_table_is_a_scenario(study):
+    study.finish(3, recording(1), courses(1))
+    study.save_analysis("wttc", {"ids": np.array([1, 3]), "labels": np.array([0, -1])}, {})
+    study.save_outcomes({1: "Ego first"})
+    table = study.table()
+    assert list(table) == [
+        "id", "round", "state", "a", "b", "distance", "wttc", "cluster by wttc", "outcome", "error"
+    ]  # fmt: skip
+    assert table["id"].tolist() == [1, 2, 3]
+    np.testing.assert_array_equal(table["wttc"], [0.5, np.nan, 1.5])
+    assert table["cluster by wttc"].tolist() == [0, pd.NA, -1]
+    assert table["outcome"].tolist() == ["Ego first", None, None]
+    assert table[["a", "b"]].to_dict("records") == SPACE.values(POINTS)
+    assert str(table["a"].dtype) == "float64"
+
+
+def test_a_parameter_that_is_called_like_a_metric_has_a_column_of_its_own(tmp_path):
+    space = ParameterSpace.from_ranges(["distance=0:1", "state=0:1"])
+    points = np.array([[0.25, 0.75]])
+    with Study.create(tmp_path / "s.db", about(space, "distance")) as study:
+        study.propose(1, points, space.values(points))
+        study.finish(1, recording(), {"distance": courses()["distance"]})
+        table = study.table()
+    assert table.loc[0, ["parameter distance", "parameter state", "state"]].tolist() == [0.25, 0.75, "done"]
+    assert table.loc[0, "distance"] == courses()["distance"][1]
+
+
+def test_what_is_read_together_is_of_one_moment(study):
+    with Study.open(study.path, readonly=True) as reader:
+        with reader.snapshot():
+            assert len(reader.scores("wttc")) == 1
+            study.finish(3, recording(1), courses(1))
+            assert len(reader.scores("wttc")) == len(reader.done()) == 1
+        assert len(reader.scores("wttc")) == len(reader.done()) == 2
+
+
+def test_a_study_says_what_it_is_and_escapes_names(tmp_path):
+    space = ParameterSpace.from_ranges(["<b>=0:1"])
+    points = np.array([[0.25], [0.75]])
+    with Study.create(tmp_path / "s.db", about(space, "distance", ego="<i>Ego</i>")) as study:
+        study.propose(1, points, space.values(points))
+        for number, score in enumerate((3.0, 1.25), 1):
+            study.finish(number, recording(), {"distance": (courses()["distance"][0], score)})
+        text, page = repr(study), study._repr_html_()
+    assert "s.db" in text
+    assert "2 scenarios run, 0 failed, 0 pending" in text
+    assert "<i>" not in page
+    assert "<b>" not in page
+    assert page.index("1.25") < page.index("3.00")
+
+
+def test_a_study_with_damaged_facts_is_refused_in_a_sentence(study):
+    study.close()
+    with sqlite3.connect(study.path) as connection:
+        connection.execute("UPDATE meta SET value = '[' WHERE key = 'metrics'")
+    connection.close()
+    for readonly in (True, False):
+        with pytest.raises(InputError, match="cannot be used as a study"):
+            Study.open(study.path, readonly=readonly)

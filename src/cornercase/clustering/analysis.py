@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -94,6 +93,7 @@ def analyze_study(
     if len(ids) < 2:
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
     outcomes = [tell_outcome(study.recording(i), study.meta.ego, study.meta.other) for i in ids.tolist()]
+    study.save_outcomes(dict(zip(ids.tolist(), outcomes, strict=True)))
     results = {}
     for name in by or aspects_of(study):
         begun = time.monotonic()
@@ -118,17 +118,17 @@ def analyze_study(
 
 def _joined(study: Study, name: str, ids: IntArray, distances: FloatArray) -> tuple[Clustering, BoolArray]:
     """Clusters that a study has, joined by the scenarios that were run since, and of which they were found."""
-    arrays, info = study.analysis(name, "ids")
+    _, info = study.analysis(name, "ids")
     # Scenarios that failed before have run since at times; so the earlier ones need not be the first.
-    earlier = np.isin(ids, info.get("fitted", arrays["ids"].tolist()))
-    model = ScenarioClustering(
-        info["gamma"], info["eps"], info["min_samples"], method=info.get("method", "dbscan")
-    ).fit(distances[np.ix_(earlier, earlier)])
+    earlier = np.isin(ids, info["fitted"])
+    model = ScenarioClustering(info["gamma"], info["eps"], info["min_samples"], method=info["method"]).fit(
+        distances[np.ix_(earlier, earlier)]
+    )
     labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), model.n_components))
     labels[earlier], embedding[earlier] = model.labels_, model.embedding_
     to_earlier = distances[np.ix_(~earlier, earlier)]
     labels[~earlier], embedding[~earlier] = model.predict(to_earlier), model.transform(to_earlier)
-    candidates = tuple(Candidate(**({"stability": math.nan} | one)) for one in info["candidates"])
+    candidates = tuple(Candidate(**one) for one in info["candidates"])
     return replace(model.result_, labels=labels, embedding=embedding, candidates=candidates), earlier
 
 

@@ -195,17 +195,17 @@ class _Page:
             figure,
             f"clusters-{name}",
             f"Dynamic Time Warping, RBF kernel PCA (gamma {info['gamma']:.4g}, {100 * info['explained']:.0f} % of the"
-            f" variance in three components), {_METHODS[info.get('method', 'dbscan')]} (eps {info['eps']:.4g}, min"
+            f" variance in three components), {_METHODS[info['method']]} (eps {info['eps']:.4g}, min"
             f" samples {info['min_samples']})."
             + (
                 f" The kernel space is that of {info['landmarks']} landmarks; of the kernel between others"
                 f" {info['error']:.1%} is lost."
-                if info.get("landmarks")
+                if info["landmarks"]
                 else ""
             )
             + (
                 f" Found of {fitted} scenarios; {len(labels) - fitted} have joined them since."
-                if (fitted := len(info.get("fitted", labels))) < len(labels)
+                if (fitted := len(info["fitted"])) < len(labels)
                 else ""
             ),
         )
@@ -229,9 +229,9 @@ class _Page:
                 for label in np.unique(labels).tolist()
             ],
         )
-        # Studies that were analysed by earlier versions have none.
-        if described := info.get("profiles"):
-            yield tables.in_words(described)
+        # Empty where an earlier version analysed the study.
+        if info["profiles"]:
+            yield tables.in_words(info["profiles"])
         metric = self._metrics[0] if name == EGO_TRAJECTORY else METRICS.create(name)
         ids = [self._rows[k].id for k in rows]
         yield self._figure(
@@ -311,8 +311,8 @@ class _Page:
             ],
             text=(0, 2, -1),
         )
-        # Studies that were reduced by earlier versions know less.
-        if "shapes" in reduction:
+        # Empty where an earlier version reduced the study.
+        if reduction["shapes"]:
             yield "<h3>Shapes of the clusters</h3>"
             yield tables.shapes(reduction["shapes"])
             yield (
@@ -332,7 +332,7 @@ class _Page:
             " distance between any two; than how many of 100 random subsets of the same size that is better; and"
             " k-medoids of the same size, which leave a small mean in that one clustering.</p>"
         )
-        if reduction.get("critical"):
+        if reduction["critical"]:
             yield tables.critical_coverage(reduction["critical"])
             yield (
                 "<p>Two scenarios are alike where they are closer than a share of what is usual in a cluster. A"

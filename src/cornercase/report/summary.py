@@ -79,8 +79,7 @@ def summarize(study: Study) -> dict[str, Any]:
                 "median": {metric: quartiles[1] for metric, quartiles in one["scores"].items()},
                 "where": [f"{r['text']} ({r['covers']:.0%} of it, {r['purity']:.0%} pure)" for r in one["rules"]],
             }
-            # Studies that were analysed by earlier versions have none.
-            for one in info.get("profiles", ())
+            for one in info["profiles"]
             if one["cluster"] >= 0
         }
     summary["agreement"] = {
@@ -96,11 +95,10 @@ def summarize(study: Study) -> dict[str, Any]:
         summary["kept"] = len(reduction["kept"])
         summary["shapes"] = {
             f"cluster {one['cluster']}": {key: value for key, value in one.items() if key != "cluster"}
-            # Studies that were reduced by earlier versions have none.
-            for one in reduction.get("shapes", ())
+            for one in reduction["shapes"]
         }
         summary["coverage"] = {name: _told(one, _LEFT_OUT) for name, one in reduction["coverage"].items() if one}
-        for name, one in reduction.get("critical", {}).items():
+        for name, one in reduction["critical"].items():
             summary["coverage"].setdefault(name, {})["critical scenarios"] = _told(one, _OF_CRITICAL)
     return summary
 

@@ -77,8 +77,8 @@ def choices(candidates: Sequence[dict[str, Any]], gamma: float, eps: float) -> s
     best: dict[int, dict[str, Any]] = {}
     for one in candidates:
         chosen = (one["gamma"], one["eps"]) == (gamma, eps)
-        # Without stability a score is not comparable; studies that were analysed by earlier versions know none.
-        comparable = math.isfinite(one["score"]) and not math.isnan(one.get("stability", 1.0))
+        # Without stability a score is not comparable.
+        comparable = math.isfinite(one["score"]) and not math.isnan(one["stability"])
         if comparable and (chosen or one["score"] > best.get(one["clusters"], {"score": -9.0})["score"]):
             best[one["clusters"]] = one
     if len(best) < 2:
@@ -89,7 +89,7 @@ def choices(candidates: Sequence[dict[str, Any]], gamma: float, eps: float) -> s
             [
                 f"{number}{' (chosen)' if (one['gamma'], one['eps']) == (gamma, eps) else ''}", f"{one['gamma']:.4g}",
                 f"{one['eps']:.4g}", f"{one['noise']:.1%}", f"{one['dbcv']:.2f}", f"{one['silhouette']:.2f}",
-                f"{one.get('stability', math.nan):.2f}", f"{one['score']:.2f}",
+                f"{one['stability']:.2f}", f"{one['score']:.2f}",
             ]
             for number, one in sorted(best.items())
         ],
@@ -126,9 +126,9 @@ def coverage(found: dict[str, dict[str, Any]]) -> str:
         ],
         [
             [
-                name, f"{c['largest']:.4g}", f"{c['largest_relative']:.1%}", _times(c, "better_largest"),
-                f"{c.get('medoids_largest', math.nan):.4g}", f"{c['mean']:.4g}", f"{c['mean_relative']:.1%}",
-                _times(c, "better_mean"), f"{c.get('medoids_mean', math.nan):.4g}",
+                name, f"{c['largest']:.4g}", f"{c['largest_relative']:.1%}", _times(c["better_largest"]),
+                _known(c["medoids_largest"], ".4g"), f"{c['mean']:.4g}", f"{c['mean_relative']:.1%}",
+                _times(c["better_mean"]), _known(c["medoids_mean"], ".4g"),
             ]
             for name, c in found.items()
             if c
@@ -158,5 +158,10 @@ def critical_coverage(found: dict[str, dict[str, Any]]) -> str:
     )  # fmt: skip
 
 
-def _times(found: dict[str, Any], key: str) -> str:
-    return f"{100 * found[key]:.0f} of 100" if key in found else "–"
+def _known(value: float | None, form: str) -> str:
+    # What an earlier version did not measure is not known.
+    return "–" if value is None else format(value, form)
+
+
+def _times(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.0f} of 100"

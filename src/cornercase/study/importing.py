@@ -19,7 +19,8 @@ from cornercase.metrics import METRICS, Metric, measured, threshold
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study.meta import StudyMeta
-from cornercase.study.store import Row, Study
+from cornercase.study.store import Study
+from cornercase.study.table import Row
 
 IMPORTED: Final = "imported"
 """Simulator of a study whose recordings come from files."""

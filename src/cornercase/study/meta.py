@@ -110,7 +110,7 @@ class StudyMeta:
         StudyMeta
         """
         # A field that is plain or empty stands there as None.
-        given = {one.name: plain[one.name] for one in fields(cls) if plain.get(one.name) is not None}
+        given = {one.name: plain[one.name] for one in fields(cls) if plain[one.name] is not None}
         given |= {name: tuple(given[name]) for name in ("metrics", "files") if name in given}
         return cls(**given | {"space": ParameterSpace.from_json(plain["space"])})
 

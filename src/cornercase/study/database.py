@@ -1,0 +1,235 @@
+"""The SQLite file of a study: making it, opening it, and locking it for one that writes."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from filelock import BaseFileLock
+
+from cornercase._common.errors import InputError
+from cornercase._common.files import written_whole
+from cornercase._common.locks import taken_lock
+from cornercase.study.migrations import SCHEMA, SCHEMA_VERSION, migrate, schema_version
+
+_APPLICATION: Final = 0x434F524E  # "CORN"
+
+
+class Database:
+    """A study's file that is open.
+
+    Parameters
+    ----------
+    path : Path
+        Name of the file, for messages.
+    connection : sqlite3.Connection
+    lock : BaseFileLock or None
+        Held while the file is open for writing; None for a reader.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection, lock: BaseFileLock | None) -> None:
+        self.path = path
+        self.connection = connection
+        self._lock = lock
+
+    @classmethod
+    def create(cls, path: Path, meta: Iterable[tuple[str, str]]) -> Database:
+        """Make a file, and open it for writing.
+
+        Parameters
+        ----------
+        path : Path
+        meta : iterable of (str, str)
+            Keys and values of the table ``meta``.
+
+        Returns
+        -------
+        Database
+
+        Raises
+        ------
+        InputError
+            The file exists already, or cannot be written.
+        """
+        lock = _locked(path)
+        try:
+            # Looked for under the lock: of two explorers that begin at once, one makes the file.
+            if path.exists():
+                raise InputError(f"{path}: exists already; choose another name or remove it.")
+            # The file appears under its name only when it is whole.
+            with written_whole(path) as temporary, _sentences(path), closing(sqlite3.connect(temporary)) as connection:
+                connection.executescript(SCHEMA)
+                connection.execute(f"PRAGMA application_id = {_APPLICATION}")
+                connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+                connection.executemany("INSERT INTO meta VALUES (?, ?)", meta)
+                connection.commit()
+            return cls._opened(path, lock)
+        except BaseException:
+            lock.release()
+            raise
+
+    @classmethod
+    def open(cls, path: Path, readonly: bool) -> Database:
+        """Open a file.
+
+        One of an earlier schema version is migrated; a reader migrates a copy of its own and leaves the file as it is.
+
+        Parameters
+        ----------
+        path : Path
+        readonly : bool
+
+        Returns
+        -------
+        Database
+
+        Raises
+        ------
+        InputError
+            There is none, it is none, another program writes to it, or it is of a later schema version.
+        """
+        if not path.is_file():
+            raise InputError(f"{path}: there is no such study; make one with `explore`.")
+        # What is no study gets no lock beside it.
+        reader = cls._opened(path, None)
+        if readonly:
+            return reader
+        reader.close()
+        lock = _locked(path)
+        try:
+            return cls._opened(path, lock)
+        except BaseException:
+            lock.release()
+            raise
+
+    @classmethod
+    def _opened(cls, path: Path, lock: BaseFileLock | None) -> Database:
+        """Open for writing under a lock, for reading without."""
+        with _sentences(path):
+            connection = _connected(path)
+            try:
+                _require_study(path, connection)
+                if lock is not None:
+                    connection.execute("PRAGMA journal_mode = WAL")
+                    # A scenario counts as run only when it is on the disk.
+                    connection.execute("PRAGMA synchronous = FULL")
+                    migrate(connection)
+                else:
+                    connection = _of_today(connection)
+                    connection.execute("PRAGMA query_only = ON")
+                return cls(path, connection, lock)
+            except BaseException:
+                connection.close()
+                raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self.connection.close()
+        if self._lock is not None:
+            self._lock.release()
+
+    def found(self, question: str, *values: Any) -> list[Any]:
+        """Rows that answer a question.
+
+        Parameters
+        ----------
+        question : str
+            SQL.
+        *values
+            For its question marks.
+
+        Returns
+        -------
+        list of tuple
+
+        Raises
+        ------
+        InputError
+            The file cannot be read.
+        """
+        with _sentences(self.path):
+            return self.connection.execute(question, values).fetchall()
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Let all questions within it be answered by what the file holds at one moment."""
+        if self.connection.in_transaction:
+            yield
+            return
+        self.connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            if self.connection.in_transaction:
+                self.connection.execute("ROLLBACK")
+
+    @contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """Give the connection for a transaction: what is written in it is stored wholly or not at all.
+
+        Yields
+        ------
+        sqlite3.Connection
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        with _sentences(self.path), self.connection:
+            yield self.connection
+
+
+@contextmanager
+def _sentences(path: Path) -> Iterator[None]:
+    """Say an error of the database in a sentence."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise InputError(f"{path}: cannot be used as a study ({error}).") from error
+
+
+def _require_study(path: Path, connection: sqlite3.Connection) -> None:
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    if application != _APPLICATION:
+        raise InputError(f"{path}: is a database, but no cornercase study.")
+    version = schema_version(connection)
+    if not 1 <= version <= SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: has schema version {version}, this cornercase reads up to {SCHEMA_VERSION}; use the version that"
+            " wrote it."
+        )
+
+
+def _of_today(connection: sqlite3.Connection) -> sqlite3.Connection:
+    """Give the connection, or one to a migrated copy in its place."""
+    if schema_version(connection) == SCHEMA_VERSION:
+        return connection
+    with closing(connection):
+        # A database without a name is a temporary file that SQLite removes.
+        copy = sqlite3.connect("")
+        connection.backup(copy)
+    migrate(copy)
+    return copy
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    # A reader of a file in WAL mode has to make its shared memory beside it. Where it cannot, nobody writes either.
+    alone = not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
+    location = f"{path.resolve().as_uri()}?{'immutable=1' if alone else 'mode=rw'}"
+    return sqlite3.connect(location, uri=True, timeout=30.0)
+
+
+def _locked(path: Path) -> BaseFileLock:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = taken_lock(path.with_name(path.name + ".lock"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+    if lock is None:
+        raise InputError(f"{path}: another cornercase is writing to it; wait until it has ended.")
+    return lock

@@ -1,0 +1,117 @@
+"""The schema of a study file, and the way from an earlier version to it.
+
+Version 2 holds each array of an analysis by itself, how each scenario ended, and every key that it knows. Version 1
+grew over time: a file of it may lack what its first releases did not know.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Callable
+from typing import Any, Final
+
+from cornercase.study.codec import pack_arrays, unpack_arrays
+
+SCHEMA_VERSION: Final = 2
+
+SCHEMA: Final = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE scenarios (
+    id INTEGER PRIMARY KEY, round INTEGER NOT NULL, point BLOB NOT NULL, parameters TEXT NOT NULL,
+    state TEXT NOT NULL CHECK (state IN ('pending', 'done', 'failed')), error TEXT, recording BLOB);
+CREATE TABLE courses (
+    scenario INTEGER NOT NULL REFERENCES scenarios, metric TEXT NOT NULL, score REAL NOT NULL,
+    course BLOB NOT NULL, PRIMARY KEY (scenario, metric)) WITHOUT ROWID;
+CREATE TABLE repeats (
+    scenario INTEGER NOT NULL REFERENCES scenarios, metric TEXT NOT NULL, scores TEXT NOT NULL,
+    PRIMARY KEY (scenario, metric)) WITHOUT ROWID;
+CREATE TABLE outcomes (scenario INTEGER PRIMARY KEY REFERENCES scenarios, outcome TEXT NOT NULL);
+CREATE TABLE analyses (name TEXT PRIMARY KEY, info TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE arrays (
+    analysis TEXT NOT NULL REFERENCES analyses, name TEXT NOT NULL, data BLOB NOT NULL, UNIQUE (analysis, name));
+CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROWID;
+"""
+
+# Keys of `meta` that the first releases did not write.
+_LATER: Final = ("critical", "files", "pareto", "repeats", "weights")
+
+
+def schema_version(connection: sqlite3.Connection) -> int:
+    """Version of the schema that a file has.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+
+    Returns
+    -------
+    int
+    """
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    return int(version)
+
+
+def migrate(connection: sqlite3.Connection) -> None:
+    """Bring a study of an earlier version to the schema of today, wholly or not at all.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Of a file that may be written.
+    """
+    if schema_version(connection) == SCHEMA_VERSION:
+        return
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        while (version := schema_version(connection)) < SCHEMA_VERSION:
+            _STEPS[version](connection)
+            connection.execute(f"PRAGMA user_version = {version + 1}")
+        connection.execute("COMMIT")
+    except BaseException:
+        connection.execute("ROLLBACK")
+        raise
+
+
+def _from_1(connection: sqlite3.Connection) -> None:
+    """Add the tables of version 2, and what the first releases did not write."""
+    before = dict(connection.execute("SELECT name, arrays FROM analyses").fetchall())
+    infos = {name: json.loads(info) for name, info in connection.execute("SELECT name, info FROM analyses")}
+    connection.execute("DROP TABLE analyses")
+    for statement in SCHEMA.split(";"):
+        if statement.strip():
+            connection.execute(statement.replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
+    connection.executemany("INSERT OR IGNORE INTO meta VALUES (?, 'null')", [(key,) for key in _LATER])
+    for name, info in infos.items():
+        arrays = unpack_arrays(before[name])
+        whole = _whole_reduction(info) if name == "reduction" else _whole_analysis(info, arrays)
+        connection.execute("INSERT INTO analyses VALUES (?, ?)", (name, json.dumps(whole)))
+        connection.executemany(
+            "INSERT INTO arrays VALUES (?, ?, ?)",
+            [(name, key, pack_arrays({key: array})) for key, array in arrays.items()],
+        )
+
+
+def _whole_analysis(info: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
+    """Facts of a clustering, with what the first releases did not know of it."""
+    added = {
+        "method": "dbscan",
+        "stability": None,
+        "landmarks": 0,
+        "error": 0.0,
+        "fitted": arrays["ids"].tolist(),
+        "profiles": [],
+    }
+    candidates = [{"stability": math.nan} | one for one in info["candidates"]]
+    return added | info | {"candidates": candidates}
+
+
+def _whole_reduction(info: dict[str, Any]) -> dict[str, Any]:
+    """Facts of a reduction, with what the first releases did not know of it."""
+    added = dict.fromkeys(("better_largest", "better_mean", "medoids_largest", "medoids_mean"))
+    coverage = {name: added | one if one else one for name, one in info["coverage"].items()}
+    return {"shapes": [], "critical": {}} | info | {"coverage": coverage}
+
+
+_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1}

@@ -1,0 +1,90 @@
+"""The table of a study's scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.scenario import ParameterSpace, Value
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One concrete scenario of a study.
+
+    Attributes
+    ----------
+    id, round : int
+        Both from 1 on.
+    point : ndarray of float64, shape (d,)
+        In the unit cube.
+    values : dict of str to float or str
+        Values of the scenario's parameters.
+    state : {"pending", "done", "failed"}
+        Whether it was run.
+    error : str or None
+        Why it could not be run.
+    """
+
+    id: int
+    round: int
+    point: FloatArray
+    values: dict[str, Value]
+    state: str
+    error: str | None
+
+
+def scenario_table(
+    rows: Sequence[Row],
+    space: ParameterSpace,
+    scores: Mapping[str, FloatArray],
+    clusters: Mapping[str, tuple[IntArray, IntArray]],
+    outcomes: Mapping[int, str],
+) -> pd.DataFrame:
+    """Put together what is known of each scenario, a row for each.
+
+    Parameters
+    ----------
+    rows : sequence of Row, length n
+    space : ParameterSpace
+    scores : mapping of str to ndarray of float64, shape (m,)
+        By column; of the m scenarios that were run.
+    clusters : mapping of str to (ndarray of int64, ndarray of int64), shapes (k,)
+        By aspect, ids of scenarios and their clusters.
+    outcomes : mapping of int to str
+        By id.
+
+    Returns
+    -------
+    DataFrame
+        As `cornercase.study.Study.table`.
+    """
+    # Loaded here, so that who only opens a study does not wait for it.
+    import pandas as pd
+
+    ids = np.array([row.id for row in rows], dtype=np.int64)
+    done = np.array([row.state == "done" for row in rows], dtype=np.bool_)
+    told: dict[str, Any] = {}
+    for name, values in scores.items():
+        told[name] = np.full(len(rows), np.nan)
+        told[name][done] = values
+    for name, (members, labels) in clusters.items():
+        column = pd.Series(pd.NA, index=ids, dtype="Int64")
+        column.loc[members] = labels
+        told[f"cluster by {name}"] = column.array
+    if outcomes:
+        told["outcome"] = [outcomes.get(row.id) for row in rows]
+    told["error"] = [row.error for row in rows]
+    first: dict[str, Any] = {"id": ids, "round": np.array([row.round for row in rows], dtype=np.int64)}
+    first["state"] = [row.state for row in rows]
+    varied = {parameter.name: [parameter.read(row.values) for row in rows] for parameter in space.parameters}
+    # A parameter may be called as something else is here.
+    varied = {f"parameter {name}" if name in first or name in told else name: each for name, each in varied.items()}
+    return pd.DataFrame(first | varied | told)

@@ -1,0 +1,120 @@
+"""Studies that earlier versions of cornercase wrote.
+
+``study_version_1.db`` was written by the last version with schema 1: 10 scenarios of the T-intersection, run twice each,
+analysed and reduced. ``study_version_1_first_release.db`` is the same without what the first releases did not know.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import cornercase
+from cornercase.report import summarize, write_report
+from cornercase.study import Study, migrations
+
+DATA = Path(__file__).parents[1] / "data"
+LAST, FIRST = "study_version_1.db", "study_version_1_first_release.db"
+
+
+def version(path: Path) -> int:
+    with closing(sqlite3.connect(path)) as connection:
+        return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+@pytest.fixture(params=[LAST, FIRST])
+def old(request, tmp_path):
+    return Path(shutil.copy(DATA / request.param, tmp_path / request.param))
+
+
+def held(study: Study) -> dict[str, object]:
+    """All that a study holds, as plain values."""
+    return {
+        "meta": study.meta.to_json(),
+        "rows": [(row.id, row.round, row.point.tolist(), row.values, row.state, row.error) for row in study.rows()],
+        "ends": [study.recording(row.id).x[:, -1].tolist() for row in study.done()],
+        "scores": {name: study.scores(name).tolist() for name in study.meta.metrics},
+        "courses": {name: study.course(3, name).tolist() for name in study.meta.metrics},
+        "analyses": {
+            name: [{key: array.tolist() for key, array in found.items()} if isinstance(found, dict) else None for found in study.analysis(name)[:1]]
+            for name in study.analyses()
+        },
+        "infos": json.dumps({name: study.analysis(name, "ids")[1] for name in study.analyses()}),
+        "reduction": study.reduction(),
+        "elapsed": study.elapsed(),
+    }  # fmt: skip
+
+
+def test_a_reader_leaves_an_old_study_as_it_is(old, monkeypatch):
+    before = old.read_bytes()
+    with Study.open(old, readonly=True) as study:
+        assert study.meta.optimizer == "sobol"
+        assert study.meta.repeats == (2 if old.name == LAST else 1)
+        assert study.meta.critical == (1.5 if old.name == LAST else None)
+        assert len(study.done()) == 10
+        assert study.analyses() == ["ego-trajectory", "ttc", "distance"]
+        arrays, info = study.analysis("distance")
+        assert arrays["distances"].shape == (10, 10)
+        assert info["fitted"] == arrays["ids"].tolist() == list(range(1, 11))
+        assert len(study.reduction()["kept"]) == 4
+        assert (study.spread("ttc") is None) == (old.name == FIRST)
+    assert old.read_bytes() == before
+    assert [path.name for path in old.parent.iterdir()] == [old.name]
+    # As for one in a folder that cannot be written.
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with Study.open(old, readonly=True) as study:
+        assert len(study.done()) == 10
+
+
+def test_a_migrated_study_holds_what_a_reader_of_the_old_one_sees(old):
+    with Study.open(old, readonly=True) as study:
+        seen = held(study)
+    with Study.open(old) as study:
+        assert held(study) == seen
+    assert version(old) == migrations.SCHEMA_VERSION
+    # Once is enough.
+    with Study.open(old) as study:
+        assert held(study) == seen
+
+
+def test_an_old_study_is_shown_exported_and_reported(old, tmp_path):
+    with Study.open(old, readonly=True) as study:
+        assert summarize(study)["kept"] == 4
+        write_report(study, tmp_path / "r.html")
+        study.export(tmp_path / "tables")
+        table = study.table()
+    assert "What the kept ones leave out" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert len(table) == 10
+    assert table["cluster by distance"].dtype == "Int64"
+    # Only analyses of today store it.
+    assert "outcome" not in table
+
+
+def test_an_old_study_is_analysed_again_by_the_command_line(old):
+    done = cornercase("analyze", old, "--by", "distance", "--keep")
+    assert done.returncode == 0, done.stderr
+    with Study.open(old, readonly=True) as study:
+        assert set(study.outcomes()) == set(range(1, 11))
+        assert study.table()["outcome"].notna().all()
+        np.testing.assert_array_equal(study.analysis("distance")[0]["labels"].shape, (10,))
+
+
+def test_a_migration_that_fails_leaves_the_study_as_it_was(old, monkeypatch):
+    def failing(connection):
+        migrations._from_1(connection)
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(migrations._STEPS, 1, failing)
+    with pytest.raises(KeyboardInterrupt):
+        Study.open(old)
+    monkeypatch.undo()
+    assert version(old) == 1
+    with Study.open(old, readonly=True) as study:
+        assert len(study.analysis("distance")[0]["labels"]) == 10
