@@ -13,6 +13,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, cast
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "x_intersection"
 
@@ -36,9 +37,10 @@ print(json.dumps({"scenarios": len(concretes), "failed": failed, "seconds": seco
 """
 
 
-def measure(arguments: list[str], count: int, alone: bool) -> dict:
+def measure(arguments: list[str], count: int, alone: bool) -> dict[str, float]:
     command = [sys.executable, "-c", PROGRAM, arguments[0], str(count), "alone" if alone else "batch", *arguments[1:]]
-    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
+    lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+    return cast(dict[str, float], json.loads(lines[-1]))
 
 
 def main() -> int:
@@ -49,7 +51,9 @@ def main() -> int:
     options = parser.parse_args()
     arguments = options.scenario or [str(EXAMPLE / f"x_intersection{end}") for end in (".xosc", ".space.xosc")]
     sizes = [256, 1024] if options.quick else [1024, 3375, 16384, 50000]
-    table = [{"way": "one after the other", **measure(arguments, 16 if options.quick else 64, True)}]
+    table: list[dict[str, Any]] = [
+        {"way": "one after the other", **measure(arguments, 16 if options.quick else 64, True)}
+    ]
     table += [{"way": "all at once", **measure(arguments, size, False)} for size in sizes]
     slowest = table[0]["scenarios"] / table[0]["seconds"]
     print(f"{'':22}{'scenarios':>10}{'failed':>8}{'s':>9}{'1/s':>9}{'ratio':>8}{'MB':>8}")

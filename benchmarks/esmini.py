@@ -13,18 +13,21 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from cornercase import ConcreteScenario, InputError
 from cornercase.recordings import Recording
 from cornercase.simulators import BuiltinSimulator
 
+Floats = npt.NDArray[np.float64]
 LIMITS = {"position": 0.25, "heading": 0.05, "speed": 0.25, "end": 0.15}
 UNITS = {"position": "m", "heading": "rad", "speed": "m/s", "end": "s"}
 
 
-def expected_tracks(path: Path) -> dict[str, np.ndarray]:
+def expected_tracks(path: Path) -> dict[str, Floats]:
     tracks: dict[str, list[list[float]]] = {}
     with open(path, newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
@@ -37,7 +40,7 @@ def expected_tracks(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array(track) for name, track in tracks.items()}
 
 
-def errors(expected: np.ndarray, recording: Recording, name: str) -> dict[str, float]:
+def errors(expected: Floats, recording: Recording, name: str) -> dict[str, float]:
     """Return the largest errors of one entity at the instants that both have."""
     if name not in recording.names:
         return dict.fromkeys(LIMITS, np.inf)
@@ -62,7 +65,7 @@ def errors(expected: np.ndarray, recording: Recording, name: str) -> dict[str, f
     }
 
 
-def judge(row: dict, folder: Path) -> tuple[bool, str]:
+def judge(row: dict[str, Any], folder: Path) -> tuple[bool, str]:
     """Return whether a row matches, and the reason where it does not."""
     # So long as the expected recording, which ends after 40 s at the latest.
     tracks = expected_tracks(folder / "expected" / row["expected"])

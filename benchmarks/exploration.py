@@ -138,7 +138,8 @@ def truth(name: str, ncap: Path | None, steps: int, folder: Path) -> npt.NDArray
         folder.mkdir(parents=True, exist_ok=True)
         np.save(path, whole)
         print(f"{name}: {len(whole)} scenarios in {time.perf_counter() - begin:.0f} s, kept in {path}", flush=True)
-    return np.load(path)
+    known: npt.NDArray[np.float64] = np.load(path)
+    return known
 
 
 class Judge:

@@ -112,7 +112,7 @@ def recorded(actors: tuple[tuple[float, ...], ...], steps: int, turn: float) -> 
         acceleration=np.where(t < stop, acceleration, 0.0),
         length=LENGTH * box,
         width=WIDTH * box,
-        center_x=0 * box,
+        center_x=0.0 * box,
     )
 
 
@@ -272,9 +272,8 @@ def _their_exposure(recording: Recording, power: int) -> float:
     """Sum over the steps, with their time to collision."""
     total = 0.0
     for k in range(len(recording.time) - 1):
-        one = replace(
-            recording, time=recording.time[k:], **{column: getattr(recording, column)[:, k:] for column in MOTION}
-        )
+        motion: Any = {column: getattr(recording, column)[:, k:] for column in MOTION}
+        one = replace(recording, time=recording.time[k:], **motion)
         ttc = _their_ttc(one) if _state(one)["gap"] > 0 else math.inf
         if ttc <= 2.0:
             total += STEP * (2.0 - ttc) ** power
@@ -351,7 +350,7 @@ BOTH = {"dce", "ttce", "wttc", "delta-v", "msd"}
 
 def agreement() -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    scenes = [(f"following: {name}", actors, False) for name, actors in FOLLOWING.items()]
+    scenes: list[tuple[str, Any, bool]] = [(f"following: {name}", actors, False) for name, actors in FOLLOWING.items()]
     scenes += [(f"crossing: {name}", actors, True) for name, actors in CROSSING.items()]
     for scene, actors, crossing in scenes:
         recording = recorded(actors, 100 if crossing else 60, 0.0 if crossing else TURN)
@@ -444,17 +443,11 @@ def speed(quick: bool) -> list[dict[str, Any]]:
 
 def joined(recordings: list[Recording], copies: int) -> Recording:
     one = recordings[0]
-    motion = [np.tile(np.concatenate([getattr(r, c) for r in recordings], axis=1), copies) for c in MOTION]
-    time_ = np.arange(motion[0].shape[1]) * STEP
-    return Recording(
-        time=time_,
-        names=one.names,
-        kinds=one.kinds,
-        **dict(zip(MOTION, motion, strict=True)),
-        length=one.length,
-        width=one.width,
-        center_x=one.center_x,
-    )
+    motion: Any = {
+        column: np.tile(np.concatenate([getattr(one, column) for one in recordings], axis=1), copies)
+        for column in MOTION
+    }
+    return replace(one, time=np.arange(motion["x"].shape[1]) * STEP, collisions=(), **motion)
 
 
 def batch() -> dict[str, Any]:

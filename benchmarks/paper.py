@@ -27,6 +27,7 @@ from scipy.spatial import Delaunay
 from scipy.stats import spearmanr
 from sklearn.metrics import adjusted_rand_score, silhouette_score
 
+from cornercase import SimulationError
 from cornercase.clustering import EGO_TRAJECTORY, analyze_study, cluster, series_of, tell_outcome
 from cornercase.drivers import named_driver
 from cornercase.dtw import distances_to
@@ -78,9 +79,14 @@ class Experiment:
             drivers={entity: named_driver(name) for entity, name in settings.get("drivers", {}).items()},
         )
         concretes = [ConcreteScenario(Path(meta.scenario), values) for values in space.values(points)]
-        runs = list(simulator.run(concretes))
+        runs = []
+        for run in simulator.run(concretes):
+            if isinstance(run, SimulationError):
+                raise run
+            runs.append(run)
         objective = Objective.of_study(meta)
         metric = objective.metrics[0]
+        assert meta.critical is not None
         limit = objective.flip(meta.critical)
         runs = [one for one in runs if objective.flip(metric.score(metric.course(one, meta.ego, meta.other))) <= limit]
         rows = [row.id for row in study.done()]
@@ -287,7 +293,7 @@ def main() -> None:
                               "measured": measured, "confirmed": bool(confirmed)})  # fmt: skip
                 print(f"  {'confirmed' if confirmed else 'NOT'.ljust(9)}  {statement}: {measured}", flush=True)
     for kind, of_paper in (("of the paper's", True), ("further", False)):
-        asked = [row["confirmed"] for row in table if row["of the paper"] == of_paper]
+        asked = [bool(row["confirmed"]) for row in table if row["of the paper"] == of_paper]
         print(f"{sum(asked)} of {len(asked)} {kind} statements confirmed")
     if options.json:
         options.json.write_text(json.dumps(table, indent=1))

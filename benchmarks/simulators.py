@@ -15,6 +15,7 @@ import json
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import qmc
@@ -24,7 +25,7 @@ from cornercase.exploration import Objective, demonstration, explore_scenario
 from cornercase.study import Study
 
 
-def explored(name: str, simulator: str, budget: int, workers: int, folder: Path) -> dict[str, object]:
+def explored(name: str, simulator: str, budget: int, workers: int, folder: Path) -> dict[str, Any]:
     metric = {"x-intersection": "wttc", "t-intersection": "ttc"}[name]
     path = folder / f"{name}-{simulator.partition(':')[0]}.db"
     asked = demonstration(name, budget=budget, simulator=simulator, workers=workers)

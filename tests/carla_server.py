@@ -17,6 +17,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import msgpack
 
@@ -51,7 +52,7 @@ class Server:
         self.port, self.road, self.wrong = port, road, dict(one.partition("=")[::2] for one in wrong)
         self.frame, self.time, self.episode, self.next = 100, 0.0, 1, 200
         self.actors, self.subscribers, self.touching = {}, {}, set()
-        self.settings = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
+        self.settings: Any = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
         self.lock, self.log, self.calls = threading.RLock(), None, 0
 
     def serve(self):

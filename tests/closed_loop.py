@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from cornercase._common.geometry import box_corners, boxes_overlap
 from cornercase.drivers import (
@@ -51,12 +52,12 @@ class Other:
     """Goes straight at constant speed from `start` on; everything is a number or an array over scenarios."""
 
     kind: str
-    x: object
-    y: object
+    x: npt.ArrayLike
+    y: npt.ArrayLike
     heading: float = 0.0
-    speed: object = 0.0
-    start: object = 0.0
-    until: object = np.inf
+    speed: npt.ArrayLike = 0.0
+    start: npt.ArrayLike = 0.0
+    until: npt.ArrayLike = np.inf
 
     def at(self, time):
         moving = (time >= np.asarray(self.start)) & (time < np.asarray(self.until))
@@ -81,7 +82,8 @@ class Run:
         v, s = speed * full, start * full
         sizes = np.array([BOXES[o.kind] for o in others]).reshape(-1, 3)
         a = 0.0 * full
-        rows, self.known, self.yielding, self.touched = [], [], [], np.zeros((scenarios, len(others)), bool)
+        self.touched = np.zeros((scenarios, len(others)), bool)
+        rows, known, yielding = [], [], []
         self.time = np.arange(round(duration / DT)) * DT
         for time in self.time:
             x, y, heading = (np.interp(s, path.distance, c) for c in (path.x, path.y, path.heading))
@@ -99,13 +101,13 @@ class Run:
             self.touched |= boxes_overlap(ego[:, None], boxes)
             a = driver.acceleration(situation)
             rows.append((s, v, a))
-            self.known.append(getattr(driver, "known", np.zeros((scenarios, len(others)), bool)).copy())
-            self.yielding.append(getattr(driver, "yielding", self.known[-1]).copy())
+            known.append(getattr(driver, "known", np.zeros((scenarios, len(others)), bool)).copy())
+            yielding.append(getattr(driver, "yielding", known[-1]).copy())
             v = v + a * DT
             s = s + v * DT
         # Each (instants, scenarios).
         self.distance, self.speed, self.acceleration = (np.array(column) for column in zip(*rows, strict=True))
-        self.known, self.yielding = np.array(self.known), np.array(self.yielding)
+        self.known, self.yielding = np.array(known), np.array(yielding)
 
 
 def corners(s: Situation):

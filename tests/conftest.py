@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cornercase.scenario import LogicalScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase import SimulationError
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario, LogicalScenario
+from cornercase.simulators import BuiltinSimulator, Simulator
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -23,6 +26,16 @@ def x_intersection() -> LogicalScenario:
 @pytest.fixture(scope="session")
 def t_intersection() -> LogicalScenario:
     return example("t_intersection")
+
+
+def ran(simulator: Simulator, concretes: Iterable[ConcreteScenario]) -> list[Recording]:
+    """Recordings of scenarios none of which may fail."""
+    recordings = []
+    for result in simulator.run(list(concretes)):
+        if isinstance(result, SimulationError):
+            raise result
+        recordings.append(result)
+    return recordings
 
 
 def same_recording(a, b) -> bool:

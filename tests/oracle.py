@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ CASES = {case["id"]: case for case in json.loads(ORACLE.read_text(encoding="utf-
 WITHOUT_TRACKS = {name for name in CASES if name.startswith("FX-")}
 
 
-def cases(metric: str) -> list:
+def cases(metric: str) -> list[Any]:
     chosen = [c for c in CASES.values() if c["metric"] == metric]
     return [pytest.param(c, id=c["id"]) for c in chosen if c["id"] not in WITHOUT_TRACKS]
 

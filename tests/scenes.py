@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from cornercase.recordings import MOTION, Recording
+from cornercase.recordings import Recording
 
 TIME = np.arange(0, 6, 0.25)
 KINDS = ("car", "truck", "bicycle", "pedestrian", "misc")
@@ -37,12 +37,20 @@ def drive(entities) -> Recording:
         heading = e["heading"] + np.cumsum(e["turn"] * step / 10)
         x, y = e["x"] + np.cumsum(step * np.cos(heading)), e["y"] + np.cumsum(step * np.sin(heading))
         rows.append((x, y, heading, speed, np.where(speed > 0, e["acceleration"], 0.0)))
+    x, y, heading, speed, acceleration = (np.array(column) for column in zip(*rows, strict=True))
+    length, width, center_x = (np.array([float(e[k]) for e in entities]) for k in ("length", "width", "center_x"))
     return Recording(
         time=TIME,
         names=tuple(str(i) for i in range(len(rows))),
         kinds=tuple(e["kind"] for e in entities),
-        **dict(zip(MOTION, map(np.array, zip(*rows, strict=True)), strict=True)),
-        **{k: np.array([e[k] for e in entities], dtype=float) for k in ("length", "width", "center_x")},
+        x=x,
+        y=y,
+        heading=heading,
+        speed=speed,
+        acceleration=acceleration,
+        length=length,
+        width=width,
+        center_x=center_x,
     )
 
 

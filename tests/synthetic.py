@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,16 +19,18 @@ from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
 from cornercase.scenario import LogicalScenario, ParameterSpace
+from cornercase.simulators import Simulator
 from cornercase.study import Study, StudyMeta
 
 SPACE = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
 LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
 
 
-class Synthetic:
-    name, settings = "synthetic", {}
+class Synthetic(Simulator):
+    name = "synthetic"
 
     def __init__(self, survives=None, interrupts=None):
+        self.settings: dict[str, Any] = {}
         self.left, self.interrupts, self.ran = survives, interrupts, 0
 
     def run(self, concretes):

@@ -46,4 +46,5 @@ for _module, _names in _LACKING.items():
     _copy.__dict__.update({key: value for key, value in _module.__dict__.items() if key not in _names})
     sys.modules[_module.__name__] = _copy
 for _name in _MODULES:
-    sys.modules[_name] = None
+    # Which is how to say that there is none.
+    sys.modules[_name] = None  # type: ignore[assignment]

@@ -22,7 +22,7 @@ from cornercase.study import Study
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("demo")
+    folder: Path = tmp_path_factory.mktemp("demo")
     result = cornercase("demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", folder)
     assert result.returncode == 0, result.stderr
     assert str(folder / "report.html") in result.stdout

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import typer.main
 
 from cornercase.cli import app
@@ -22,7 +24,8 @@ def test_what_is_neither_stays():
 
 
 def test_every_option_and_command_that_is_named_exists():
-    commands = typer.main.get_command(app).commands
+    group: Any = typer.main.get_command(app)
+    commands = group.commands
     options = {text for command in commands.values() for one in command.params for text in one.opts}
     assert set(_COMMANDS) <= set(commands)
     assert set(_RENAMED.values()) <= options

@@ -112,6 +112,7 @@ def test_known_shapes(seed, name, method):
     one = truth >= 0
     assert adjusted_rand_score(truth[one], found.labels[one]) >= 0.95
     assert found.noise < 0.06
+    assert found.stability is not None
     assert 0.5 < found.stability <= 1.0
 
 

@@ -23,6 +23,7 @@ time.sleep(600)
 def test_one_process_at_a_time_holds_a_lock_and_its_end_frees_it(tmp_path):
     path = tmp_path / "study.db.lock"
     process = subprocess.Popen([sys.executable, "-c", HOLDER, str(path)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
     assert process.stdout.readline().strip() == "True"
     assert taken_lock(path) is None
     process.kill()
@@ -35,6 +36,7 @@ def test_one_process_at_a_time_holds_a_lock_and_its_end_frees_it(tmp_path):
 def test_one_process_holds_a_lock_once_and_any_thread_may_release_it(tmp_path):
     path = tmp_path / "study.db.lock"
     lock = taken_lock(path)
+    assert lock is not None
     assert taken_lock(path) is None
     releasing = threading.Thread(target=lock.release)
     releasing.start()

@@ -24,6 +24,7 @@ print(child.pid, flush=True)
 time.sleep(600)
 """
     process = subprocess.Popen([sys.executable, "-c", outer], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
     child = psutil.Process(int(process.stdout.readline()))
     platform.end_process_tree(process.pid)
     process.wait(30)

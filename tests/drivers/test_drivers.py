@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -299,7 +300,8 @@ def test_expects_oncoming_traffic_in_a_bend_to_stay_in_its_lane():
 def test_expects_who_turns_to_go_on_turning():
     # Comes from a side road towards the ego's lane, but is turning into the lane beside it, against the ego.
     turning = Circling("car", (52.0, 11.8), 8.0, 5.0, 0.0)
-    ahead = Other("car", *turning.at(0.6)[:2], heading=turning.at(0.6)[2], speed=5.0)
+    x, y, heading, _ = turning.at(0.6)
+    ahead = Other("car", x, y, heading, speed=5.0)
     for car, brakes in ((turning, False), (ahead, True)):
         run = Run(BehaviourDriver(NORMAL), straight(300.0), [car], speed=9.0, target=9.0, start=27.0, duration=6.0)
         assert (run.speed.min() < 8.5) == brakes
@@ -352,7 +354,8 @@ def test_scenarios_that_are_not_active_keep_their_state():
     here = looking([20.0], [0.0], [0.0], ["misc"])
     fields = ("distance", "x", "y", "heading", "speed", "acceleration", "target_speed", "active")
     others = ("others_x", "others_y", "others_heading", "others_speed")
-    two = replace(here, **{f: np.repeat(getattr(here, f), 2, axis=0) for f in (*fields, *others)})
+    twice: dict[str, Any] = {field: np.repeat(getattr(here, field), 2, axis=0) for field in (*fields, *others)}
+    two = replace(here, **twice)
     for step in range(20):
         driver.acceleration(replace(two, time=step * DT, active=np.array([True, step < 5])))
     assert driver.known[:, 0].tolist() == [True, False]

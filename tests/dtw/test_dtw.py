@@ -149,7 +149,7 @@ def test_interrupt_ends_between_tiles(monkeypatch):
     monkeypatch.setattr(cpu, "TILE_CELLS", 100_000)
     series = list(np.random.default_rng(0).normal(size=(600, 200)))
     distance_matrix(series[:3])
-    started = []
+    started: list[bool] = []
 
     def interrupt(*args):
         # After the first tile, as a user would while the rest is still to do.
@@ -157,7 +157,12 @@ def test_interrupt_ends_between_tiles(monkeypatch):
             started.append(True)
             _thread.interrupt_main()
 
-    done = []
+    done: list[int] = []
+
+    def advance(cells):
+        done.append(cells)
+        interrupt()
+
     threads = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
         cpu.distances(
@@ -167,7 +172,7 @@ def test_interrupt_ends_between_tiles(monkeypatch):
             window=None,
             dtype="float64",
             n_jobs=2,
-            advance=lambda cells: (done.append(cells), interrupt()),
+            advance=advance,
         )
     assert started
     # The whole matrix is 75 blocks, each of one tile at least.
@@ -225,8 +230,8 @@ def test_distances_to_landmarks_are_the_definition(data, local_cost, window, dty
     found = distances_to(series, landmarks, local_cost=local_cost, window=window, dtype=dtype, n_jobs=2)
     expected = [[defined(x, y, squared=local_cost == "squared", window=window) for y in landmarks] for x in series]
     assert found.dtype == dtype
-    tolerance = {"rtol": 1e-13, "atol": 1e-13} if dtype == "float64" else {"rtol": 1e-4, "atol": 1e-3}
-    np.testing.assert_allclose(found, expected, **tolerance)
+    relative, absolute = (1e-13, 1e-13) if dtype == "float64" else (1e-4, 1e-3)
+    np.testing.assert_allclose(found, expected, rtol=relative, atol=absolute)
 
 
 @pytest.mark.parametrize("window", [None, 7])

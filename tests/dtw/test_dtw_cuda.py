@@ -72,4 +72,4 @@ def test_an_extra_without_a_gpu_is_told_apart(monkeypatch):
     monkeypatch.setattr(pairs, "find_spec", lambda name: object())
     monkeypatch.setattr(numba_cuda, "is_available", lambda: False)
     with pytest.raises(InputError, match="needs an NVIDIA GPU and its driver"):
-        distance_matrix(np.zeros((2, 3)), device="cuda")
+        distance_matrix(list(np.zeros((2, 3))), device="cuda")

@@ -3,6 +3,7 @@ import signal
 import subprocess
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -135,7 +136,7 @@ def test_does_not_mix_matrices(tmp_path):
 def test_refuses_what_it_cannot_fill(tmp_path):
     series = random_walks(3)
     raw = np.memmap(tmp_path / "raw", np.float64, "w+", shape=(4, 3, 3))
-    for out, words in (
+    wrong: list[tuple[Any, str]] = [
         (np.zeros((3, 3)), "in memory"),
         (raw, r"give float64 of shape \(3, 3\)"),
         (raw[1], "whole file"),
@@ -143,7 +144,8 @@ def test_refuses_what_it_cannot_fill(tmp_path):
         (np.memmap(tmp_path / "raw", np.float32, "r+", shape=(3, 3)), "float32"),
         (np.memmap(tmp_path / "raw", np.float64, "r+", shape=(3, 3), order="F"), "whole file"),
         (tmp_path / "nowhere" / "matrix.npy", "cannot be written"),
-    ):
+    ]
+    for out, words in wrong:
         with pytest.raises(InputError, match=words):
             distance_matrix(series, out=out)
     assert sorted(os.listdir(tmp_path)) == ["raw"]

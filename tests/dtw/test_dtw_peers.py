@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import ran
 from cornercase.dtw import distance_matrix
 from cornercase.metrics import METRICS, capped
 from cornercase.simulators import BuiltinSimulator
@@ -48,7 +49,7 @@ def test_tslearn(series, window):
 def scenarios(t_intersection):
     """Ego trajectories and metric courses of simulated scenarios."""
     points = t_intersection.space.snap(np.random.default_rng(2).random((6, 3)))
-    recordings = BuiltinSimulator().run([t_intersection.concrete(one) for one in t_intersection.space.values(points)])
+    recordings = ran(BuiltinSimulator(), [t_intersection.concrete(one) for one in t_intersection.space.values(points)])
     metric = METRICS.create("distance")
     return [(one.center("Ego"), capped(metric, metric.course(one, "Ego", "C"))[:, None]) for one in recordings]
 

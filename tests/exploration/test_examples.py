@@ -7,7 +7,7 @@ import pytest
 from lxml import etree
 from scipy.stats import qmc
 
-from conftest import EXAMPLES
+from conftest import EXAMPLES, ran
 from cornercase.drivers import named_driver
 from cornercase.exploration import demonstration, explore_scenario
 from cornercase.metrics import METRICS
@@ -28,7 +28,7 @@ def test_examples_are_valid_openscenario(name):
 
 def sample(logical, simulator, size):
     points = logical.space.snap(qmc.Sobol(3, rng=np.random.default_rng(1)).random(size))
-    return points, list(simulator.run([logical.concrete(one) for one in logical.space.values(points)]))
+    return points, ran(simulator, [logical.concrete(one) for one in logical.space.values(points)])
 
 
 def outcome(recording, other):
@@ -56,7 +56,8 @@ def test_speed_of_the_car_has_next_to_no_influence_on_the_x_intersection(x_inter
     mixed = [np.where(np.arange(3) == j, b, a) for j in range(3)]
     points = np.concatenate([a, *mixed])
     concretes = [x_intersection.concrete(one) for one in x_intersection.space.values(points)]
-    scores = np.array([metric.score(metric.course(r, "Ego", "Pedestrian")) for r in BuiltinSimulator().run(concretes)])
+    courses = [metric.course(one, "Ego", "Pedestrian") for one in ran(BuiltinSimulator(), concretes)]
+    scores = np.array([metric.score(course) for course in courses])
     f, others = scores[:size], scores[size:].reshape(3, size)
     total = dict(zip(x_intersection.space.names, 0.5 * ((others - f) ** 2).mean(axis=1) / f.var(), strict=True))
     assert total["p1_speed"] < 0.1

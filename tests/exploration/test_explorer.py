@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -152,13 +153,13 @@ def test_two_explorers_never_write_at_once(undisturbed):
 
 
 def test_a_recording_comes_back_bit_for_bit(undisturbed):
-    from conftest import same_recording
+    from conftest import ran, same_recording
     from cornercase.scenario import ConcreteScenario
     from cornercase.simulators import BuiltinSimulator
 
     with Study.open(undisturbed, readonly=True) as study:
         row = study.done()[17]
-        (again,) = BuiltinSimulator().run([ConcreteScenario(study.meta.scenario, row.values)])
+        (again,) = ran(BuiltinSimulator(), [ConcreteScenario(Path(study.meta.scenario), row.values)])
         assert same_recording(study.recording(row.id), again)
 
 
@@ -189,8 +190,8 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
         assert [row.round for row in study.rows()] == [1 + k // 10 for k in range(47)]
         assert [row.error for row in study.failed()] == [f"a is {row.values['a']}" for row in study.failed()]
         assert len(study.failed()) > 0
-        values = [row.values for row in study.done()]
-        np.testing.assert_allclose(study.scores("distance"), [10 * abs(v["a"] - v["b"]) for v in values], atol=1e-12)
+        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.done()]
+        np.testing.assert_allclose(study.scores("distance"), away, atol=1e-12)
     deaths = 0
     for survives in (1, 13, 3, 9, 100):
         process = subprocess.run(
@@ -320,7 +321,9 @@ def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
         expected = [sorted(run)[(len(run) - 1) // 2] for run in runs]
         assert min(map(len, runs)) == 2
         np.testing.assert_allclose(study.scores("distance"), expected)
-        np.testing.assert_allclose(study.spread("distance"), [[min(run), max(run)] for run in runs])
+        spread = study.spread("distance")
+        assert spread is not None
+        np.testing.assert_allclose(spread, [[min(run), max(run)] for run in runs])
         for row, score in zip(study.done(), expected, strict=True):
             assert study.recording(row.id).x[1, 0] == pytest.approx(score)
             assert study.course(row.id, "distance")[0] == pytest.approx(score)
@@ -357,7 +360,9 @@ def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
         explore_scenario(replace(one, repeats=3), tmp_path / "s.db")
     with Study.open(tmp_path / "s.db") as study:
         # The builtin simulator gives the same each time.
-        np.testing.assert_array_equal(*study.spread("ttc").T)
+        spread = study.spread("ttc")
+        assert spread is not None
+        np.testing.assert_array_equal(*spread.T)
 
 
 def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path, monkeypatch):

@@ -31,12 +31,14 @@ class NamedValue:
 
 
 class Project:
-    loaded = None
+    loaded: "Project"
+
+    def __init__(self, path):
+        self.path = path
 
     @classmethod
     def load(cls, path):
-        cls.loaded = cls()
-        cls.loaded.path = path
+        cls.loaded = cls(path)
 
     @classmethod
     def instance(cls):
@@ -49,11 +51,12 @@ class Project:
 
 
 class Variation:
+    def __init__(self, testrun):
+        self.testrun = testrun
+
     @classmethod
     def create_from_testrun(cls, testrun):
-        made = cls()
-        made.testrun = testrun
-        return made
+        return cls(testrun)
 
     def set_name(self, name):
         self.name = name

@@ -21,8 +21,16 @@ parser.add_argument("--sync", action="store_true", required=True)
 options = parser.parse_args()
 wrong = os.environ.get("FAKE_RUNNER", "")
 
+
+def only(element, path):
+    """Attributes of the element at a path."""
+    found = element.find(path)
+    assert found is not None, path
+    return found.attrib
+
+
 root = ElementTree.parse(options.openscenario).getroot()
-assert root.find("FileHeader").get("revMinor") == "0"
+assert only(root, "FileHeader")["revMinor"] == "0"
 if wrong == "cannot load":
     print("The scenario cannot be loaded\nTraceback (most recent call last):\n  File 'x'\nKeyError: 'Ego'\nExiting")
     sys.exit(1)
@@ -40,10 +48,10 @@ for holder in root.iterfind("Entities/ScenarioObject"):
     blueprint = world.get_blueprint_library().find("walker.pedestrian.0001" if walks else "vehicle.tesla.model3")
     blueprint.set_attribute("role_name", holder.get("name"))
     private = root.find(f"Storyboard/Init/Actions/Private[@entityRef='{holder.get('name')}']")
-    at = {key: float(value) for key, value in private.find(".//WorldPosition").attrib.items()}
+    at = {key: float(value) for key, value in only(private, ".//WorldPosition").items()}
     place = carla.Location(at["x"], -at["y"], 0.3 if walks is False else 1.0)
     turn = carla.Rotation(yaw=-math.degrees(at.get("h", 0.0)))
-    speed = float(private.find(".//AbsoluteTargetSpeed").get("value"))
+    speed = float(only(private, ".//AbsoluteTargetSpeed")["value"])
     actors.append((world.spawn_actor(blueprint, carla.Transform(place, turn)), turn, speed, walks))
     world.tick()
 if options.record:
@@ -58,7 +66,7 @@ for actor, turn, speed, walks in actors:
         actor.apply_control(carla.WalkerControl(ahead, speed))
     else:
         actor.set_target_velocity(ahead * speed)
-end = float(root.find("Storyboard/StopTrigger//SimulationTimeCondition").get("value"))
+end = float(only(root, "Storyboard/StopTrigger//SimulationTimeCondition")["value"])
 for _ in range(round(end * float(options.frameRate))):
     world.tick()
     if wrong == "slow":
@@ -69,7 +77,7 @@ if wrong == "fails at the end":
 print("Nothing to analyze, this scenario has no criteria\nNot all scenario tests were successful")
 if options.record:
     client.stop_recorder()
-for actor, *_ in actors:
+for actor in [one[0] for one in actors]:
     actor.destroy()
 settings.synchronous_mode, settings.fixed_delta_seconds = False, None
 world.apply_settings(settings)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -176,17 +177,17 @@ def test_oracle_rss(case):
     if case["metric"] == "RSS_DS":
         agrees(float(Rss(**given_).course(scene, "0", "1")[0] < 0.0), case["expected"], 0.0)
         return
-    term, axis, size = ("lateral", scene.y, 2.0) if case["metric"] == "RSS_d_lat" else ("longitudinal", scene.x, 4.0)
-    surplus = Rss(**given_, term=term).course(scene, "0", "1")[0]
+    lateral = case["metric"] == "RSS_d_lat"
+    axis, size = (scene.y, 2.0) if lateral else (scene.x, 4.0)
+    surplus = Rss(**given_, term="lateral" if lateral else "longitudinal").course(scene, "0", "1")[0]
     agrees(abs(axis[1, 0] - axis[0, 0]) - size - surplus, case["expected"], case["tol"])
 
 
 @pytest.mark.parametrize("case", [*cases("delta_v"), *cases("conflict_severity")])
 def test_oracle_severity(case):
     masses = {str(i): float(a["mass"]) for i, a in enumerate(case["actors"])}
-    metric = DeltaV(masses)
-    if case["metric"] == "conflict_severity":
-        metric = ConflictSeverity(case["params"]["a_evasive"], masses)
+    severity = case["metric"] == "conflict_severity"
+    metric = ConflictSeverity(case["params"]["a_evasive"], masses) if severity else DeltaV(masses)
     follows(lambda t: metric.course(recorded(case["actors"], t), "0", "1"), case)
 
 
@@ -262,7 +263,7 @@ def test_decelerations_of_a_gap_of_30_m(other, closing):
 
 @pytest.mark.parametrize("name", ["drac", "mdrac", "dst", "a-long-req", "btn", "a-lat-req", "stn"])
 def test_at_contact_no_braking_or_steering_is_enough_and_beside_none_is_asked_for(name):
-    metric = METRICS.create(name)
+    metric: Any = METRICS.create(name)
     assert abs(now(metric, FOLLOWER, TOUCHING)) == math.inf
     assert now(metric, FOLLOWER, actor(x=3.9, v=20)) == 0.0
     assert math.isnan(now(metric, FOLLOWER, BESIDE))
@@ -347,9 +348,8 @@ def test_closest_encounter_is_the_smallest_gap_on_the_way(scene):
         way = np.stack([speed * np.cos(heading), speed * np.sin(heading)], -1)
 
         def gap(time, centers=centers, way=way, heading=heading):
-            a, b = (
-                box_corners(*(centers[k] + time * way[k]), heading[k], scene.length[k], scene.width[k]) for k in (0, 1)
-            )
+            places = [centers[k] + time * way[k] for k in (0, 1)]
+            a, b = (box_corners(x, y, heading[k], scene.length[k], scene.width[k]) for k, (x, y) in enumerate(places))
             return float(box_distance(a, b))
 
         found = minimize_scalar(gap, bounds=(0, 60), method="bounded", options={"xatol": 1e-9}).fun

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -14,10 +15,11 @@ from oracle import actor, recorded
 
 
 def test_options_stand_behind_a_colon():
-    metric = METRICS.create("pet:signed=true")
-    assert metric.name == "pet:signed=true"
-    assert metric.signed is True
-    assert METRICS.create("tet:threshold=3,rule=samples").threshold == 3.0
+    signed: Any = METRICS.create("pet:signed=true")
+    assert signed.name == "pet:signed=true"
+    assert signed.signed is True
+    exposure: Any = METRICS.create("tet:threshold=3,rule=samples")
+    assert exposure.threshold == 3.0
     assert METRICS.create("traffic-quality-macro").name == "traffic-quality-macro"
     for name, sentence in (
         ("ttc:fast=true", "has no option 'fast'"),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cornercase._common.geometry import box_corners, box_distance
 from cornercase.metrics import METRICS, Distance, Pet, TrafficQuality, TrajectoryDistance, Ttc, Wttc, capped
-from cornercase.recordings import MOTION, Recording
+from cornercase.recordings import Recording
 from scenes import TIME, quick, same, scenes
 
 PAIRWISE = (Distance(), TrajectoryDistance(), Ttc(), Ttc(accelerating=True), Wttc(), Pet(), Pet(signed=True))
@@ -55,7 +55,12 @@ def test_the_order_in_the_recording_does_not_matter(scene):
     assert turned.index("0") == n - 1
     for metric in (
         *PAIRWISE,
-        *map(TrafficQuality, ("all", "macro", "micro", "nano", "individual", "penalty")),
+        TrafficQuality("all"),
+        TrafficQuality("macro"),
+        TrafficQuality("micro"),
+        TrafficQuality("nano"),
+        TrafficQuality("individual"),
+        TrafficQuality("penalty"),
     ):
         same(metric.course(turned, "0", "1"), metric.course(scene, "0", "1"), 1e-9)
 
@@ -101,8 +106,8 @@ def test_worst_time_to_collision_is_the_shorter_one_and_zero_where_circles_touch
 @given(scenes)
 def test_ttc_is_zero_at_contact_and_takes_at_least_the_gap_over_the_relative_speed(scene):
     boxes = [
-        box_corners(*scene.center(name).T, scene.heading[i], scene.length[i], scene.width[i])
-        for i, name in enumerate(scene.names)
+        box_corners(x, y, scene.heading[i], scene.length[i], scene.width[i])
+        for i, (x, y) in enumerate(scene.center(name).T for name in scene.names)
     ]
     gap, ttc = box_distance(boxes[0], boxes[1]), Ttc().course(scene, "0", "1")
     forward = scene.speed[:2, :, None] * np.stack([np.cos(scene.heading[:2]), np.sin(scene.heading[:2])], -1)
@@ -162,11 +167,16 @@ def test_pet_of_straight_tracks_is_that_of_the_swept_parallelogram(angle, d1, d2
     for d, v, heading in ((d1, v1, 0.0), (d2, v2, angle)):
         way = v * time - d
         rows.append((way * math.cos(heading), way * math.sin(heading), 0 * time + heading, 0 * time + v, 0 * time))
+    x, y, headings, speed, acceleration = (np.array(column) for column in zip(*rows, strict=True))
     scene = Recording(
         time=time,
         names=("0", "1"),
         kinds=("car", "car"),
-        **dict(zip(MOTION, map(np.array, zip(*rows, strict=True)), strict=True)),
+        x=x,
+        y=y,
+        heading=headings,
+        speed=speed,
+        acceleration=acceleration,
         length=np.array([s[0] for s in sizes]),
         width=np.array([s[1] for s in sizes]),
         center_x=np.zeros(2),

@@ -43,10 +43,8 @@ def test_oracle_trajectory_distance(case):
 @pytest.mark.parametrize("case", cases("TTC"))
 def test_oracle_ttc(case):
     """Rows with an acceleration are of constant acceleration; the disc row is WTTC without acceleration."""
-    if case["variant"].startswith("disc"):
-        metric = Wttc(0.0, 0.0)
-    else:
-        metric = Ttc(accelerating=any(a["a"] for a in case["actors"]))
+    disc = case["variant"].startswith("disc")
+    metric = Wttc(0.0, 0.0) if disc else Ttc(accelerating=any(a["a"] for a in case["actors"]))
     follows(lambda t: metric.course(recorded(case["actors"], t), "0", "1"), case)
 
 
@@ -526,12 +524,12 @@ def test_traffic_quality_of_five_written_out():
         "individual": 0.5 * 10 / 13.89,
         "penalty": math.exp(-11 / 5),
     }
-    found = {term: TrafficQuality(term).course(scene, "0")[0] for term in expected}
+    found = {term: METRICS.create("traffic-quality", term=term).course(scene, "0", "1")[0] for term in expected}
     assert found == pytest.approx(expected)
     whole = expected.pop("penalty") * math.sqrt(sum(value**2 for value in expected.values()))
     assert TrafficQuality().course(scene, "0", "3")[0] == pytest.approx(whole)
     with pytest.raises(InputError, match="did you mean 'macro'"):
-        TrafficQuality("marco")
+        TrafficQuality("marco")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("step", [0.04, 0.1, 0.25, 1.0])

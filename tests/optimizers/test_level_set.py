@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from command_line import SPACE, X, cornercase
 from cornercase.evidence import CriticalSet, GaussianProcess, encoded
 from cornercase.evidence.gaussian_process import _loss
-from cornercase.metrics import METRICS
+from cornercase.metrics import METRICS, threshold
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
@@ -114,9 +115,13 @@ def test_the_process_is_that_of_scikit_learn():
 def test_the_gradient_of_the_likelihood_is_its_derivative():
     rng = np.random.default_rng(1)
     points, values = rng.random((20, 2)), rng.normal(size=20)
-    squares = (points[:, None] - points) ** 2
+    squares: Any = (points[:, None] - points) ** 2
     at = np.log([0.3, 0.8, 1.2, 0.2])
-    numeric = approx_fprime(at, lambda p: _loss(p, squares, values)[0], 1e-6)
+
+    def loss(place):
+        return _loss(place, squares, values)[0]
+
+    numeric = approx_fprime(at, loss, 1e-6)
     np.testing.assert_allclose(_loss(at, squares, values)[1], numeric, rtol=1e-4, atol=1e-4)
 
 
@@ -137,7 +142,7 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
     own = cornercase(*common, "--metric", "wttc", "--budget", "40", "-o", tmp_path / "own.db")
     assert own.returncode == 0, own.stderr
     with Study.open(tmp_path / "own.db", readonly=True) as study:
-        assert study.meta.critical == METRICS.create("wttc").critical == 1.0
+        assert study.meta.critical == threshold(METRICS.create("wttc")) == 1.0
         expected = int((study.scores("wttc") <= 1.0).sum())
     shown = json.loads(cornercase("show", tmp_path / "own.db", "--json").stdout)
     assert shown["critical"]["is"] == "wttc <= 1 s"

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import qmc
@@ -49,7 +51,8 @@ def test_rare_values_of_a_finite_space_are_run_in_the_end(make):
     space = ParameterSpace(
         [Parameter("s", 0.0, 2.0, choices=("x", "y", "z"), distribution=rare), Parameter("t", 0.0, 9.0, 1.0)]
     )
-    optimizer, seen = make(space, 0), set()
+    optimizer = make(space, 0)
+    seen: set[tuple[Any, Any]] = set()
     while len(points := optimizer.ask(4)):
         optimizer.tell(points, np.zeros(len(points)))
         seen.update((v["s"], v["t"]) for v in space.values(points))
@@ -179,7 +182,7 @@ class Threshold(Optimizer):
 def test_an_optimizer_of_another_package_gets_what_it_declares(monkeypatch):
     monkeypatch.setitem(OPTIMIZERS._factories, "mine", (Threshold, {}))
     assert optimizer_needs("mine:gain=2") == {"threshold", "budget"}
-    made = create_optimizer("mine:gain=2", CUBE, 0, threshold=0.5, budget=30)
+    made: Any = create_optimizer("mine:gain=2", CUBE, 0, threshold=0.5, budget=30)
     assert made.given == (0.5, 30, 2)
     with pytest.raises(InputError, match="what is critical"):
         create_optimizer("mine", CUBE, 0, threshold=None, budget=30)

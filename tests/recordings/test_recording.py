@@ -86,7 +86,7 @@ def test_rows_of_other_tools_in_any_order_with_more_columns_and_a_byte_order_mar
     assert read.names == ("b", "a")
     assert read.kinds == ("car", "bicycle")
     np.testing.assert_array_equal(read.time, [0, 0.5])
-    np.testing.assert_array_equal(read.x, [[np.nan, 1], [5, 6]])
+    np.testing.assert_array_equal(read.x, np.array([[np.nan, 1], [5, 6]]))
     assert np.isnan(read.acceleration[1]).all()
 
 
@@ -171,7 +171,7 @@ def test_a_notebook_shows_who_is_there_and_where_they_go():
     one = replace(recording(), names=("<b>ego</b>", "walker"), collisions=())
     page = etree.HTML(one._repr_html_())
     assert [cell.text for cell in page.iterfind(".//th")] == ["entity", "kind", "there", "speed"]
-    cells = ["".join(cell.itertext()) for cell in page.iterfind(".//td")]
+    cells = ["".join(map(str, cell.itertext())) for cell in page.iterfind(".//td")]
     assert cells[:3] == ["● <b>ego</b>", "car", "0 s to 0.3 s"]
     assert cells[6] == "0 s to 0.1 s"
     assert len(page.findall(".//polyline")) == len(page.findall(".//circle")) == 2
@@ -179,10 +179,10 @@ def test_a_notebook_shows_who_is_there_and_where_they_go():
 
 def test_tracks_have_gaps_and_who_never_comes_has_none():
     x = np.array([[0.0, 1.0, np.nan, 3.0], [np.nan] * 4])
-    drawing = etree.fromstring(tracks_as_svg(x, x))
-    assert [len(one.get("points").split()) for one in drawing.iterfind("polyline")] == [2, 1]
+    lines = [one.get("points", "") for one in etree.fromstring(tracks_as_svg(x, x)).iterfind("polyline")]
+    assert [len(one.split()) for one in lines] == [2, 1]
     # Upwards, in equal scales.
-    (first, second), _ = ([tuple(map(float, p.split(","))) for p in one.get("points").split()] for one in drawing[:2])
+    (first, second), _ = ([tuple(map(float, point.split(","))) for point in one.split()] for one in lines)
     assert second[0] - first[0] == pytest.approx(first[1] - second[1], abs=0.2)
     assert tracks_as_svg(np.full((2, 3), np.nan), np.zeros((2, 3))) == ""
 

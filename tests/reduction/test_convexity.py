@@ -19,7 +19,7 @@ from cornercase.reduction.selection import reduce_clusters
 def horseshoe(count, seed, legs=2.0):
     """Points of a horseshoe 0.25 wide: half a ring with two straight legs."""
     rng = np.random.default_rng(seed)
-    found = []
+    found: list[tuple[float, float]] = []
     while len(found) < count:
         x, y = rng.uniform(-1, 1), rng.uniform(-1, legs)
         if 0.75 <= (np.hypot(x, y) if y <= 0 else abs(x)) <= 1.0:
@@ -90,7 +90,7 @@ def test_the_number_of_archetypes_can_be_given_and_none_is_there_twice():
         indices = archetypal_analysis(points, k).indices
         assert len(set(indices.tolist())) == min(k, 50)
     assert len(archetypal_analysis(np.zeros((5, 2)), 3).indices) == 1
-    assert archetypal_analysis([[1.0, 2.0]]).indices.tolist() == [0]
+    assert archetypal_analysis(np.array([[1.0, 2.0]])).indices.tolist() == [0]
     assert len(kernel_archetypal_analysis(np.zeros((5, 5)), 2).indices) == 1
 
 
@@ -137,9 +137,12 @@ def test_all_ways_keep_scenarios_of_the_cluster_and_as_many_as_wanted():
     ("call", "words"),
     [
         (lambda: archetypal_analysis(np.empty((0, 2))), "have no archetypes"),
-        (lambda: archetypal_analysis([[1.0], [2.0]], 0), "k is 0"),
-        (lambda: archetypal_analysis([[1.0], [2.0]], most=0), "most is 0"),
-        (lambda: shapes(np.zeros((3, 1)), np.zeros(3, dtype=np.int64), method="hul"), "did you mean 'hull'"),
+        (lambda: archetypal_analysis(np.array([[1.0], [2.0]]), 0), "k is 0"),
+        (lambda: archetypal_analysis(np.array([[1.0], [2.0]]), most=0), "most is 0"),
+        (
+            lambda: shapes(np.zeros((3, 1)), np.zeros(3, dtype=np.int64), method="hul"),  # type: ignore[arg-type]
+            "did you mean 'hull'",
+        ),
     ],
 )
 def test_refuses_in_one_sentence(call, words):

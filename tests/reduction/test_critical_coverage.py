@@ -39,6 +39,7 @@ def test_the_space_is_as_unlike_as_a_dense_sample_says(places, seed):
     dense = np.random.default_rng(99).random((20_000, 2))
     dense = dense[disc(dense) <= 0.3]
     truth = float((cdist(dense, points[kept]).min(axis=1) > 0.2).mean())
+    assert found.unlike is not None
     assert found.unlike.value == pytest.approx(truth, abs=0.06)
     assert found.unlike.low - 0.03 <= truth <= found.unlike.high + 0.03
 
@@ -59,7 +60,10 @@ def test_shares_of_what_was_run():
     everything = critical_coverage(SPACE, points, scores, 0.3, distances, np.flatnonzero(critical), 0.2)
     assert (everything.critical, everything.boundary, everything.largest) == (1.0, 1.0, 0.0)
     half = critical_coverage(SPACE, points, scores, 0.3, distances, np.flatnonzero(critical)[::2], 0.2)
+    assert half.unlike is not None
     assert half.unlike.value < 0.02
+    assert half.medoids is not None
+    assert half.random is not None
     assert half.critical == 1.0 >= half.medoids >= half.random
 
 

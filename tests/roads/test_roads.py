@@ -55,6 +55,7 @@ def test_examples_are_valid_opendrive(name):
 def test_right_turn_is_smooth_and_ends_in_the_eastern_arm():
     network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
     path = network.path_of_lane(network.index_of("1"), -1, 0.0, True, ((network.index_of("2"), 1, 20.0),))
+    assert path is not None
     assert (path.x[-1], path.y[-1]) == pytest.approx((112.0, -1.75))
     assert np.hypot(np.diff(path.x), np.diff(path.y)).max() < 0.11
     assert np.abs(path.curvature).max() == pytest.approx(1 / 7, rel=1e-3)
@@ -65,6 +66,7 @@ def test_right_turn_is_smooth_and_ends_in_the_eastern_arm():
 def test_without_a_route_the_way_goes_straight_on():
     network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
     path = network.path_of_lane(network.index_of("1"), -1, 0.0, True)
+    assert path is not None
     assert (path.x[-1], path.y[-1]) == pytest.approx((1.75, 112.0))
 
 
@@ -144,4 +146,6 @@ def test_a_ring_of_roads_ends(tmp_path):
         ring.replace('<lane id="-1" type="driving">', '<lane id="-1" type="driving"><link><successor id="-1"/></link>')
     )
     network = RoadNetwork.read(path)
-    assert network.path_of_lane(0, -1, 0.0, True).distance[-1] < 12_000
+    endless = network.path_of_lane(0, -1, 0.0, True)
+    assert endless is not None
+    assert endless.distance[-1] < 12_000

@@ -21,9 +21,9 @@ import pytest
 from lxml import etree
 
 from command_line import cornercase
-from conftest import AXLES
+from conftest import AXLES, ran
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.recordings import Collision
+from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Scenario, read_xml
 from cornercase.simulators import CarlaSimulator, WorkerSimulator
 from cornercase.simulators.carla import dialect
@@ -56,6 +56,7 @@ class Served:
             return
         command = [sys.executable, HERE / "carla_server.py", str(self.port), ROAD, *wrong]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert self._process.stdout is not None
         assert self._process.stdout.readline() == b"ready\n"
 
     def __enter__(self):
@@ -64,9 +65,8 @@ class Served:
     def __exit__(self, *_):
         if not REAL:
             self._process.kill()
-            self._process.wait()
-            self._process.stdin.close()
-            self._process.stdout.close()
+            # Closes the pipes too.
+            self._process.communicate()
 
 
 def free_port():
@@ -185,7 +185,7 @@ def test_the_recorders_file_is_cut_as_well(scenario, tmp_path):
 def test_one_server_runs_many_and_is_left_as_it_was(scenario):
     with Served() as server:
         simulator = CarlaSimulator(**options(server))
-        found = list(simulator.run([ConcreteScenario(scenario, {"gap": gap, "end": 1.0}) for gap in (20.0, 30.0)]))
+        found = ran(simulator, [ConcreteScenario(scenario, {"gap": gap, "end": 1.0}) for gap in (20.0, 30.0)])
         assert [round(one.x[1][-1]) for one in found] == [-60, -50]
         world = carla.Client(server.host, server.port).get_world()
         assert not world.get_settings().synchronous_mode
@@ -252,6 +252,7 @@ def test_a_client_that_aborts_costs_the_scenario_alone(scenario):
         finally:
             simulator.close()
     assert str(broken) == "the simulator's process was ended by SIGABRT, tried once"
+    assert isinstance(well, Recording)
     assert well.time[-1] == pytest.approx(0.5, abs=0.2)
 
 
@@ -285,7 +286,9 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
     assert done.returncode == 0, done.stderr
     with Study.open(tmp_path / "study.db") as study:
         assert len(study.done()) == 3
-        assert study.spread("ttc").shape == (3, 2)
+        spread = study.spread("ttc")
+        assert spread is not None
+        assert spread.shape == (3, 2)
         # On another server the same command goes on.
         with Served() as other:
             given = ",".join(f"{name}={value}" for name, value in options(other).items())
@@ -367,8 +370,8 @@ def test_a_behaviour_agent_gets_the_entitys_route(tmp_path):
     found = controllers(root)
     assert found["Ego"]["module"] == "cornercase_driver.py"
     assert found["Ego"]["behavior"] == "cautious"
-    original = read_xml(T).find(".//Private[@entityRef='Ego']")
-    assert len(etree.fromstring(found["Ego"]["route"])) == len(original.findall(".//Waypoint"))
+    waypoints = read_xml(T).findall(".//Private[@entityRef='Ego']//Waypoint")
+    assert len(etree.fromstring(found["Ego"]["route"])) == len(waypoints)
     # Who has none follows its route at the storyboard's speed.
     assert "behavior" not in found["C"]
     assert root.find(".//Init//AssignRouteAction") is None
@@ -487,6 +490,8 @@ def driver(monkeypatch):
         OpenScenarioParser=SimpleNamespace(convert_position_to_transform=position),
     )
     spec = importlib.util.spec_from_file_location("cornercase_driver", dialect.DRIVER)
+    assert spec is not None
+    assert spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(loaded)
     return loaded.CornercaseDriver

@@ -15,6 +15,7 @@ import pytest
 
 import foreign_recordings as foreign
 from command_line import cornercase
+from conftest import ran
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMakerSimulator, WorkerSimulator
@@ -187,9 +188,7 @@ def test_a_broken_line_is_tried_again_on_a_new_one(project):
     port = Port(odd={"StartSim": ["close"]})
     options = {"testrun": "Crossing", "project": str(project), "hosts": "127.0.0.1", "port": port.number}
     simulator = WorkerSimulator("carmaker", options)
-    found = list(
-        simulator.run([ConcreteScenario(project.parent / "s.xosc", {"ego_speed": float(k)}) for k in range(3)])
-    )
+    found = ran(simulator, [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": float(k)}) for k in range(3)])
     simulator.close()
     assert [one.names for one in found] == [("Ego", "T00")] * 3
     assert [one for one in port.asked if one.startswith("NamedValue")] == [
@@ -279,7 +278,7 @@ def cmapi(monkeypatch, project):
 def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, project):
     simulator = CarMakerSimulator(testrun="Crossing", project=str(project))
     concretes = [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": speed}) for speed in (42.5, 50.0)]
-    for found in simulator.run(concretes):
+    for found in ran(simulator, concretes):
         assert found.names == ("Ego", "T00")
         np.testing.assert_allclose(found.speed[0], foreign.SPEED, atol=1e-4)
     said = (project / "said.txt").read_text().splitlines()
@@ -324,4 +323,4 @@ def test_a_way_that_is_not_there_is_refused(project):
     with pytest.raises(InputError, match=r"cmapi cannot be imported.*carmaker:via=port"):
         CarMakerSimulator(testrun="Crossing", project=str(project), via="cmapi")
     with pytest.raises(InputError, match="did you mean 'port'"):
-        CarMakerSimulator(testrun="Crossing", project=str(project), via="prot")
+        CarMakerSimulator(testrun="Crossing", project=str(project), via="prot")  # type: ignore[arg-type]

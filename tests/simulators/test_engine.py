@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conftest import car, event, same_recording, scenario_file, speed_action, story_of, teleport, time_trigger
+from conftest import car, event, ran, same_recording, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
 from cornercase.optimizers import GridOptimizer, SobolOptimizer
 from cornercase.scenario import ConcreteScenario, LogicalScenario
@@ -374,15 +374,15 @@ def test_values_of_a_set_stay_together(tmp_path):
     (tmp_path / "space.xosc").write_text(VALUE_SETS)
     logical = LogicalScenario.read(None, tmp_path / "space.xosc")
     assert logical.space.size == 2
-    recordings = list(
-        BuiltinSimulator(duration=2.0).run([logical.concrete(v) for v in logical.space.values(logical.space.lattice())])
+    recordings = ran(
+        BuiltinSimulator(duration=2.0), [logical.concrete(v) for v in logical.space.values(logical.space.lattice())]
     )
     assert {(r.speed[0][1], r.speed[0][-1]) for r in recordings} == {(5.0, 6.0), (8.0, 9.0)}
     again = type(logical.space).from_json(logical.space.to_json())
     assert again.values(again.lattice()) == logical.space.values(logical.space.lattice())
     ranged = LogicalScenario.read(None, tmp_path / "space.xosc", ["v=1:2"])
     assert sorted(ranged.space.assigns) == ["v", "w"]
-    assert all(1 <= one["v"] <= 2 for one in ranged.space.values(SobolOptimizer(ranged.space, 0).ask(5)))
+    assert all(1 <= float(one["v"]) <= 2 for one in ranged.space.values(SobolOptimizer(ranged.space, 0).ask(5)))
 
 
 @pytest.mark.parametrize("batch", [1, 7])
@@ -396,10 +396,10 @@ def test_many_scenarios_at_once_are_what_each_is_alone(tmp_path, batch):
     )
     path = scenario_file(tmp_path, init=moving(speed="$v"), story=story_of(events), parameters=declared)
     concretes = [ConcreteScenario(path, {"v": float(v)}) for v in np.linspace(5, 20, 7)]
-    whole = list(BuiltinSimulator(duration=12.0).run(concretes))
+    whole = ran(BuiltinSimulator(duration=12.0), concretes)
     for k in range(0, 7, batch):
         for one, alone in zip(
-            whole[k : k + batch], BuiltinSimulator(duration=12.0).run(concretes[k : k + batch]), strict=True
+            whole[k : k + batch], ran(BuiltinSimulator(duration=12.0), concretes[k : k + batch]), strict=True
         ):
             np.testing.assert_array_equal(one.x, alone.x)
             np.testing.assert_array_equal(one.y, alone.y)
@@ -422,7 +422,7 @@ def test_who_triggers_an_event_can_be_its_actor(tmp_path):
     path = scenario_file(
         tmp_path, init=starts, story=story, stop=time_trigger("4"), entities="".join(car(name) for name in "ABCD")
     )
-    (recording,) = BuiltinSimulator().run([ConcreteScenario(path)])
+    (recording,) = ran(BuiltinSimulator(), [ConcreteScenario(path)])
     speeds = dict(zip(recording.names, recording.speed[:, -1], strict=True))
     assert speeds == {"A": 15.0, "B": 9.9, "C": 1.0, "D": 15.0}
 
@@ -488,7 +488,7 @@ def test_a_driver_does_not_see_who_is_hidden(tmp_path):
             f'<Private entityRef="B">{teleport("90")}{hide.format(seen)}</Private>'
         )
         path = scenario_file(tmp_path, init=init, stop=time_trigger("20"), entities=car("A") + car("B"))
-        (recording,) = BuiltinSimulator(drivers={"A": "normal"}).run([ConcreteScenario(path)])
+        (recording,) = ran(BuiltinSimulator(drivers={"A": "normal"}), [ConcreteScenario(path)])
         ends[seen] = recording.x[0, -1]
     assert ends["true"] < 88.0
     assert ends["false"] > 150.0
@@ -532,7 +532,7 @@ def test_a_driver_brakes_along_a_trajectory_that_runs_otherwise_in_each_scenario
     bends = (0.0005, 0.002, 0.08)
     concretes = [ConcreteScenario(path, {"bend": bend}) for bend in bends]
     simulator = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
-    together = list(simulator.run(concretes))
+    together = ran(simulator, concretes)
     for concrete, recording in zip(concretes, together, strict=True):
         assert not recording.collisions
         (alone,) = simulator.run([concrete])
@@ -543,15 +543,14 @@ def test_a_driver_brakes_along_a_trajectory_that_runs_otherwise_in_each_scenario
     # The sharp bend leads past the car.
     assert away.speed[0][away.time < 15.0].min() > 5.0
     # Where nobody drives it goes on.
-    (undriven,) = BuiltinSimulator(time_step=DT, duration=20.0).run(concretes[:1])
+    (undriven,) = ran(BuiltinSimulator(time_step=DT, duration=20.0), concretes[:1])
     assert undriven.collisions
 
 
 def test_a_driver_slows_down_for_the_bend_of_a_trajectory(tmp_path):
     path = bend_file(tmp_path)
-    (recording,) = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"}).run(
-        [ConcreteScenario(path, {"bend": 0.2})]
-    )
+    simulator = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
+    (recording,) = ran(simulator, [ConcreteScenario(path, {"bend": 0.2})])
     # 3 m/s² across at a radius of 5 m.
     assert recording.speed[0].min() == pytest.approx(np.sqrt(3.0 * 5.0), rel=0.1)
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from command_line import cornercase
+from conftest import ran
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SIMULATORS, EsminiSimulator, WorkerSimulator
@@ -77,13 +78,13 @@ def test_parameters_collisions_and_the_same_again():
     if not pedestrian.is_file():
         pytest.skip("the scenario is not beside the checkout")
     simulator = EsminiSimulator(controllers=False)
-    first, again = simulator.run([ConcreteScenario(pedestrian, {})] * 2)
+    first, again = ran(simulator, [ConcreteScenario(pedestrian, {})] * 2)
     np.testing.assert_array_equal(first.x, again.x)
     assert first.collisions == again.collisions
     assert len(first.collisions) == 1
-    (stopped,) = EsminiSimulator(controllers=False, on_collision="stop").run([ConcreteScenario(pedestrian, {})])
+    (stopped,) = ran(EsminiSimulator(controllers=False, on_collision="stop"), [ConcreteScenario(pedestrian, {})])
     assert stopped.time[-1] == pytest.approx(first.collisions[0].time)
-    (slow,) = EsminiSimulator(undriven=True).run([ConcreteScenario(T, {"ego_speed": 3.0})])
+    (slow,) = ran(EsminiSimulator(undriven=True), [ConcreteScenario(T, {"ego_speed": 3.0})])
     assert slow.speed[slow.names.index("Ego")].max() == pytest.approx(3.0)
     (wrong,) = EsminiSimulator(undriven=True).run([ConcreteScenario(T, {"no_such": 3.0})])
     assert str(wrong) == "esmini does not take the parameter no_such"
@@ -162,7 +163,7 @@ def stub(tmp_path_factory):
 
 def test_the_interface_against_a_stand_in(stub):
     simulator = EsminiSimulator(library=stub(), undriven=True)
-    fast, usual = simulator.run([ConcreteScenario(T, {"ego_speed": 8.0}), ConcreteScenario(T, {})])
+    fast, usual = ran(simulator, [ConcreteScenario(T, {"ego_speed": 8.0}), ConcreteScenario(T, {})])
     assert fast.names == ("Ego",)
     assert fast.kinds == ("truck",)
     np.testing.assert_allclose(fast.time, np.arange(11) * 0.05)

@@ -6,6 +6,7 @@ import pytest
 from conftest import (
     car,
     event,
+    ran,
     same_recording,
     scenario_file,
     speed_action,
@@ -144,7 +145,7 @@ def test_parameters_that_shape_the_storyboard_split_the_batch(tmp_path):
     init = PRIVATE.format(teleport("250", "$lane") + speed_action("$v"))
     path = scenario_file(tmp_path, init=init, stop=time_trigger("2"), parameters=parameters)
     values = [{"lane": lane, "v": v} for v in (5.0, 8.0) for lane in (-1.0, 1.0)]
-    results = list(BuiltinSimulator().run([ConcreteScenario(path, one) for one in values]))
+    results = ran(BuiltinSimulator(), [ConcreteScenario(path, one) for one in values])
     assert [round(float(r.x[0, -1]), 6) for r in results] == [260.0, 240.0, 266.0, 234.0]
 
 

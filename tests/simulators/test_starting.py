@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 import fake_simulators  # noqa: F401 - makes its simulators known
@@ -58,12 +60,12 @@ def test_a_simulator_that_cannot_run_is_none():
         pass
 
     with pytest.raises(TypeError, match="run"):
-        Half()
+        Half()  # type: ignore[abstract]
 
 
 @pytest.mark.parametrize("what", [Duck, lambda **options: Least()])
 def test_what_subclasses_nothing_is_refused_in_one_sentence(what):
-    registry = Registry("simulator", "cornercase.none", Simulator)
+    registry: Registry[Simulator] = Registry("simulator", "cornercase.none", Simulator)
     registry.register("duck", what)
     for ask in (registry.create, registry.class_of):
         with pytest.raises(InputError, match=r"'duck' is .*no subclass of cornercase\.simulators\.Simulator; make it"):
@@ -98,8 +100,10 @@ def test_a_simulator_is_given_what_it_says_it_needs(monkeypatch):
 
     monkeypatch.setitem(SIMULATORS._factories, "needy", (Needy, {}))
     monkeypatch.setitem(SIMULATORS._factories, "plain", (type("Plain", (Least,), {"in_process": True}), {}))
-    assert start_simulator("needy", {"duration": 9.0}, ego="Hero").options == {"duration": 9.0, "ego": "Hero"}
-    assert start_simulator("plain", ego="Hero").options == {}
+    needy: Any = start_simulator("needy", {"duration": 9.0}, ego="Hero")
+    plain: Any = start_simulator("plain", ego="Hero")
+    assert needy.options == {"duration": 9.0, "ego": "Hero"}
+    assert plain.options == {}
 
 
 @pytest.mark.parametrize("options", [{"timeout": 0.0}, {"timeout": float("inf")}, {"workers": 0}, {"retries": -1}])

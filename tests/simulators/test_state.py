@@ -16,12 +16,14 @@ PATHS = [EXAMPLES / name / f"{name}.xosc" for name in ("x_intersection", "t_inte
 
 def values_of_modules() -> dict[str, str]:
     """What the modules and classes of the engine hold that is neither code nor a type, as text."""
-    found = {}
+    found: dict[str, str] = {}
     for room in ROOMS:
         package = importlib.import_module(room)
         names = [module.name for module in pkgutil.walk_packages(package.__path__, f"{room}.")]
         for module in map(importlib.import_module, [room, *names]):
-            held = {(module.__name__, name): value for name, value in vars(module).items()}
+            held: dict[tuple[str, ...], object] = {
+                (module.__name__, name): value for name, value in vars(module).items()
+            }
             for kind in [value for value in vars(module).values() if isinstance(value, type)]:
                 if kind.__module__ == module.__name__:
                     held |= {(module.__name__, kind.__qualname__, name): value for name, value in vars(kind).items()}

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from command_line import cornercase
+from conftest import ran
 from cornercase._common.errors import InputError
 from cornercase.exploration import demonstration
 from cornercase.scenario import ConcreteScenario, Scenario
@@ -90,7 +91,7 @@ def test_a_driver_of_cornercase_drives_too():
 def test_the_same_gives_the_same_whatever_ran_before():
     simulator = SumoSimulator(on_collision="stop")
     concretes = [ConcreteScenario(T, {"c_start_time": c, "ego_sync_s": 12.0}) for c in (0.5, 3.0, 0.5)]
-    first, other, again = simulator.run(concretes)
+    first, other, again = ran(simulator, concretes)
     np.testing.assert_array_equal(first.x, again.x)
     np.testing.assert_array_equal(first.speed, again.speed)
     assert first.collisions == again.collisions
@@ -194,6 +195,7 @@ def test_a_killed_worker_changes_nothing(tmp_path):
                         victim = int(child)
         # Long enough for it to be at a scenario.
         time.sleep(3.0)
+        assert victim is not None
         os.kill(victim, signal.SIGKILL)
         _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors

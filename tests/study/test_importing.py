@@ -84,7 +84,7 @@ def test_files_of_all_kinds_and_one_that_cannot_be_read(tmp_path):
     assert done.returncode == 0, done.stderr
     with Study.open(tmp_path / "s.db", readonly=True) as study:
         assert [row.state for row in study.rows()] == ["done", "failed", "failed", "failed"]
-        errors = [row.error for row in study.failed()]
+        errors = [str(row.error) for row in study.failed()]
     assert "Other" in errors[0]
     assert "cut in the middle of record 41" in errors[2]
 

@@ -11,6 +11,7 @@ import pytest
 
 from conftest import same_recording
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.typing import FloatArray
 from cornercase.recordings import MOTION, Collision, Recording, read_recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
@@ -37,7 +38,7 @@ def recording(seed: int = 0) -> Recording:
     )
 
 
-def courses(seed: int = 0) -> dict[str, tuple[np.ndarray, float]]:
+def courses(seed: int = 0) -> dict[str, tuple[FloatArray, float]]:
     course = np.random.default_rng(seed).normal(size=40)
     course[3] = np.nan
     return {"distance": (course, float(np.nanmin(course))), "wttc": (course**2, 0.5 + seed)}
