@@ -7,6 +7,7 @@ from collections import Counter
 from pathlib import Path
 from shutil import copytree
 
+import numpy as np
 import pytest
 from lxml import etree
 from typer.testing import CliRunner
@@ -21,7 +22,7 @@ from cornercase.simulators import BuiltinSimulator, WorkerSimulator
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
-    return copytree(EXAMPLES / "x_intersection", tmp_path / "x")
+    return Path(copytree(EXAMPLES / "x_intersection", tmp_path / "x"))
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def read(folder: Path) -> LogicalScenario:
 
 
 def a_round(logical: LogicalScenario, number: int) -> list[ConcreteScenario]:
-    places = [[(3 * number + k) / 12, 0.5, 0.5] for k in range(3)]
+    places = np.array([[(3 * number + k) / 12, 0.5, 0.5] for k in range(3)])
     return [logical.concrete(values) for values in logical.space.values(places)]
 
 
@@ -123,5 +124,5 @@ def change(folder: Path) -> None:
     path = folder / "x_intersection.xosc"
     root = etree.parse(str(path)).getroot()
     for box in root.iterfind(".//ScenarioObject/Vehicle/BoundingBox/Dimensions"):
-        box.set("length", str(float(box.get("length")) + 0.5))
+        box.set("length", str(float(box.attrib["length"]) + 0.5))
     path.write_bytes(etree.tostring(root))

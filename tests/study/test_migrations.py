@@ -63,7 +63,9 @@ def test_a_reader_leaves_an_old_study_as_it_is(old, monkeypatch):
         arrays, info = study.analysis("distance")
         assert arrays["distances"].shape == (10, 10)
         assert info["fitted"] == arrays["ids"].tolist() == list(range(1, 11))
-        assert len(study.reduction()["kept"]) == 4
+        reduction = study.reduction()
+        assert reduction is not None
+        assert len(reduction["kept"]) == 4
         assert (study.spread("ttc") is None) == (old.name == FIRST)
     assert old.read_bytes() == before
     assert [path.name for path in old.parent.iterdir()] == [old.name]

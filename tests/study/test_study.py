@@ -225,8 +225,9 @@ def test_a_parameter_that_is_called_like_a_metric_has_a_column_of_its_own(tmp_pa
         study.propose(1, points, space.values(points))
         study.finish(1, recording(), {"distance": courses()["distance"]})
         table = study.table()
-    assert table.loc[0, ["parameter distance", "parameter state", "state"]].tolist() == [0.25, 0.75, "done"]
-    assert table.loc[0, "distance"] == courses()["distance"][1]
+    (row,) = table.to_dict("records")
+    assert (row["parameter distance"], row["parameter state"], row["state"]) == (0.25, 0.75, "done")
+    assert row["distance"] == courses()["distance"][1]
 
 
 def test_what_is_read_together_is_of_one_moment(study):
