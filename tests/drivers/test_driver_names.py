@@ -40,6 +40,8 @@ def own_module(tmp_path, monkeypatch):
             """
             import numpy as np
 
+            from cornercase.drivers import Driver
+
             class Steady:
                 settings = {"driver": "steady"}
 
@@ -55,6 +57,16 @@ def own_module(tmp_path, monkeypatch):
 
             class Engine:
                 pass
+
+            class Derived(Driver):
+                def acceleration(self, situation):
+                    return np.clip(situation.target_speed - situation.speed, -1.0, 1.0)
+
+            class Forgetful(Driver):
+                pass
+
+            class Nameless(Derived):
+                settings = "none"
 
             constant = 3
             """
@@ -78,6 +90,14 @@ def test_a_users_own_driver_is_found_in_the_current_folder_and_drives():
 
 
 @pytest.mark.usefixtures("own_module")
+def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
+    driver = named_driver("own_drivers:Derived")
+    assert driver.settings == {"driver": "own_drivers:Derived"}
+    run = Run(driver, straight(), speed=4.0, target=8.0, duration=20.0)
+    assert run.speed[-1, 0] == pytest.approx(8.0, abs=0.01)
+
+
+@pytest.mark.usefixtures("own_module")
 @pytest.mark.parametrize(
     ("name", "says"),
     [
@@ -90,6 +110,8 @@ def test_a_users_own_driver_is_found_in_the_current_folder_and_drives():
         ("own_drivers:constant", "has no class 'constant'"),
         ("own_drivers:Picky", "cannot be made without arguments"),
         ("own_drivers:Engine", "is no driver"),
+        ("own_drivers:Forgetful", "cannot be made without arguments"),
+        ("own_drivers:Nameless", "is no driver"),
     ],
 )
 def test_what_is_no_driver_is_refused_in_one_sentence(name, says):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -103,29 +104,49 @@ class Situation:
     active: BoolArray
 
 
-@runtime_checkable
-class Driver(Protocol):
+class Driver(ABC):
     """Decides the speed of one entity along its path, for all concrete scenarios of a batch in lock-step.
 
-    What a driver does in one scenario is a function of that scenario's past alone: no random numbers, no
-    clock, nothing of the other scenarios.
+    What a driver does in one scenario is a function of that scenario's past alone: no random numbers, no clock,
+    nothing of the other scenarios. A class of one's own derives from this one and has `acceleration`; one that keeps
+    something from one time step to the next has `start`, too.
 
     Attributes
     ----------
     settings : dict
-        Everything that its decisions depend on, as plain JSON values; stored with a study.
+        Everything that its decisions depend on, as plain JSON values. It is stored with a study, and a study goes on
+        only with the same settings. By default the name of the class, which is enough where nothing can be set.
     """
 
     settings: dict[str, object]
 
-    def start(self, scenarios: int, others: int) -> None:
-        """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
-        ...
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if not hasattr(cls, "settings"):
+            cls.settings = {"driver": f"{cls.__module__}:{cls.__qualname__}"}
 
-    def acceleration(self, situation: Situation) -> FloatArray:
-        """Acceleration along the path in m/s², shape (N,), for the coming time step.
+    def start(self, scenarios: int, others: int) -> None:  # noqa: B027
+        """Forget everything, as a batch begins; by default there is nothing to forget.
 
-        It is called in each time step once per path, with masks ``active`` that exclude each other; what
-        is returned for scenarios that are not active is not used, and their state must not change.
+        Parameters
+        ----------
+        scenarios, others : int
+            Numbers N of concrete scenarios, and A of other entities in each.
         """
-        ...
+
+    @abstractmethod
+    def acceleration(self, situation: Situation) -> FloatArray:
+        """Acceleration along the path for the coming time step.
+
+        In each time step it is called once per path, with masks ``active`` that exclude each other. What is returned
+        for scenarios that are not active is not used, and what is kept of them must not change.
+
+        Parameters
+        ----------
+        situation : Situation
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            m/s².
+        """

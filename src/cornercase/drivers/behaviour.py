@@ -9,10 +9,10 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers.base import DrivenPath, Situation
+from cornercase.drivers.base import DrivenPath, Driver, Situation
 from cornercase.drivers.route import Route, plan_route
 from cornercase.drivers.visibility import Perception, in_sight
-from cornercase.drivers.yielding import decide
+from cornercase.drivers.yielding import Boxes, Conflicts, Driven, decide
 
 _VULNERABLE = ("pedestrian", "bicycle")
 
@@ -120,7 +120,7 @@ AGGRESSIVE = NORMAL._replace(
 )
 
 
-class BehaviourDriver:
+class BehaviourDriver(Driver):
     """Driver with a `Behaviour`.
 
     It takes the lowest of the accelerations that its own plan, each entity that it follows and each entity
@@ -136,8 +136,6 @@ class BehaviourDriver:
         A parameter is out of range.
     """
 
-    settings: dict[str, object]
-
     def __init__(self, behaviour: Behaviour = NORMAL) -> None:
         _check(behaviour)
         self._behaviour = behaviour
@@ -147,20 +145,20 @@ class BehaviourDriver:
     def start(self, scenarios: int, others: int) -> None:
         """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
         self._perception = Perception(scenarios, others, self._behaviour.reaction_time, self._behaviour.memory)
-        self._conflict_since = np.full((scenarios, others), np.inf)
-        self._yielding = np.zeros((scenarios, others), dtype=np.bool_)
+        shape = (scenarios, others)
+        self._conflicts = Conflicts(np.full(shape, np.inf), np.zeros(shape, dtype=np.bool_))
         # The path is kept beside its route, so that its identity is not given to another one.
         self._routes: dict[int, tuple[DrivenPath, Route]] = {}
 
     @property
     def known(self) -> BoolArray:
         """Whom the driver is aware of, shape (N, A)."""
-        return self._perception.known
+        return self._perception.state.known
 
     @property
     def yielding(self) -> BoolArray:
         """To whom the driver gives way, shape (N, A)."""
-        return self._yielding
+        return self._conflicts.yielding
 
     def acceleration(self, situation: Situation) -> FloatArray:
         """Acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
@@ -169,13 +167,22 @@ class BehaviourDriver:
         sight = in_sight(s, field_of_view=behaviour.field_of_view, sight_range=behaviour.sight_range)
         seen.update(s, sight)
         vulnerable = np.array([kind in _VULNERABLE for kind in s.others_kind], dtype=np.bool_)
-        own = (s.active, s.distance, s.x, s.y, s.heading, s.speed, s.target_speed)
+        dense = np.ascontiguousarray
+        driven = Driven(
+            distance=dense(s.distance),
+            x=dense(s.x),
+            y=dense(s.y),
+            heading=dense(s.heading),
+            speed=dense(s.speed),
+            target_speed=dense(s.target_speed),
+            half_length=0.5 * s.length,
+            half_width=0.5 * s.width,
+            center_x=s.center_x,
+        )
+        boxes = Boxes(0.5 * s.others_length, 0.5 * s.others_width, dense(s.others_center_x), vulnerable)
         result: FloatArray = decide(
-            behaviour, self._route(s.path), s.time, s.time_step, *map(np.ascontiguousarray, own),
-            0.5 * s.length, 0.5 * s.width, s.center_x,
-            seen.noticed, seen.known, seen.x, seen.y, seen.heading, seen.speed, seen.turn,
-            0.5 * s.others_length, 0.5 * s.others_width, np.ascontiguousarray(s.others_center_x),
-            vulnerable, self._conflict_since, self._yielding,
+            behaviour, self._route(s.path), s.time, s.time_step, dense(s.active), driven, seen.state, boxes,
+            self._conflicts,
         )  # fmt: skip
         return result
 

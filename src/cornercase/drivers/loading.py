@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 from pathlib import Path
+from typing import cast
 
 from cornercase._common.errors import InputError
 from cornercase.drivers.base import Driver
@@ -55,11 +56,12 @@ def load_driver(name: str) -> Driver:
         driver = made()
     except Exception as error:
         raise InputError(f"The driver '{name}' cannot be made without arguments: {_one_line(error)}.") from error
-    if not isinstance(driver, Driver) or not isinstance(driver.settings, dict):
+    if not _drives(driver):
         raise InputError(
-            f"The class '{name}' is no driver, which has start(), acceleration() and a dict called settings."
+            f"The class '{name}' is no driver: it neither derives from cornercase.drivers.Driver nor has start(),"
+            " acceleration() and a dict called settings."
         )
-    return driver
+    return cast(Driver, driver)
 
 
 def named_driver(name: str) -> Driver:
@@ -71,6 +73,14 @@ def named_driver(name: str) -> Driver:
         There is none.
     """
     return load_driver(name) if ":" in name else DRIVERS.create(name)
+
+
+def _drives(made: object) -> bool:
+    """Whether an object is a driver, or has all that one has without deriving from it."""
+    if isinstance(made, Driver):
+        return isinstance(made.settings, dict)
+    methods = (getattr(made, name, None) for name in ("start", "acceleration"))
+    return all(map(callable, methods)) and isinstance(getattr(made, "settings", None), dict)
 
 
 def _one_line(error: Exception) -> str:

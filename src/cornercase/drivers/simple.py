@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.drivers.base import Situation
+from cornercase.drivers.base import Driver, Situation
 
 
-class SimpleDriver:
+class SimpleDriver(Driver):
     """Goes at the speed that the scenario asks for, and brakes for what is straight ahead in its own lane.
 
     It is inattentive, and looks neither left nor right: other traffic of the kind that a test puts in an ego's way.
@@ -27,8 +27,6 @@ class SimpleDriver:
     sight_range : float
         m.
     """
-
-    settings: dict[str, object]
 
     def __init__(
         self,

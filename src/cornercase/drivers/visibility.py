@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from cornercase._common.compiling import kernel
-from cornercase._common.typing import BoolArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers.base import Situation
 
 # The eye is behind the windscreen: this part of the box's length ahead of the box's centre.
@@ -41,13 +42,56 @@ def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) 
     ndarray of bool, shape (N, A)
     """
     s = situation
-    seen: BoolArray = _in_sight(
-        _dense(s.x), _dense(s.y), _dense(s.heading), s.center_x + EYE_AHEAD * s.length,
-        0.5 * field_of_view, sight_range,
-        _dense(s.others_x), _dense(s.others_y), _dense(s.others_heading),
-        _dense(s.others_length), _dense(s.others_width), _dense(s.others_center_x),
-    )  # fmt: skip
+    eye = _Eye(_dense(s.x), _dense(s.y), _dense(s.heading), s.center_x + EYE_AHEAD * s.length)
+    motion = _Motion(*map(_dense, (s.others_x, s.others_y, s.others_heading, s.others_speed)))
+    sizes = (_dense(s.others_length), _dense(s.others_width), _dense(s.others_center_x))
+    seen: BoolArray = _in_sight(eye, 0.5 * field_of_view, sight_range, motion, sizes)
     return seen
+
+
+class Perceived(NamedTuple):
+    """What a driver knows of A others in N scenarios, each array (N, A).
+
+    Attributes
+    ----------
+    first_seen, last_seen : ndarray of float64
+        Times in s.
+    noticed : ndarray of bool
+        Seen now, or not yet forgotten.
+    known : ndarray of bool
+        Noticed, and seen for the reaction time.
+    x, y, heading, speed, turn : ndarray of float64
+        Perceived motion of the reference points in m, rad, m/s and rad/s; meaningful where noticed. The rate of turn
+        is a running mean.
+    """
+
+    first_seen: FloatArray
+    last_seen: FloatArray
+    noticed: BoolArray
+    known: BoolArray
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    turn: FloatArray
+
+
+class _Eye(NamedTuple):
+    """Reference point and heading of who looks, each (N,), and how far ahead of that point its eye is."""
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    ahead: float
+
+
+class _Motion(NamedTuple):
+    """True motion of the others, each (N, A)."""
+
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    speed: FloatArray
 
 
 class Perception:
@@ -65,33 +109,31 @@ class Perception:
 
     Attributes
     ----------
-    noticed : ndarray of bool, shape (N, A)
-        Seen now, or not yet forgotten.
-    known : ndarray of bool, shape (N, A)
-        Noticed, and seen for the reaction time.
-    x, y, heading, speed, turn : ndarray of float64, shape (N, A)
-        Perceived motion of the reference points in m, rad, m/s and rad/s; meaningful where noticed. The rate
-        of turn is a running mean.
+    state : Perceived
     """
 
     def __init__(self, scenarios: int, others: int, reaction_time: float, memory: float) -> None:
         shape = (scenarios, others)
         self._reaction_time, self._memory = reaction_time, memory
-        self._first_seen = np.full(shape, np.inf)
-        self._last_seen = np.full(shape, -np.inf)
-        self.noticed, self.known = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
-        self.x, self.y, self.heading, self.speed = (np.full(shape, np.nan) for _ in range(4))
-        self.turn = np.zeros(shape)
+        self.state = Perceived(
+            first_seen=np.full(shape, np.inf),
+            last_seen=np.full(shape, -np.inf),
+            noticed=np.zeros(shape, dtype=np.bool_),
+            known=np.zeros(shape, dtype=np.bool_),
+            x=np.full(shape, np.nan),
+            y=np.full(shape, np.nan),
+            heading=np.full(shape, np.nan),
+            speed=np.full(shape, np.nan),
+            turn=np.zeros(shape),
+        )
 
     def update(self, situation: Situation, seen: BoolArray) -> None:
         """Take in what is seen, (N, A), in the active scenarios."""
         s = situation
+        motion = _Motion(*map(_dense, (s.others_x, s.others_y, s.others_heading, s.others_speed)))
         _perceive(
-            s.time, s.time_step, self._reaction_time, self._memory, _dense(s.active), _dense(seen),
-            _dense(s.others_x), _dense(s.others_y), _dense(s.others_heading), _dense(s.others_speed),
-            self._first_seen, self._last_seen, self.noticed, self.known,
-             self.x, self.y, self.heading, self.speed, self.turn,
-        )  # fmt: skip
+            s.time, s.time_step, self._reaction_time, self._memory, _dense(s.active), _dense(seen), motion, self.state
+        )
 
 
 def _dense(values):
@@ -99,20 +141,18 @@ def _dense(values):
 
 
 @kernel(error_model="numpy")
-def _in_sight(
-    x, y, heading, eye_ahead, half_view, sight_range,
-    others_x, others_y, others_heading, length, width, center_x,
-):  # fmt: skip
-    scenarios, others = others_x.shape
+def _in_sight(eye, half_view, sight_range, motion, sizes):
+    scenarios, others = motion.x.shape
+    length, width, center_x = sizes
     seen = np.zeros((scenarios, others), dtype=np.bool_)
     box = np.empty((others, 4))
     for n in range(scenarios):
-        cos, sin = math.cos(heading[n]), math.sin(heading[n])
-        eye_x, eye_y = x[n] + eye_ahead * cos, y[n] + eye_ahead * sin
+        cos, sin = math.cos(eye.heading[n]), math.sin(eye.heading[n])
+        eye_x, eye_y = eye.x[n] + eye.ahead * cos, eye.y[n] + eye.ahead * sin
         for a in range(others):
-            box[a, 2], box[a, 3] = math.cos(others_heading[n, a]), math.sin(others_heading[n, a])
-            box[a, 0] = others_x[n, a] + center_x[a] * box[a, 2]
-            box[a, 1] = others_y[n, a] + center_x[a] * box[a, 3]
+            box[a, 2], box[a, 3] = math.cos(motion.heading[n, a]), math.sin(motion.heading[n, a])
+            box[a, 0] = motion.x[n, a] + center_x[a] * box[a, 2]
+            box[a, 1] = motion.y[n, a] + center_x[a] * box[a, 3]
         for a in range(others):
             for point in range(5):
                 along, across = 0.0, 0.0
@@ -159,11 +199,8 @@ def _meets(eye_x, eye_y, to_x, to_y, box, half_length, half_width):
 
 
 @kernel(error_model="numpy")
-def _perceive(
-    time, time_step, reaction_time, memory, active, seen,
-    true_x, true_y, true_heading, true_speed,
-    first_seen, last_seen, noticed, known, x, y, heading, speed, turn,
-):  # fmt: skip
+def _perceive(time, time_step, reaction_time, memory, active, seen, true, state):
+    first_seen, last_seen, noticed, known, x, y, heading, speed, turn = state
     scenarios, others = seen.shape
     for n in range(scenarios):
         if not active[n]:
@@ -175,15 +212,15 @@ def _perceive(
                     turn[n, a] = 0.0
                 else:
                     since = max(time - last_seen[n, a], time_step)
-                    change = (true_heading[n, a] - heading[n, a] + math.pi) % (2.0 * math.pi) - math.pi
+                    change = (true.heading[n, a] - heading[n, a] + math.pi) % (2.0 * math.pi) - math.pi
                     turn[n, a] += (change / since - turn[n, a]) * min(since / TURN_MEAN, 1.0)
                 last_seen[n, a] = time
-                x[n, a], y[n, a] = true_x[n, a], true_y[n, a]
-                heading[n, a], speed[n, a] = true_heading[n, a], true_speed[n, a]
+                x[n, a], y[n, a] = true.x[n, a], true.y[n, a]
+                heading[n, a], speed[n, a] = true.heading[n, a], true.speed[n, a]
             else:
                 way = speed[n, a] * time_step
                 x[n, a] += way * math.cos(heading[n, a])
                 y[n, a] += way * math.sin(heading[n, a])
             # Instants are sums of time steps, which rounding must not push over the limit.
-            noticed[n, a] = time - last_seen[n, a] <= memory + 1e-9 and not math.isnan(true_x[n, a])
+            noticed[n, a] = time - last_seen[n, a] <= memory + 1e-9 and not math.isnan(true.x[n, a])
             known[n, a] = noticed[n, a] and last_seen[n, a] - first_seen[n, a] >= reaction_time - 1e-9

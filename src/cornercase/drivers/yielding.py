@@ -3,6 +3,9 @@
 Everything is asked of the driven entity's own box at places along its route: where, and when, would it
 touch another's box? So distances are those that the driven entity can still travel, bumper to bumper, in
 curves too.
+
+All kernels stand in one module: numba keeps machine code by the file of the outermost function, and would not see a
+change of one that it calls in another file.
 """
 
 # Compiled functions have no static types.
@@ -11,11 +14,12 @@ curves too.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from cornercase._common.compiling import kernel
+from cornercase._common.typing import BoolArray, FloatArray
 
 STANDING: Final = 0.2
 """Below this speed in m/s an entity stands."""
@@ -63,13 +67,66 @@ LOOKAHEAD: Final = 150.0
 _kernel = kernel(error_model="numpy")
 
 
+class Driven(NamedTuple):
+    """The driven entity in N scenarios.
+
+    Attributes
+    ----------
+    distance : ndarray of float64, shape (N,)
+        Place along its path in m.
+    x, y, heading, speed : ndarray of float64, shape (N,)
+        Motion of its reference point in m, rad and m/s.
+    target_speed : ndarray of float64, shape (N,)
+        m/s; infinite or NaN where the scenario asks for none.
+    half_length, half_width, center_x : float
+        Its box in m.
+    """
+
+    distance: FloatArray
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    target_speed: FloatArray
+    half_length: float
+    half_width: float
+    center_x: float
+
+
+class Boxes(NamedTuple):
+    """What does not change about A other entities.
+
+    Attributes
+    ----------
+    half_length, half_width, center_x : ndarray of float64, shape (A,)
+        m.
+    vulnerable : ndarray of bool, shape (A,)
+        Pedestrians and cyclists.
+    """
+
+    half_length: FloatArray
+    half_width: FloatArray
+    center_x: FloatArray
+    vulnerable: BoolArray
+
+
+class Conflicts(NamedTuple):
+    """With whom the driven entity has a conflict, in N scenarios with A others.
+
+    Attributes
+    ----------
+    since : ndarray of float64, shape (N, A)
+        Time in s since when the other's way conflicts with its own; infinite where it does not.
+    yielding : ndarray of bool, shape (N, A)
+        To whom the driver gives way.
+    """
+
+    since: FloatArray
+    yielding: BoolArray
+
+
 @_kernel
-def decide(
-    behaviour, route, time, time_step, active, distance, x, y, heading, speed, target_speed,
-    half_length, half_width, center_x,
-    noticed, known, others_x, others_y, others_heading, others_speed, others_turn,
-    others_half_length, others_half_width, others_center_x, vulnerable, conflict_since, yielding,
-):  # fmt: skip
+def decide(behaviour, route, time, time_step, active, driven, seen, boxes, conflicts):
     """Acceleration for each scenario.
 
     Parameters
@@ -79,77 +136,72 @@ def decide(
     time, time_step : float
         s.
     active : ndarray of bool, shape (N,)
-    distance, x, y, heading, speed, target_speed : ndarray of float64, shape (N,)
-        Of the driven entity's reference point.
-    half_length, half_width, center_x : float
-        Its box.
-    noticed, known : ndarray of bool, shape (N, A)
-        The driver sees the other entity or remembers it; and has seen it for the reaction time.
-    others_x, others_y, others_heading, others_speed, others_turn : ndarray of float64, shape (N, A)
-        Reference points of the others as perceived; the last is the rate of turn in rad/s.
-    others_half_length, others_half_width, others_center_x : ndarray of float64, shape (A,)
-    vulnerable : ndarray of bool, shape (A,)
-        Pedestrians and cyclists.
-    conflict_since : ndarray of float64, shape (N, A)
-        Time in s since when the other's way conflicts with the driven entity's, infinite where it does not;
-        updated.
-    yielding : ndarray of bool, shape (N, A)
-        To whom the driver gives way; updated.
+        Scenarios to decide; of the others nothing changes.
+    driven : Driven
+    seen : Perceived
+        The others as the driver knows them.
+    boxes : Boxes
+        Of the others.
+    conflicts : Conflicts
+        Updated.
 
     Returns
     -------
     ndarray of float64, shape (N,)
-        m/s².
+        m/s²; 0 where not active.
     """
-    scenarios, others = known.shape
+    scenarios = active.shape[0]
     result = np.zeros(scenarios)
-    samples = route.x.shape[1]
     # Row 0 is the place where the driven entity is, the others are the route's samples ahead of it:
     # distance from here, centre of the box, cosine and sine of its heading, time of arrival.
-    ahead = np.empty((samples + 1, 6))
+    ahead = np.empty((route.x.shape[1] + 1, 6))
     legs = np.empty((TURN_LEGS + 1, 6))
     for n in range(scenarios):
-        if not active[n]:
-            continue
-        way = n if route.x.shape[0] > 1 else 0
-        v = max(speed[n], 0.0)
-        wanted = target_speed[n] * behaviour.target_share
-        if not wanted < math.inf:
-            wanted = behaviour.max_speed
-        count = _look_ahead(
-            behaviour, route, way, distance[n], x[n], y[n], heading[n], v, wanted, center_x, half_length, ahead
-        )
-        a = _keep_speed(behaviour, route, way, time_step, distance[n], v, wanted)
-        for o in range(others):
-            if not noticed[n, o]:
-                conflict_since[n, o], yielding[n, o] = math.inf, False
-                continue
-            count_legs = _foresee(
-                others_x[n, o], others_y[n, o], others_heading[n, o], others_speed[n, o], others_turn[n, o],
-                others_center_x[o], behaviour.horizon, legs,
-            )  # fmt: skip
-            other = (legs[:count_legs], others_half_length[o], others_half_width[o], others_speed[n, o])
-            ego = (half_length, half_width)
-            limit, conflict = _react(
-                behaviour, time_step, ahead[:count], ego, v, wanted, other, vulnerable[o], yielding[n, o]
-            )
-            if conflict:
-                conflict_since[n, o] = min(conflict_since[n, o], time)
-                # Instants are sums of time steps, which rounding must not push over the limit.
-                if time - conflict_since[n, o] >= behaviour.reaction_time - 1e-9:
-                    yielding[n, o] = True
-            else:
-                conflict_since[n, o], yielding[n, o] = math.inf, False
-            if known[n, o] and (yielding[n, o] or not conflict):
-                a = min(a, limit)
-        a = min(max(a, -behaviour.max_deceleration), behaviour.acceleration)
-        result[n] = max(a, -speed[n] / time_step)
+        if active[n]:
+            a = _decide_one(behaviour, route, time, time_step, n, driven, seen, boxes, conflicts, (ahead, legs))
+            a = min(max(a, -behaviour.max_deceleration), behaviour.acceleration)
+            result[n] = max(a, -driven.speed[n] / time_step)
     return result
 
 
 @_kernel
-def _look_ahead(behaviour, route, row, distance, x, y, heading, v, wanted, center_x, half_length, ahead):
+def _decide_one(behaviour, route, time, time_step, n, driven, seen, boxes, conflicts, tables):
+    """Acceleration in one scenario, before it is cut to what the vehicle can do."""
+    ahead, legs = tables
+    row = n if route.x.shape[0] > 1 else 0
+    v = max(driven.speed[n], 0.0)
+    wanted = driven.target_speed[n] * behaviour.target_share
+    if not wanted < math.inf:
+        wanted = behaviour.max_speed
+    count = _look_ahead(behaviour, route, row, n, driven, v, wanted, ahead)
+    a = _keep_speed(behaviour, route, row, time_step, driven.distance[n], v, wanted)
+    ego = (driven.half_length, driven.half_width)
+    for o in range(seen.known.shape[1]):
+        if not seen.noticed[n, o]:
+            conflicts.since[n, o], conflicts.yielding[n, o] = math.inf, False
+            continue
+        count_legs = _foresee(seen, n, o, boxes.center_x[o], behaviour.horizon, legs)
+        other = (legs[:count_legs], boxes.half_length[o], boxes.half_width[o], seen.speed[n, o])
+        limit, conflict = _react(
+            behaviour, time_step, ahead[:count], ego, v, wanted, other, boxes.vulnerable[o], conflicts.yielding[n, o]
+        )
+        if conflict:
+            conflicts.since[n, o] = min(conflicts.since[n, o], time)
+            # Instants are sums of time steps, which rounding must not push over the limit.
+            if time - conflicts.since[n, o] >= behaviour.reaction_time - 1e-9:
+                conflicts.yielding[n, o] = True
+        else:
+            conflicts.since[n, o], conflicts.yielding[n, o] = math.inf, False
+        if seen.known[n, o] and (conflicts.yielding[n, o] or not conflict):
+            a = min(a, limit)
+    return a
+
+
+@_kernel
+def _look_ahead(behaviour, route, row, n, driven, v, wanted, ahead):
     """Fill the table of places ahead, and return how many there are."""
+    distance, x, y, heading = driven.distance[n], driven.x[n], driven.y[n], driven.heading[n]
+    center_x = driven.center_x
     cos, sin = math.cos(heading), math.sin(heading)
     ahead[0, 0] = 0.0
     ahead[0, 1], ahead[0, 2] = x + center_x * cos, y + center_x * sin
@@ -188,12 +240,13 @@ def _look_ahead(behaviour, route, row, distance, x, y, heading, v, wanted, cente
 
 
 @_kernel
-def _foresee(x, y, heading, speed, turn, center_x, horizon, legs):
+def _foresee(seen, n, o, center_x, horizon, legs):
     """Fill the table of straight legs that the other is expected to go, and return how many there are.
 
     It keeps its rate of turn for some time, then goes straight on. A leg is the centre of the box where it
     begins, cosine and sine of the heading, and the times at which it begins and ends.
     """
+    x, y, heading, speed, turn = seen.x[n, o], seen.y[n, o], seen.heading[n, o], seen.speed[n, o], seen.turn[n, o]
     count = 1
     if abs(turn) > STRAIGHT and abs(speed) >= STANDING:
         count = TURN_LEGS + 1

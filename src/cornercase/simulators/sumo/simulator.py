@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError, suggestion
 from cornercase._common.typing import FloatArray
-from cornercase.drivers import DRIVERS, Driver
+from cornercase.drivers import DRIVERS, Driver, Situation
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
@@ -148,15 +148,9 @@ class SumoSimulator(Simulator):
         return {name: driver for name, driver in chosen.items() if isinstance(driver, str) and driver in TYPES}
 
 
-class _LeftToSumo:
+class _LeftToSumo(Driver):
     """Driver that keeps the storyboard's hands off an entity."""
 
-    def __init__(self) -> None:
-        self.settings: dict[str, object] = {"driver": "sumo"}
-
-    def start(self, scenarios: int, others: int) -> None:
-        """Nothing to forget."""
-
-    def acceleration(self, situation: object) -> FloatArray:
-        """None; the coupling sets the speed."""
+    def acceleration(self, situation: Situation) -> FloatArray:
+        """Give none, as the coupling sets the speed; shape (1,)."""
         return np.zeros(1)
