@@ -297,7 +297,7 @@ def _their_delta_v(recording: Recording) -> float:
 def _area_steps(recording: Recording, name: str) -> tuple[float, float]:
     """Entering a step early and leaving a step late."""
     from cornercase._common.geometry import box_corners, boxes_overlap
-    from cornercase.metrics.base import boxes
+    from cornercase.metrics._parts.boxes import boxes
 
     inside = np.flatnonzero(boxes_overlap(boxes(recording, name), box_corners(*AREA)))
     return (max(inside[0] - 1, 0) * STEP, (inside[-1] + 1) * STEP) if len(inside) else (math.inf, math.inf)

@@ -33,7 +33,7 @@ from cornercase.drivers import named_driver
 from cornercase.dtw import distances_to
 from cornercase.evidence import estimate_sensitivity
 from cornercase.exploration import Objective, demonstration, explore_scenario
-from cornercase.metrics import METRICS, capped
+from cornercase.metrics import METRICS
 from cornercase.reduction import reduce_study
 from cornercase.reduction.coverage import medoids
 from cornercase.reduction.write import critical_clusters
@@ -63,8 +63,8 @@ class Experiment:
             self.names = study.space.names
             self.values = {n: np.array([float(row.values[n]) for row in rows]) for n in self.names}
             self.scores = {m: study.scores(m) for m in meta.metrics}
-            told = Objective.of_study(meta).told(np.stack(list(self.scores.values()), axis=1))
-            self.influence = estimate_sensitivity(study.space, self.points, told, seed)
+            scores = Objective.of_study(meta).oriented(np.stack(list(self.scores.values()), axis=1))
+            self.influence = estimate_sensitivity(study.space, self.points, scores, seed)
             self.ends = [tell_outcome(study.recording(row.id), meta.ego, meta.other) for row in rows]
             self.seconds = study.elapsed()["compare"] / len(self.found)
         self.crash = np.array(["collide" in end for end in self.ends])
@@ -97,7 +97,7 @@ class Experiment:
             new = [
                 one.center(meta.ego)
                 if measured is None
-                else capped(measured, measured.course(one, meta.ego, meta.other))
+                else measured.capped(measured.course(one, meta.ego, meta.other))
                 for one in runs
             ]
             series = series_of(study, by)

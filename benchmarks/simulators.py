@@ -31,16 +31,16 @@ def explored(name: str, simulator: str, budget: int, workers: int, folder: Path)
     asked = demonstration(name, budget=budget, simulator=simulator, workers=workers)
     explore_scenario(replace(asked, metrics=(metric,), optimizer="level-set", critical=0.5), path, progress=True)
     with Study.open(path, readonly=True) as study:
-        told = Objective.of_study(study.meta).told_of(study)
+        scores = Objective.of_study(study.meta).oriented_of(study)
         points = np.array([row.point for row in study.done()])
         space = study.space
         places = space.snap(qmc.Sobol(space.dimension, seed=7).random(4096))
-        found = CriticalSet(space, points, told, 0.5).found(places)
+        found = CriticalSet(space, points, scores, 0.5).found(places)
         ends = [study.recording(row.id).time[-1] for row in study.done()]
         seconds = study.elapsed()["simulate"]
         return {
             "found": found,
-            "critical": int((told <= 0.5).sum()),
+            "critical": int((scores <= 0.5).sum()),
             "per_second": len(points) / seconds / workers,
             "times_real_time": float(np.sum(ends)) / seconds / workers,
         }

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from conftest import ran
 from cornercase.dtw import distance_matrix
-from cornercase.metrics import METRICS, capped
+from cornercase.metrics import METRICS
 from cornercase.simulators import BuiltinSimulator
 
 
@@ -51,7 +51,7 @@ def scenarios(t_intersection):
     points = t_intersection.space.snap(np.random.default_rng(2).random((6, 3)))
     recordings = ran(BuiltinSimulator(), [t_intersection.concrete(one) for one in t_intersection.space.values(points)])
     metric = METRICS.create("distance")
-    return [(one.center("Ego"), capped(metric, metric.course(one, "Ego", "C"))[:, None]) for one in recordings]
+    return [(one.center("Ego"), metric.capped(metric.course(one, "Ego", "C"))[:, None]) for one in recordings]
 
 
 @pytest.mark.parametrize("kind", [0, 1])

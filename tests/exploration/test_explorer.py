@@ -16,7 +16,7 @@ import synthetic
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.interrupts import noted_interrupts
 from cornercase.exploration import ScenarioExplorer, demonstration, explore_scenario
-from cornercase.metrics import METRICS
+from cornercase.metrics import METRICS, Metric
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.report import summarize, write_report
 from cornercase.scenario import ParameterSpace
@@ -222,7 +222,7 @@ def test_a_simulator_that_ends_early_fails_the_rest_of_its_round(tmp_path):
         assert all("without a result" in row.error for row in study.rows() if (row.id - 1) % 10 >= 4)
 
 
-class Largest:
+class Largest(Metric):
     """The same distance, but large is critical."""
 
     name, unit, lower_is_critical, cap, source = "distance", "m", False, 0.0, ""

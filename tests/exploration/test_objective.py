@@ -38,15 +38,15 @@ def between(points):
 
 def test_lower_is_always_more_critical():
     scores = np.array([[1.5, 4.0], [0.5, 8.0]])
-    np.testing.assert_array_equal(Objective([TTC, DRAC]).told(scores), [1.5, 0.5])
-    np.testing.assert_array_equal(Objective([DRAC, TTC]).told(scores[:, ::-1]), [-4.0, -8.0])
+    np.testing.assert_array_equal(Objective([TTC, DRAC]).oriented(scores), [1.5, 0.5])
+    np.testing.assert_array_equal(Objective([DRAC, TTC]).oriented(scores[:, ::-1]), [-4.0, -8.0])
     both = Objective([TTC, DRAC], {"ttc": 2.0, "drac": 0.5})
-    np.testing.assert_array_equal(both.told(scores), [1.0, -3.0])
+    np.testing.assert_array_equal(both.oriented(scores), [1.0, -3.0])
     assert both.text == "2 ttc + 0.5 (-drac)"
-    np.testing.assert_array_equal(Objective([TTC, DRAC], pareto=True).told(scores), [[1.5, -4.0], [0.5, -8.0]])
-    assert Objective([DRAC]).limit(3.0) == -3.0
+    np.testing.assert_array_equal(Objective([TTC, DRAC], pareto=True).oriented(scores), [[1.5, -4.0], [0.5, -8.0]])
+    assert Objective([DRAC]).threshold(3.0) == -3.0
     # What does not count may be undefined.
-    np.testing.assert_array_equal(Objective([TTC, DRAC]).told(np.array([[1.5, np.nan]])), [1.5])
+    np.testing.assert_array_equal(Objective([TTC, DRAC]).oriented(np.array([[1.5, np.nan]])), [1.5])
 
 
 @pytest.mark.parametrize(
@@ -64,9 +64,9 @@ def test_what_cannot_be_searched_is_refused(weights, pareto, words):
 
 def test_what_is_critical_needs_one_score():
     with pytest.raises(InputError, match="needs one score"):
-        Objective([TTC, DRAC], pareto=True).limit(1.0)
+        Objective([TTC, DRAC], pareto=True).threshold(1.0)
     with pytest.raises(InputError, match="up to which weighted sum"):
-        Objective([TTC, DRAC], {"ttc": 1.0}).limit(None)
+        Objective([TTC, DRAC], {"ttc": 1.0}).threshold(None)
 
 
 @given(arrays(np.float64, st.tuples(st.integers(1, 25), st.integers(1, 3)), elements=st.integers(0, 4).map(float)))

@@ -40,7 +40,6 @@ from cornercase.metrics import (
     Tit,
     Ttc,
     Ttce,
-    capped,
 )
 from cornercase.metrics.rss import lateral_minimum, longitudinal_minimum, opposite_minimum
 from oracle import actor, agrees, cases, follows, recorded
@@ -269,7 +268,7 @@ def test_at_contact_no_braking_or_steering_is_enough_and_beside_none_is_asked_fo
     assert math.isnan(now(metric, FOLLOWER, BESIDE))
     assert math.isnan(now(metric, FOLLOWER, BEHIND))
     course = metric.course(recorded([FOLLOWER, TOUCHING], [0.0]), "0", "1")
-    assert capped(metric, course)[0] == metric.limit == metric.score(course)
+    assert metric.capped(course)[0] == metric.most_critical == metric.score(course)
 
 
 def test_deceleration_to_safety_time_is_infinite_where_the_time_gap_is_gone():
@@ -371,7 +370,7 @@ def test_encroachment_time_of_one_who_stays_and_one_who_is_cut_off():
     crossing = actor(y=-50, yaw=math.pi / 2, v=10)
     stays = recorded([actor(x=-30, v=10, a=-100 / 60), crossing], np.arange(0, 10, 0.05))
     assert EncroachmentTime().course(stays, "0", "1")[0] == math.inf
-    assert EncroachmentTime().score(EncroachmentTime().course(stays, "0", "1")) == EncroachmentTime.limit
+    assert EncroachmentTime().score(EncroachmentTime().course(stays, "0", "1")) == EncroachmentTime.most_critical
     close(EncroachmentTime().course(stays, "1", "0")[0], 0.6)
     cut = recorded([actor(x=-30, v=5), crossing], np.arange(0, 6.01, 0.05))
     assert np.isnan(EncroachmentTime().course(cut, "0", "1")).all()
@@ -541,7 +540,7 @@ def test_turning_and_moving_the_scene_changes_no_metric(scene, angle, east, nort
     )
     for name in FAMILY:
         metric = METRICS.create(name)
-        here, there = (capped(metric, metric.course(one, "0", "1")) for one in (scene, moved))
+        here, there = (metric.capped(metric.course(one, "0", "1")) for one in (scene, moved))
         # Where a contact just grazes, or a gap just closes, rounding decides; that is a matter of 1e-9 m.
         differs = ~np.isclose(here, there, rtol=1e-6, atol=1e-6)
         assert differs.mean() <= 0.1, name

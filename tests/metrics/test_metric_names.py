@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from cornercase._common.errors import InputError
 from cornercase.cli import app
-from cornercase.metrics import METRICS, Clearance
+from cornercase.metrics import METRICS, Clearance, Metric
 from oracle import actor, recorded
 
 
@@ -40,8 +41,8 @@ def test_a_metric_of_another_package_is_found_by_its_entry_point(monkeypatch, tm
         name = "half-clearance"
         source = "nobody"
 
-        def _course(self, recording, ego, other):
-            return 0.5 * super()._course(recording, ego, other)
+        def course(self, recording, ego, other):
+            return 0.5 * super().course(recording, ego, other)
 
     class Entry:
         name = "half-clearance"
@@ -67,3 +68,38 @@ def test_a_metric_of_another_package_is_found_by_its_entry_point(monkeypatch, tm
     options_ = ["--ego", "0", "--other", "1", "--metric", "half-clearance", "-o", str(tmp_path / "c.csv")]
     assert CliRunner().invoke(app, ["measure", str(tmp_path / "r.csv"), *options_]).exit_code == 0
     assert (tmp_path / "c.csv").read_text().splitlines()[1] == "0.0,15.0"
+
+
+def test_what_is_no_metric_is_refused(monkeypatch):
+    class Unrelated:
+        """Has a course, but no cap."""
+
+    monkeypatch.setitem(METRICS._factories, "unrelated", (Unrelated, {}))
+    with pytest.raises(InputError, match=r"no subclass of cornercase\.metrics\.Metric"):
+        METRICS.create("unrelated")
+
+
+def test_of_a_metric_only_its_course_has_to_be_written():
+    class SpeedDifference(Metric):
+        """Difference of the speeds of both."""
+
+        name, unit, lower_is_critical, cap = "speed-difference", "m/s", False, 0.0
+
+        def course(self, recording, ego, other):
+            return np.abs(recording.speed[recording.index(ego)] - recording.speed[recording.index(other)])
+
+    metric = SpeedDifference()
+    course = metric.course(recorded([actor(v=20), actor(x=34, v=10)], [0.0, 0.1]), "0", "1")
+    assert metric.score(course) == 10.0
+    np.testing.assert_array_equal(metric.capped(np.array([np.nan, -1.0, np.inf])), [0.0, 0.0, np.inf])
+    assert (metric.most_critical, metric.critical, metric.source) == (None, None, "")
+    with pytest.raises(InputError, match="no threshold of its own"):
+        metric.find_threshold()
+    assert metric.find_threshold(3) == 3.0
+
+
+def test_oriented_scores_are_lower_where_more_critical():
+    scores = np.array([1.0, 2.0])
+    for metric in map(METRICS.create, METRICS.names()):
+        assert metric.oriented(scores).argmin() == (0 if metric.lower_is_critical else 1)
+        np.testing.assert_array_equal(metric.oriented(metric.oriented(scores)), scores)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cornercase._common.geometry import box_corners, box_distance
-from cornercase.metrics import METRICS, Distance, Pet, TrafficQuality, TrajectoryDistance, Ttc, Wttc, capped
+from cornercase.metrics import METRICS, Distance, Pet, TrafficQuality, TrajectoryDistance, Ttc, Wttc
 from cornercase.recordings import Recording
 from scenes import TIME, quick, same, scenes
 
@@ -83,7 +83,7 @@ def test_values_are_finite_after_the_cap_and_never_negative(scene):
         assert course.shape == TIME.shape
         known = course[~np.isnan(course)]
         assert name == "rss" or (known <= 0 if name == "a-long-req" else known >= 0).all()
-        held = capped(metric, course)
+        held = metric.capped(course)
         assert np.isfinite(held).all()
         assert metric.score(course) == (held.min() if metric.lower_is_critical else held.max())
 

@@ -15,7 +15,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from command_line import SPACE, X, cornercase
 from cornercase.evidence import CriticalSet, GaussianProcess, encoded
 from cornercase.evidence.gaussian_process import _loss
-from cornercase.metrics import METRICS, threshold
+from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
@@ -142,7 +142,7 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
     own = cornercase(*common, "--metric", "wttc", "--budget", "40", "-o", tmp_path / "own.db")
     assert own.returncode == 0, own.stderr
     with Study.open(tmp_path / "own.db", readonly=True) as study:
-        assert study.meta.critical == threshold(METRICS.create("wttc")) == 1.0
+        assert study.meta.critical == METRICS.create("wttc").critical == 1.0
         expected = int((study.scores("wttc") <= 1.0).sum())
     shown = json.loads(cornercase("show", tmp_path / "own.db", "--json").stdout)
     assert shown["critical"]["is"] == "wttc <= 1 s"

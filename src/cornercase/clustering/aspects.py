@@ -6,7 +6,7 @@ from typing import Final
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import METRICS, capped
+from cornercase.metrics import METRICS
 from cornercase.study import Study
 
 EGO_TRAJECTORY: Final = "ego-trajectory"
@@ -55,7 +55,7 @@ def series_of(study: Study, aspect: str) -> list[FloatArray]:
             f"`by` {aspect}: {study.path} cannot be clustered by it; {suggestion(aspect, aspects_of(study))}"
         )
     metric = METRICS.create(aspect)
-    return [capped(metric, study.course(row.id, aspect)) for row in rows]
+    return [metric.capped(study.course(row.id, aspect)) for row in rows]
 
 
 def unit_of(aspect: str) -> str:

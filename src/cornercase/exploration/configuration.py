@@ -109,8 +109,8 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
     criteria = [Criterion.parse(text) for text in one.stop_when]
     needs = optimizer_needs(one.optimizer)
     required = "threshold" in needs or bool(criteria)
-    limit = objective.limit(one.critical) if required else objective.limit_where_known(one.critical)
-    optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=limit, budget=one.budget)
+    threshold = objective.threshold(one.critical) if required else objective.known_threshold(one.critical)
+    optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
     if one.pareto and not optimizer.takes_several:
         raise InputError(f"--pareto: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     simulator = _simulator(one)
@@ -126,7 +126,7 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
         optimizer=one.optimizer,
         simulator=one.simulator,
         settings=simulator.settings,
-        critical=None if limit is None else objective.flip(limit),
+        critical=None if threshold is None else objective.flip(threshold),
         weights=dict(one.weights),
         pareto=one.pareto,
         seed=one.seed,
@@ -139,7 +139,7 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
         explorer = ScenarioExplorer(
             one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
             budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,
-            objective=objective, stop_when=criteria, critical=limit, seed=one.seed, repeats=one.repeats,
+            objective=objective, stop_when=criteria, critical=threshold, seed=one.seed, repeats=one.repeats,
         )  # fmt: skip
         try:
             return explorer.run(progress)

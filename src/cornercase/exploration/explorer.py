@@ -174,8 +174,8 @@ class ScenarioExplorer:
     def _go_on(self, bar: _Bar | None) -> tuple[int, int]:
         """Finish what a killed explorer left pending, and tell the optimizer all; how many scenarios and rounds."""
         rows = self._study.rows()
-        told = self._objective.told_of(self._study)
-        scores = dict(zip((row.id for row in rows if row.state == "done"), told, strict=True))
+        known = self._objective.oriented_of(self._study)
+        scores = dict(zip((row.id for row in rows if row.state == "done"), known, strict=True))
         for _, members in groupby(rows, key=lambda row: row.round):
             again = list(members)
             scores |= self._simulate([row for row in again if row.state == "pending"], bar)
@@ -201,16 +201,18 @@ class ScenarioExplorer:
             if not runs:
                 self._study.fail(row.id, next(one for one in outcomes if isinstance(one, SimulationError)))
                 continue
-            told = [self._objective.told(np.array([[score for _, score in one.values()]]))[0] for _, one in runs]
+            oriented = [
+                self._objective.oriented(np.array([[score for _, score in one.values()]]))[0] for _, one in runs
+            ]
             # Of several objectives the first says which run is in the middle.
-            order = sorted(range(len(runs)), key=lambda k: float(np.atleast_1d(told[k])[0]))
+            order = sorted(range(len(runs)), key=lambda k: float(np.atleast_1d(oriented[k])[0]))
             middle = order[(len(order) - 1) // 2]
             recording, courses = runs[middle]
             repeats = None
             if self._repeats > 1:
                 repeats = {metric.name: [one[metric.name][1] for _, one in runs] for metric in self._metrics}
             self._study.finish(row.id, recording, courses, repeats)
-            scores[row.id] = told[middle]
+            scores[row.id] = oriented[middle]
             best.add(scores[row.id][None])
             if bar is not None:
                 bar.update(row.id, best.text)

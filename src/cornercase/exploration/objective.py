@@ -1,4 +1,4 @@
-"""What a search is told of a scenario: the score of one metric, a weighted sum of several, or all of them."""
+"""What is searched: the score of one metric, a weighted sum of several, or the Pareto front of all."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics import METRICS, Metric, threshold
+from cornercase.metrics import METRICS, Metric
 from cornercase.study import Study, StudyMeta
 
 
 class Objective:
-    """Turns scores into what a search makes as low as it can.
+    """Turns the scores of the metrics into oriented scores, which a search makes as low as it can.
 
-    The score of the first metric, unless there are weights: then ``sum of weight times score``. What is critical
-    when high counts with the opposite sign. For a Pareto front each metric stays by itself.
+    What is searched is the first metric, or with weights the sum of weight times oriented score. For a Pareto front
+    each metric stays by itself.
 
     Parameters
     ----------
@@ -55,23 +55,32 @@ class Objective:
         return cls(metrics, meta.weights, meta.pareto)
 
     def _matrix(self) -> FloatArray:
-        signs = np.array([1.0 if metric.lower_is_critical else -1.0 for metric in self.metrics])
+        signs = np.array([metric.oriented(1.0) for metric in self.metrics])
         if self.pareto:
             return np.diag(signs)
         weights = [self.weights.get(metric.name, 0.0) for metric in self.metrics]
         chosen = np.array(weights) if self.weights else np.eye(len(signs))[0]
         return np.asarray((chosen * signs)[:, None])
 
-    def told(self, scores: FloatArray) -> FloatArray:
-        """What the search is told of scores, shape (m, metrics); (m,), or (m, metrics) for a Pareto front."""
+    def oriented(self, scores: FloatArray) -> FloatArray:
+        """Oriented scores of what is searched.
+
+        Parameters
+        ----------
+        scores : ndarray of float64, shape (m, metrics)
+
+        Returns
+        -------
+        ndarray of float64, shape (m,), or (m, metrics) for a Pareto front
+        """
         # A metric that does not count must not make anything of it undefined.
         used = self._factors.any(axis=1)
         values = scores[:, used] @ self._factors[used]
         return np.asarray(values if self.pareto else values[:, 0])
 
-    def told_of(self, study: Study) -> FloatArray:
-        """What the search is told of all scenarios of a study that ended, as of `told`."""
-        return self.told(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
+    def oriented_of(self, study: Study) -> FloatArray:
+        """Oriented scores of all scenarios of a study that did not fail, as of `oriented`."""
+        return self.oriented(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
 
     @property
     def text(self) -> str:
@@ -88,11 +97,11 @@ class Objective:
 
     @property
     def unit(self) -> str:
-        """Unit of what a search is told; empty for a weighted sum."""
+        """Unit of what is searched; empty for a weighted sum."""
         return "" if self.weights or self.pareto or self.metrics[0].unit == "1" else self.metrics[0].unit
 
-    def limit(self, given: float | None) -> float:
-        """What a search is told of the least critical scenario that is critical.
+    def threshold(self, given: float | None) -> float:
+        """Oriented score up to which a scenario is critical.
 
         Parameters
         ----------
@@ -111,25 +120,25 @@ class Objective:
             if given is None:
                 raise InputError("--weight: say with --critical up to which weighted sum a scenario is critical.")
             return float(given)
-        return self.flip(threshold(self.metrics[0], given))
+        return self.flip(self.metrics[0].find_threshold(given))
 
-    def limit_where_known(self, given: float | None) -> float | None:
-        """As `limit`; but None where none is given and nothing else says it."""
+    def known_threshold(self, given: float | None) -> float | None:
+        """As `threshold`, but None where none is given and the metric has none of its own."""
         try:
-            return self.limit(given)
+            return self.threshold(given)
         except InputError:
             if given is not None:
                 raise
             return None
 
     def flip(self, value: float) -> float:
-        """Turn a score of the one metric that is searched into what is told of it, or back."""
-        return value if self.weights or self.metrics[0].lower_is_critical else -value
+        """Orient one score of what is searched, or turn an oriented one back; a weighted sum is oriented already."""
+        return value if self.weights else self.metrics[0].oriented(value)
 
     @property
     def uncritical(self) -> FloatArray:
-        """What is told of a scenario with every score at its cap, shape (1,) or (metrics,)."""
-        return self.told(np.array([[metric.cap for metric in self.metrics]])).ravel()
+        """Oriented scores of a scenario with every score at its cap, shape (1,) or (metrics,)."""
+        return self.oriented(np.array([[metric.cap for metric in self.metrics]])).ravel()
 
 
 def on_front(values: FloatArray) -> BoolArray:
@@ -149,12 +158,21 @@ class Best:
         self._objective = objective
         self._front = np.zeros((0, 1))
 
-    def add(self, told: FloatArray) -> bool:
-        """Take what was told of a round, shape (m,) or (m, k); whether any of it is news.
+    def add(self, scores: FloatArray) -> bool:
+        """Take the oriented scores of a round.
 
-        News is what is nowhere less critical than what was known, unless every score is at its cap.
+        Parameters
+        ----------
+        scores : ndarray of float64, shape (m,) or (m, k)
+            NaN for a scenario that failed.
+
+        Returns
+        -------
+        bool
+            Whether any is new: nothing that was known dominates it, and it is not known already with every score at
+            its cap.
         """
-        values = told.reshape(len(told), -1)
+        values = scores.reshape(len(scores), -1)
         values = values[np.isfinite(values).all(axis=1)]
         if not len(values):
             return False

@@ -1,9 +1,6 @@
+from ._parts.conflict_area import visits as visits
 from .base import Metric as Metric
-from .base import PairMetric as PairMetric
-from .base import capped as capped
 from .base import measured as measured
-from .base import threshold as threshold
-from .conflict_area import visits as visits
 from .deceleration import Btn as Btn
 from .deceleration import Drac as Drac
 from .deceleration import Dst as Dst

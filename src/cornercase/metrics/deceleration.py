@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric, checked, over
-from cornercase.metrics.following import Following
+from cornercase.metrics._parts.following import Following
+from cornercase.metrics._parts.numbers import checked, over
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 
-class Drac(PairMetric):
+class Drac(Metric):
     """Deceleration rate to avoid a crash: by which braking the ego just takes on the other's speed at contact.
 
     ``Δv² / (2 gap)`` in m/s², with the closing speed Δv and the gap along the ego's way; the other keeps its
     speed. 0 when the gap does not shrink, inf at contact while it does. A standing other is an obstacle; for
     an oncoming one Δv is the sum of both speeds. Not defined where the other is not in the ego's way or one
-    of the two does not exist. Cap: 0, limit: 20 m/s².
+    of the two does not exist. Cap: 0, most critical value: 20 m/s².
 
     Notes
     -----
@@ -28,20 +29,20 @@ class Drac(PairMetric):
     unit = "m/s²"
     lower_is_critical = False
     cap = 0.0
-    limit = 20.0
+    most_critical = 20.0
     source = "Cooper and Ferguson 1976"
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = Following.of(recording, ego, other)
         return over(np.maximum(pair.closing, 0.0) ** 2, 2.0 * pair.gap)
 
 
-class Mdrac(PairMetric):
+class Mdrac(Metric):
     """Modified deceleration rate to avoid a crash: the braking begins after a reaction time.
 
     ``Δv / (2 (gap / Δv - t_r))`` in m/s², with the closing speed Δv. 0 when the gap does not shrink, inf when
     the ego reaches the other within the reaction time. Standing and oncoming others as in `Drac`. Not defined
-    where the other is not in the ego's way or one of the two does not exist. Cap: 0, limit: 20 m/s².
+    where the other is not in the ego's way or one of the two does not exist. Cap: 0, most critical value: 20 m/s².
 
     Parameters
     ----------
@@ -58,26 +59,26 @@ class Mdrac(PairMetric):
     unit = "m/s²"
     lower_is_critical = False
     cap = 0.0
-    limit = 20.0
+    most_critical = 20.0
     source = "Alhajyaseen 2015"
 
     def __init__(self, reaction_time: float = 1.0) -> None:
         checked(self.name, reaction_time=reaction_time)
         self.reaction_time = reaction_time
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = Following.of(recording, ego, other)
         closing = np.maximum(pair.closing, 0.0)
         return over(closing**2, 2.0 * (pair.gap - closing * self.reaction_time))
 
 
-class Dst(PairMetric):
+class Dst(Metric):
     """Deceleration to safety time: by which braking the ego takes on the other's speed and keeps a time gap.
 
     ``Δv² / (2 (gap - v_other t_s))`` in m/s², with the closing speed Δv; a safety time of 0 gives `Drac`. 0
     when the gap does not shrink, inf when it is already smaller than the safety time asks for. Standing and
     oncoming others as in `Drac`. Not defined where the other is not in the ego's way or one of the two does
-    not exist. Cap: 0, limit: 20 m/s².
+    not exist. Cap: 0, most critical value: 20 m/s².
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ class Dst(PairMetric):
     unit = "m/s²"
     lower_is_critical = False
     cap = 0.0
-    limit = 20.0
+    most_critical = 20.0
     critical = 4.0
     source = "Hupfer 1997"
 
@@ -102,13 +103,13 @@ class Dst(PairMetric):
         checked(self.name, safety_time=safety_time)
         self.safety_time = safety_time
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = Following.of(recording, ego, other)
         closing = np.maximum(pair.closing, 0.0)
         return over(closing**2, 2.0 * (pair.gap - pair.leader_speed * self.safety_time))
 
 
-class LongitudinalAcceleration(PairMetric):
+class LongitudinalAcceleration(Metric):
     """Required longitudinal acceleration: the weakest constant braking with which the ego does not hit the other.
 
     The other keeps its acceleration a₂ until it stands. Where the ego has taken on its speed before that, at
@@ -116,7 +117,7 @@ class LongitudinalAcceleration(PairMetric):
     ``-v² / (2 (gap + v₂² / (2 |a₂|)))``. In m/s², negative: lower is more critical. 0 when no braking is
     needed, -inf at contact while the gap shrinks. A standing other is an obstacle. For an oncoming one the
     value is the acceleration that ends the closing, and so more than the ego alone could mend. Not defined
-    where the other is not in the ego's way or one of the two does not exist. Cap: 0, limit: -20 m/s².
+    where the other is not in the ego's way or one of the two does not exist. Cap: 0, most critical value: -20 m/s².
 
     Notes
     -----
@@ -128,20 +129,20 @@ class LongitudinalAcceleration(PairMetric):
     unit = "m/s²"
     lower_is_critical = True
     cap = 0.0
-    limit = -20.0
+    most_critical = -20.0
     critical = -5.0
     source = "Jansson 2005, leader does not reverse"
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return required_acceleration(Following.of(recording, ego, other))
 
 
-class Btn(PairMetric):
+class Btn(Metric):
     """Brake threat number: required over available braking.
 
     The required longitudinal acceleration (`LongitudinalAcceleration`) over the greatest deceleration, without
     unit: 1 where braking at full power just avoids the contact. 0 when no braking is needed. Standing others,
-    and where it is not defined, as there. Cap: 0, limit: 5.
+    and where it is not defined, as there. Cap: 0, most critical value: 5.
 
     Parameters
     ----------
@@ -158,7 +159,7 @@ class Btn(PairMetric):
     unit = "1"
     lower_is_critical = False
     cap = 0.0
-    limit = 5.0
+    most_critical = 5.0
     critical = 1.0
     source = "Brännström et al. 2008"
 
@@ -166,11 +167,11 @@ class Btn(PairMetric):
         checked(self.name, deceleration=deceleration)
         self.deceleration = deceleration
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return over(-required_acceleration(Following.of(recording, ego, other)), self.deceleration)
 
 
-class StoppingDistance(PairMetric):
+class StoppingDistance(Metric):
     """Least distance in which the ego can stop, ``v² / (2 a)`` in m.
 
     The other plays no part; a standing ego gives 0. Not defined where the ego does not exist. Cap: 0 m.
@@ -189,14 +190,14 @@ class StoppingDistance(PairMetric):
     unit = "m"
     lower_is_critical = False
     cap = 0.0
-    limit = 500.0
+    most_critical = 500.0
     source = "Minimal stopping distance, as in Westhofen et al. 2023"
 
     def __init__(self, deceleration: float = 8.0) -> None:
         checked(self.name, deceleration=deceleration)
         self.deceleration = deceleration
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return over(recording.speed[recording.index(ego)] ** 2, 2.0 * self.deceleration)
 
 

@@ -6,11 +6,12 @@ import numpy as np
 
 from cornercase._common.geometry import box_distance
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric, boxes
+from cornercase.metrics._parts.boxes import boxes
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 
-class Distance(PairMetric):
+class Distance(Metric):
     """Distance between the centres of two bounding boxes.
 
     ``|p_other - p_ego|`` in the plane, in m. It depends on positions only, so standing entities are nothing
@@ -31,12 +32,12 @@ class Distance(PairMetric):
     cap = 100.0
     source = "Euclidean distance between the centres of the bounding boxes"
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         gap = recording.center(other) - recording.center(ego)
         return np.hypot(gap[:, 0], gap[:, 1])
 
 
-class Clearance(PairMetric):
+class Clearance(Metric):
     """Gap between the two bounding boxes.
 
     The smallest distance of two of their points in the plane, in m; 0 where they touch or overlap. It depends
@@ -55,5 +56,5 @@ class Clearance(PairMetric):
     critical = 1.0
     source = "Euclidean distance of the bounding boxes"
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return box_distance(boxes(recording, ego), boxes(recording, other))

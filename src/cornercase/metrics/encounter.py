@@ -6,14 +6,15 @@ import numpy as np
 
 from cornercase._common.geometry import box_distance, first_contact
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric, boxes, relative_velocity
+from cornercase.metrics._parts.boxes import boxes, relative_velocity
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 _TIE = 1e-9
 """Gaps in m that are the same but for rounding."""
 
 
-class Dce(PairMetric):
+class Dce(Metric):
     """Distance of closest encounter: the smallest gap between the boxes if both go straight on.
 
     Each box keeps its heading and its speed along it; the value is the smallest gap in m at this instant or
@@ -40,11 +41,11 @@ class Dce(PairMetric):
     def __init__(self, centers: bool = False) -> None:
         self.centers = centers
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return closest_encounter(recording, ego, other, self.centers)[0]
 
 
-class Ttce(PairMetric):
+class Ttce(Metric):
     """Time to closest encounter: when the gap between the boxes is smallest if both go straight on.
 
     The first t >= 0 in s at which the gap of `Dce` is reached: the time to collision where the boxes will
@@ -70,7 +71,7 @@ class Ttce(PairMetric):
     def __init__(self, centers: bool = False) -> None:
         self.centers = centers
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return closest_encounter(recording, ego, other, self.centers)[1]
 
 

@@ -9,14 +9,15 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics.base import PairMetric, checked
+from cornercase.metrics._parts.numbers import checked
+from cornercase.metrics.base import Metric
 from cornercase.metrics.ttc import Ttc
 from cornercase.recordings import Recording
 
 Rule = Literal["linear", "samples"]
 
 
-class _Exposure(PairMetric):
+class _Exposure(Metric):
     """Sums up, over the instants, how far the time to collision is below a threshold."""
 
     lower_is_critical = False
@@ -28,7 +29,7 @@ class _Exposure(PairMetric):
             raise InputError(f"{self.name} has no rule '{rule}'; {suggestion(rule, get_args(Rule))}")
         self.threshold, self.rule = threshold, rule
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         below = self.threshold - Ttc().course(recording, ego, other)
         below = np.where(np.isnan(below), -np.inf, below)
         steps = np.diff(recording.time)

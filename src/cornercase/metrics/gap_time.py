@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric, checked, over
-from cornercase.metrics.trajectory_distance import ways_to_crossing
+from cornercase.metrics._parts.crossing import ways_to_crossing
+from cornercase.metrics._parts.numbers import checked, over
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 
-class GapTime(PairMetric):
+class GapTime(Metric):
     """Difference of the times at which both reach the crossing of their tracks at their present speeds.
 
     ``|d / v - d_other / v_other|`` in s, with the ways that the centres still have to go to the crossing that
@@ -39,7 +40,7 @@ class GapTime(PairMetric):
         checked(self.name, ahead=ahead)
         self.ahead = ahead
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         mine, others = _arrivals(recording, ego, other, self.ahead)
         return _apart(mine, others)
 
@@ -65,7 +66,7 @@ class SquaredGapTime(GapTime):
     cap = 100.0
     source = "Squared predicted relative encroachment time, as in Westhofen et al. 2023"
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         mine, others = _arrivals(recording, ego, other, self.ahead)
         return _apart(mine**2, others**2)
 

@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric, boxes, checked, over, velocity
-from cornercase.metrics.following import Following
+from cornercase.metrics._parts.boxes import boxes, velocity
+from cornercase.metrics._parts.following import Following
+from cornercase.metrics._parts.numbers import checked, over
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 
-class LateralAcceleration(PairMetric):
+class LateralAcceleration(Metric):
     """Required lateral acceleration: the weaker of those with which the ego passes the other left or right.
 
     ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². Δy is how far the other's centre lies to the
     left of the ego's, across the ego's heading, when the gap is closed (so with the lateral speed that both
     have); the widths are those of the boxes across the ego's heading; TTC is gap / Δv along it. 0 when the
     gap does not shrink, inf at contact while it does. A standing other is an obstacle. Not defined where the
-    other is not in the ego's way or one of the two does not exist. Cap: 0, limit: 20 m/s².
+    other is not in the ego's way or one of the two does not exist. Cap: 0, most critical value: 20 m/s².
 
     Notes
     -----
@@ -28,19 +30,19 @@ class LateralAcceleration(PairMetric):
     unit = "m/s²"
     lower_is_critical = False
     cap = 0.0
-    limit = 20.0
+    most_critical = 20.0
     source = "Jansson 2005"
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return required_acceleration(recording, ego, other)
 
 
-class Stn(PairMetric):
+class Stn(Metric):
     """Steer threat number: required over available lateral acceleration.
 
     The required lateral acceleration (`LateralAcceleration`) over the greatest one, without unit: 1 where
     steering at full power just avoids the contact. 0 when the gap does not shrink. Standing others, and where
-    it is not defined, as there. Cap: 0, limit: 5.
+    it is not defined, as there. Cap: 0, most critical value: 5.
 
     Parameters
     ----------
@@ -57,7 +59,7 @@ class Stn(PairMetric):
     unit = "1"
     lower_is_critical = False
     cap = 0.0
-    limit = 5.0
+    most_critical = 5.0
     critical = 1.0
     source = "Brännström et al. 2008"
 
@@ -65,7 +67,7 @@ class Stn(PairMetric):
         checked(self.name, acceleration=acceleration)
         self.acceleration = acceleration
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         required = required_acceleration(recording, ego, other)
         return over(required, self.acceleration)
 

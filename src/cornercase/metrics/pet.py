@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric
-from cornercase.metrics.conflict_area import TOUCH, Area, Stay, checked_area, visits
+from cornercase.metrics._parts.conflict_area import TOUCH, Area, Stay, checked_area, visits
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 
-class Pet(PairMetric):
+class Pet(Metric):
     """Time between one entity leaving the conflict area and the other entering it, as it was recorded.
 
     ``t_in(second) - t_out(first)`` in s. The conflict area is where the areas overlap that the two bounding
@@ -54,7 +54,7 @@ class Pet(PairMetric):
         self.area = checked_area(self.name, area)
         self.signed = signed
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         values = [value for pair in visits(recording, ego, other, self.area) for value in self._gaps(*pair)]
         return np.full(len(recording.time), min(values, default=np.nan))
 
@@ -69,13 +69,14 @@ class Pet(PairMetric):
         return [max(one.enters - two.leaves, two.enters - one.leaves)]
 
 
-class EncroachmentTime(PairMetric):
+class EncroachmentTime(Metric):
     """How long the ego is in the conflict area, as it was recorded.
 
     ``t_out - t_in`` in s of the conflict area of `Pet`; of several areas or visits the longest counts. The
     other's time plays no part, only the area that it sweeps. Known afterwards only, so the course has the
     value at all instants. inf where the ego has come to stand in the area. Not defined (NaN throughout)
-    without a conflict area, and where the recording ends while the ego drives through it. Cap: 0, limit: 60 s.
+    without a conflict area, and where the recording ends while the ego drives through it. Cap: 0, most critical
+    value: 60 s.
 
     Parameters
     ----------
@@ -92,13 +93,13 @@ class EncroachmentTime(PairMetric):
     unit = "s"
     lower_is_critical = False
     cap = 0.0
-    limit = 60.0
+    most_critical = 60.0
     source = "Allen, Shin and Cooper 1978, areas swept by the boxes"
 
     def __init__(self, area: Area | None = None) -> None:
         self.area = checked_area(self.name, area)
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         lengths = [
             stay.leaves - stay.enters if stay.left else np.inf
             for stay, _ in visits(recording, ego, other, self.area)

@@ -7,7 +7,7 @@ from typing import Final
 from cornercase._common.registry import Registry
 from cornercase.metrics.base import Metric
 
-METRICS: Final[Registry[Metric]] = Registry("metric", "cornercase.metrics")
+METRICS: Final[Registry[Metric]] = Registry("metric", "cornercase.metrics", Metric)
 """Criticality metrics by name."""
 
 for _name, _place in (

@@ -9,13 +9,15 @@ import numpy.typing as npt
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric, boxes, checked, velocity
+from cornercase.metrics._parts.boxes import boxes, velocity
+from cornercase.metrics._parts.numbers import checked
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 Term = Literal["both", "longitudinal", "lateral"]
 
 
-class Rss(PairMetric):
+class Rss(Metric):
     """Distance by which the ego keeps, or falls short of, the minimum of responsibility-sensitive safety.
 
     Along and across the ego's heading the gap between the boxes is compared with the minimum that lets both
@@ -87,7 +89,7 @@ class Rss(PairMetric):
         self.lateral_margin = lateral_margin
         self.term = term
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         heading = recording.heading[recording.index(ego)]
         forward = np.stack([np.cos(heading), np.sin(heading)], -1)
         left = np.stack([-forward[:, 1], forward[:, 0]], -1)

@@ -10,7 +10,9 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.geometry import boxes_overlap
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric, boxes, checked, relative_velocity
+from cornercase.metrics._parts.boxes import boxes, relative_velocity
+from cornercase.metrics._parts.numbers import checked
+from cornercase.metrics.base import Metric
 from cornercase.metrics.ttc import Ttc
 from cornercase.recordings import Recording
 
@@ -36,7 +38,7 @@ MASSES: Mapping[str, float] = MappingProxyType(
 _OTHERWISE = 1500.0
 
 
-class DeltaV(PairMetric):
+class DeltaV(Metric):
     """Change of the ego's velocity in a collision in which both stick together (plastic impact).
 
     ``m_other / (m + m_other) |v_other - v|`` in m/s, with the velocities as vectors at the first instant at
@@ -67,7 +69,7 @@ class DeltaV(PairMetric):
         self.masses = _checked_masses(self.name, masses)
         self.predicted = predicted
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         change = _change(recording, ego, other, self.masses)
         if self.predicted:
             return change
@@ -76,7 +78,7 @@ class DeltaV(PairMetric):
         return np.where(touch, change[np.maximum.accumulate(begins)], np.nan)
 
 
-class ConflictSeverity(PairMetric):
+class ConflictSeverity(Metric):
     """Change of the ego's velocity that evasive braking would leave of a collision ahead.
 
     ``[m_other / (m + m_other) (|v_other - v| - a TTC)]₊`` in m/s: `DeltaV` as predicted, less what braking by
@@ -107,7 +109,7 @@ class ConflictSeverity(PairMetric):
         self.deceleration = deceleration
         self.masses = _checked_masses(self.name, masses)
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         change = _change(recording, ego, other, self.masses)
         time = Ttc().course(recording, ego, other)
         ahead = np.isfinite(time)

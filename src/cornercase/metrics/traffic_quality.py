@@ -9,7 +9,8 @@ import numpy as np
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.geometry import box_distance
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.metrics.base import PairMetric, boxes
+from cornercase.metrics._parts.boxes import boxes
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 Term = Literal["all", "macro", "micro", "nano", "individual", "penalty"]
@@ -18,7 +19,7 @@ _WINDOW = 2.0
 _STANDS = 1e-5
 
 
-class TrafficQuality(PairMetric):
+class TrafficQuality(Metric):
     r"""How demanding the traffic of the whole scene is for the ego; higher is more critical.
 
     ``penalty * sqrt(macro² + micro² + nano² + individual²)``, without unit, of all n entities that exist:
@@ -82,9 +83,6 @@ class TrafficQuality(PairMetric):
         InputError
             There is no entity of that name.
         """
-        return self._course(recording, ego, other)
-
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         scene = _Scene(recording, ego)
         if self.term != "all":
             term: FloatArray = getattr(scene, self.term)()

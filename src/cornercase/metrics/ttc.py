@@ -8,11 +8,12 @@ import numpy as np
 
 from cornercase._common.geometry import first_contact
 from cornercase._common.typing import FloatArray
-from cornercase.metrics.base import PairMetric, boxes, relative_velocity, without_rounding
+from cornercase.metrics._parts.boxes import boxes, relative_velocity, without_rounding
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 
-class Ttc(PairMetric):
+class Ttc(Metric):
     """Time until the two bounding boxes first touch if both go straight on.
 
     Each box keeps its heading and its speed along it; the value is the smallest t >= 0 in s at which the
@@ -45,7 +46,7 @@ class Ttc(PairMetric):
     def __init__(self, accelerating: bool = False) -> None:
         self.accelerating = accelerating
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         a, b = boxes(recording, ego), boxes(recording, other)
         if not self.accelerating:
             return first_contact(a, b, relative_velocity(recording, ego, other))

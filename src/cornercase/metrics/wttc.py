@@ -12,14 +12,14 @@ import numpy.typing as npt
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import wttc_kernel
-from cornercase.metrics.base import PairMetric
+from cornercase.metrics._parts import wttc_kernel
+from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 _VULNERABLE = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
 
 
-class Wttc(PairMetric):
+class Wttc(Metric):
     """Time to collision if both entities do the worst that physics allows.
 
     Each entity may accelerate in any direction by at most ``a``: after a time t it is somewhere in a circle
@@ -64,7 +64,7 @@ class Wttc(PairMetric):
         self.vehicle_acceleration = vehicle_acceleration
         self.vulnerable_acceleration = vulnerable_acceleration
 
-    def _course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         rows = [recording.index(ego), recording.index(other)]
         course = np.empty(len(recording.time))
         wttc_kernel.course(
@@ -72,12 +72,12 @@ class Wttc(PairMetric):
             np.ascontiguousarray(recording.center_x),
             *rows,
             0.5 * sum(math.hypot(recording.length[i], recording.width[i]) for i in rows),
-            sum(self._limit(recording.kinds[i]) for i in rows),
+            sum(self._greatest_acceleration(recording.kinds[i]) for i in rows),
             course,
         )
         return course
 
-    def _limit(self, kind: str) -> float:
+    def _greatest_acceleration(self, kind: str) -> float:
         return self.vulnerable_acceleration if kind.lower() in _VULNERABLE else self.vehicle_acceleration
 
 

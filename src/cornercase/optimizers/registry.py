@@ -9,7 +9,7 @@ from cornercase._common.registry import Registry
 from cornercase.optimizers.base import Need, Optimizer
 from cornercase.scenario import ParameterSpace
 
-OPTIMIZERS: Final[Registry[Optimizer]] = Registry("optimizer", "cornercase.optimizers")
+OPTIMIZERS: Final[Registry[Optimizer]] = Registry("optimizer", "cornercase.optimizers", Optimizer)
 """Optimizers by name; other packages add subclasses of `Optimizer` through this entry-point group."""
 
 for _name, _place in (
@@ -41,12 +41,7 @@ def optimizer_needs(name: str) -> frozenset[Need]:
     InputError
         There is no optimizer of this name, or it is no subclass of `Optimizer`.
     """
-    kind = OPTIMIZERS.factory(name.partition(":")[0])
-    if not (isinstance(kind, type) and issubclass(kind, Optimizer)):
-        raise InputError(
-            f"The optimizer '{name}' is no subclass of cornercase.optimizers.Optimizer; derive it from that."
-        )
-    return kind.needs
+    return OPTIMIZERS.class_of(name).needs
 
 
 def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: float | None, budget: int) -> Optimizer:

@@ -195,9 +195,9 @@ def critical_clusters(study: Study, arrays: Mapping[str, Any]) -> list[int]:
     metric, labels = objective.metrics[0], arrays["labels"]
     ids = [row.id for row in study.done()]
     scores = study.scores(metric.name)[[ids.index(i) for i in arrays["ids"].tolist()]]
-    told = scores if metric.lower_is_critical else -scores
+    oriented = metric.oriented(scores)
     clusters = [label for label in np.unique(labels).tolist() if label >= 0]
-    medians = {label: float(np.median(told[labels == label])) for label in clusters}
+    medians = {label: float(np.median(oriented[labels == label])) for label in clusters}
     limit = study.meta.critical
     critical = clusters
     if limit is not None and not objective.weights and not objective.pareto:
@@ -211,7 +211,7 @@ def _of_critical(study: Study, analyses: Mapping[str, Any], kept: list[int], wit
     if limit is None or objective.pareto or not kept:
         return {}
     rows = {row.id: row for row in study.done()}
-    told = dict(zip(rows, objective.told_of(study).tolist(), strict=True))
+    oriented = dict(zip(rows, objective.oriented_of(study).tolist(), strict=True))
     threshold, seed = objective.flip(limit), study.meta.seed
     found, known = {}, {}
     for name, one in analyses.items():
@@ -219,7 +219,7 @@ def _of_critical(study: Study, analyses: Mapping[str, Any], kept: list[int], wit
         index = np.array([ids.index(i) for i in kept if i in ids], dtype=np.int64)
         if not len(index):
             continue
-        points, scores = np.array([rows[i].point for i in ids]), np.array([told[i] for i in ids])
+        points, scores = np.array([rows[i].point for i in ids]), np.array([oriented[i] for i in ids])
         # Clusterings of the same scenarios have one critical set.
         if tuple(ids) not in known:
             with suppress(ValueError):

@@ -72,7 +72,7 @@ def criticality(values: FloatArray, parameters: Sequence[Parameter], scores: Flo
     figure = Figure(figsize=(4.6 * columns + 1.0, 4.0 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     # Drawing the critical ones last keeps them on top.
-    order = np.argsort(scores)[:: -1 if metric.lower_is_critical else 1]
+    order = np.argsort(metric.oriented(scores))[::-1]
     colours = "viridis" if metric.lower_is_critical else "viridis_r"
     points: Any = None
     for axis, (i, j) in zip(axes, pairs, strict=False):

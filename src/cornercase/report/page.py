@@ -15,7 +15,7 @@ from cornercase._common.files import portable_name, written_whole
 from cornercase._common.typing import FloatArray
 from cornercase.clustering import EGO_TRAJECTORY, compare_clusterings, unit_of
 from cornercase.exploration import Objective
-from cornercase.metrics import METRICS, Metric, capped
+from cornercase.metrics import METRICS, Metric
 from cornercase.reduction import gaps
 from cornercase.report import figures, tables
 from cornercase.report.summary import knowledge, run_spread
@@ -136,7 +136,7 @@ class _Page:
         for metric in self._metrics:
             scores = self._scores[metric.name]
             figure = figures.criticality(self._values, self._study.space.parameters, scores, metric)
-            worst = int(scores.argmin() if metric.lower_is_critical else scores.argmax())
+            worst = int(metric.oriented(scores).argmin())
             at = ", ".join(f"{k} = {_number(v)}" for k, v in self._rows[worst].values.items())
             width, of_runs = run_spread(self._study, metric.name), ""
             if width is not None:
@@ -237,7 +237,7 @@ class _Page:
         yield self._figure(
             figures.courses(
                 [self._recordings[i].time for i in ids],
-                [capped(metric, self._study.course(i, metric.name)) for i in ids],
+                [metric.capped(self._study.course(i, metric.name)) for i in ids],
                 labels,
                 metric,
             ),
@@ -346,8 +346,8 @@ class _Page:
         critical = dict.fromkeys(ids, False)
         limit = self._study.meta.critical
         if limit is not None and not self._objective.pareto:
-            told = self._objective.told_of(self._study)
-            critical = dict(zip(ids, (told <= self._objective.flip(limit)).tolist(), strict=True))
+            scores = self._objective.oriented_of(self._study)
+            critical = dict(zip(ids, (scores <= self._objective.flip(limit)).tolist(), strict=True))
         curves = {}
         for name in reduction["coverage"]:
             arrays, _ = self._study.analysis(name, "ids", "distances")

@@ -48,7 +48,7 @@ def summarize(study: Study) -> dict[str, Any]:
     }
     for name in meta.metrics if done else ():
         metric, scores = METRICS.create(name), study.scores(name)
-        worst = int(scores.argmin() if metric.lower_is_critical else scores.argmax())
+        worst = int(metric.oriented(scores).argmin())
         summary["metrics"][name] = {
             "unit": metric.unit,
             "critical is": "low" if metric.lower_is_critical else "high",
@@ -144,9 +144,9 @@ def knowledge(study: Study, objective: Objective) -> dict[str, Any]:
     known: dict[str, Any] = {}
     rows, meta = study.done(), study.meta
     points = np.array([row.point for row in rows])
-    told = objective.told_of(study)
+    scores = objective.oriented_of(study)
     if objective.pareto:
-        front = np.flatnonzero(on_front(told))
+        front = np.flatnonzero(on_front(scores))
         known["front"] = {
             f"scenario {rows[k].id}": {m.name: float(study.scores(m.name)[k]) for m in objective.metrics} for k in front
         }
@@ -156,13 +156,13 @@ def knowledge(study: Study, objective: Objective) -> dict[str, Any]:
         low = objective.weights or objective.metrics[0].lower_is_critical
         known["critical"] = {
             "is": f"{objective.text} {'<=' if low else '>='} {limit:g} {objective.unit}".rstrip(),
-            "scenarios": int((told <= objective.flip(limit)).sum()),
+            "scenarios": int((scores <= objective.flip(limit)).sum()),
         }
         with suppress(ValueError):
-            critical_set = CriticalSet(study.space, points, told, objective.flip(limit), meta.seed)
+            critical_set = CriticalSet(study.space, points, scores, objective.flip(limit), meta.seed)
             known["critical"] |= critical_set.to_json()
     with suppress(ValueError):
-        known["sensitivity"] = estimate_sensitivity(study.space, points, told, meta.seed).to_json()
+        known["sensitivity"] = estimate_sensitivity(study.space, points, scores, meta.seed).to_json()
     return known
 
 

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import track
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.metrics import METRICS, Metric, measured, threshold
+from cornercase.metrics import METRICS, Metric, measured
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study.meta import StudyMeta
@@ -77,7 +77,7 @@ def import_recordings(
     built = [METRICS.create(name) for name in dict.fromkeys(metrics)]
     if not built:
         raise InputError("`metrics`: there is none; name one at least.")
-    known = critical is not None or getattr(built[0], "critical", None) is not None
+    known = critical is not None or built[0].critical is not None
     meta = StudyMeta(
         scenario=str(folder.resolve()),
         fingerprint=_fingerprint(table, folder, files),
@@ -88,7 +88,7 @@ def import_recordings(
         optimizer="none",
         simulator=IMPORTED,
         settings={"table": str(table.resolve())},
-        critical=threshold(built[0], critical) if known else None,
+        critical=built[0].find_threshold(critical) if known else None,
         budget=len(files),
         batch=len(files),
         files=tuple(files),

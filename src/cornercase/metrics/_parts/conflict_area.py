@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from cornercase._common.errors import InputError
 from cornercase._common.geometry import box_corners, separation, sweep_axes
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.metrics.base import boxes
+from cornercase.metrics._parts.boxes import boxes
 from cornercase.recordings import Recording
 
 Area = tuple[float, float, float, float, float]

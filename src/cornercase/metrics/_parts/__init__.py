@@ -1,0 +1,1 @@
+"""What several metrics are made of: boxes, tracks, who follows whom, compiled code."""

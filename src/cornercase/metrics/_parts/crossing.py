@@ -1,0 +1,99 @@
+"""Where the tracks of two entities cross, and how far both still have to go there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.recordings import Recording
+
+_REACH = 1e-6
+"""How far in m a track may end short of the other and still meet it: rounding opens no gap at a vertex."""
+
+_STILL = 1e-9
+"""Steps in m that are rounding, and have no direction."""
+
+_PARALLEL = 1e-6
+"""Sine of the angle below which two pieces of track run beside each other and do not cross."""
+
+_BLOCK = 256
+"""Pieces of track that are set against the whole other track at once, to keep the arrays small."""
+
+
+def ways_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
+    """How far both still have to go to the crossing of their tracks that lies ahead of both.
+
+    Parameters
+    ----------
+    recording : Recording
+    ego, other : str
+    ahead : float
+        How far each track goes straight on after the recording, in m.
+
+    Returns
+    -------
+    ndarray of float64, shape (T,)
+        Of the ego, in m; of several crossings the one with the smallest sum of both. NaN where there is none.
+    ndarray of float64, shape (T,)
+        Of the other.
+    """
+    tracks = _Track(recording, ego, ahead), _Track(recording, other, ahead)
+    crossings = _crossings(*tracks)
+    left_mine, left_other = (on[:, None] - track.driven for on, track in zip(crossings, tracks, strict=True))
+    open_ = (left_mine >= -_REACH) & (left_other >= -_REACH)
+    both = np.where(open_, np.maximum(left_mine, 0.0) + np.maximum(left_other, 0.0), np.inf)
+    if not len(both):
+        nothing = np.full(len(recording.time), np.nan)
+        return nothing, nothing
+    nearest = both.argmin(0), np.arange(both.shape[1])
+    found = np.isfinite(both[nearest])
+    return (
+        np.where(found, np.maximum(left_mine[nearest], 0.0), np.nan),
+        np.where(found, np.maximum(left_other[nearest], 0.0), np.nan),
+    )
+
+
+class _Track:
+    """Polyline of an entity's centre, and how far along it the entity is at each instant."""
+
+    def __init__(self, recording: Recording, name: str, ahead: float) -> None:
+        center, heading = recording.center(name), recording.heading[recording.index(name)]
+        exists = np.flatnonzero(np.isfinite(center).all(-1))
+        points = center[exists]
+        along = np.concatenate([np.zeros(min(len(exists), 1)), _lengths(points).cumsum()])
+        self.driven = np.full(len(center), np.nan)
+        self.driven[exists] = along
+        if len(exists):
+            last = heading[exists[-1]]
+            tip = points[-1] + ahead * np.array([np.cos(last), np.sin(last)])
+            points, along = np.vstack([points, tip]), np.append(along, along[-1] + ahead)
+        moves = np.flatnonzero(_lengths(points) > _STILL)
+        self.start, self.step, self.along = points[moves], points[moves + 1] - points[moves], along[moves]
+
+
+def _lengths(points: FloatArray) -> FloatArray:
+    steps = np.diff(points, axis=0)
+    return np.hypot(steps[:, 0], steps[:, 1])
+
+
+def _crossings(a: _Track, b: _Track) -> tuple[FloatArray, FloatArray]:
+    """Where the tracks cross, as lengths along each, shape (K,)."""
+    length_a, length_b = np.hypot(*a.step.T), np.hypot(*b.step.T)
+    unit_a, unit_b = a.step / length_a[:, None], b.step / length_b[:, None]
+    found_a, found_b = [np.empty(0)], [np.empty(0)]
+    for first in range(0, len(length_a), _BLOCK):
+        some = slice(first, first + _BLOCK)
+        apart_x = b.start[None, :, 0] - a.start[some, None, 0]
+        apart_y = b.start[None, :, 1] - a.start[some, None, 1]
+        ahead_x, ahead_y = unit_a[some, None, 0], unit_a[some, None, 1]
+        sine = ahead_x * unit_b[:, 1] - ahead_y * unit_b[:, 0]
+        crosses = np.abs(sine) > _PARALLEL
+        sine = np.where(crosses, sine, 1.0)
+        on_a = (apart_x * unit_b[:, 1] - apart_y * unit_b[:, 0]) / sine
+        on_b = (apart_x * ahead_y - apart_y * ahead_x) / sine
+        crosses &= (on_a >= -_REACH) & (on_a <= length_a[some, None] + _REACH)
+        crosses &= (on_b >= -_REACH) & (on_b <= length_b + _REACH)
+        i, j = np.nonzero(crosses)
+        found_a.append(a.along[some][i] + on_a[i, j])
+        found_b.append(b.along[j] + on_b[i, j])
+    return np.concatenate(found_a), np.concatenate(found_b)

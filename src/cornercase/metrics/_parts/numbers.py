@@ -1,0 +1,31 @@
+"""Options that are numbers, and quotients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+
+
+def checked(name: str, **numbers: float) -> None:
+    """Refuse options of a metric that are not finite or negative.
+
+    Raises
+    ------
+    InputError
+    """
+    for option, number in numbers.items():
+        if not 0.0 <= number < np.inf:
+            raise InputError(f"{name} cannot take {number} for {option}; give a finite number of 0 or more.")
+
+
+def over(numerator: npt.NDArray[Any], divisor: npt.NDArray[Any] | float) -> FloatArray:
+    """Quotient; 0 where the numerator is 0, inf where it is not and the divisor is not positive."""
+    divisor = np.broadcast_to(divisor, numerator.shape)
+    positive = divisor > 0.0
+    quotient = np.where(positive, numerator / np.where(positive, divisor, 1.0), np.inf)
+    return np.where(np.isnan(numerator + divisor), np.nan, np.where(numerator == 0.0, 0.0, quotient))
