@@ -1,0 +1,118 @@
+"""The floor plan: rooms, sizes, and what may stand where."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.simulators import SIMULATORS
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "src" / "cornercase"
+MODULES = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
+ROOMS = sorted(path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists())
+
+LONGEST_MODULE, LONGEST_FUNCTION, MOST_PARAMETERS = 500, 80, 10
+# Functions that are longer, or have more parameters, and why.
+LARGE = {
+    "cli/running.py explore": "one parameter for each option of the command",
+    "dtw/cpu.py _four_rows": "compiled: machine code takes numbers and arrays, no objects",
+    "dtw/cpu.py _one_row": "compiled: machine code takes numbers and arrays, no objects",
+    "exploration/explorer.py __init__": "one parameter for each option of an exploration",
+    "simulators/carla/simulator.py __init__": "one parameter for each option of the simulator",
+    "simulators/carmaker/simulator.py __init__": "one parameter for each option of the simulator",
+}
+# Objects of other packages, whose versions differ in what they have, and a base class that sets what is missing.
+OF_OTHERS = ("recordings/formats/", "_common/platform.py", "drivers/base.py")
+OPTIONS_OF_OTHERS = {"--csv_logger"}
+PLATFORM = "_common/platform.py"
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef]]:
+    for path, module in MODULES.items():
+        yield from ((f"{path} {one.name}", one) for one in ast.walk(module) if isinstance(one, ast.FunctionDef))
+
+
+def size(function: ast.FunctionDef) -> int:
+    """Lines without the docstring."""
+    documentation = ast.get_docstring(function, clean=False)
+    assert function.end_lineno is not None
+    return function.end_lineno - function.lineno + 1 - (len(documentation.splitlines()) if documentation else 0)
+
+
+def parameters(function: ast.FunctionDef) -> int:
+    given = function.args
+    return len([*given.posonlyargs, *given.args, *given.kwonlyargs])
+
+
+def called(module: ast.Module, *names: str) -> Iterator[ast.Call]:
+    for node in ast.walk(module):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in names:
+            yield node
+
+
+def texts(node: ast.AST) -> Iterator[str]:
+    return (one.value for one in ast.walk(node) if isinstance(one, ast.Constant) and isinstance(one.value, str))
+
+
+def test_beside_the_rooms_there_is_next_to_nothing():
+    assert len(list(PACKAGE.glob("*.py"))) <= 3
+    assert all((PACKAGE / room / "__init__.pyi").exists() for room in ROOMS if room not in ("_common", "cli"))
+
+
+def test_every_room_is_under_contract_without_exceptions():
+    contracts = configparser.ConfigParser()
+    contracts.read(ROOT / ".importlinter")
+    assert sorted(contracts["importlinter:contract:rooms"]["layers"].split()) == ROOMS
+    assert not any("ignore" in key for name in contracts.sections() for key in contracts[name])
+    for room in ROOMS:
+        if room not in ("_common", "cli"):
+            assert contracts[f"importlinter:contract:{room}"]["protected_modules"] == f"cornercase.{room}.**"
+
+
+def test_no_module_is_named_after_nothing():
+    vague = re.compile(r"manager|helper|util|misc|common\.py")
+    assert [path for path in MODULES if vague.search(path)] == []
+
+
+@pytest.mark.parametrize("room", [room for room in ROOMS if (PACKAGE / room / "__init__.pyi").exists()])
+def test_nothing_public_has_the_name_of_its_module(room):
+    """Else it would depend on what was imported before whether the name is the module."""
+    shown = ast.parse((PACKAGE / room / "__init__.pyi").read_text("utf-8"))
+    for node in shown.body:
+        assert isinstance(node, ast.ImportFrom)
+        for name in node.names:
+            assert name.asname == name.name
+            assert name.name != str(node.module).rpartition(".")[2]
+
+
+def test_interfaces_have_defaults_and_are_not_asked_what_they_have():
+    for path, module in MODULES.items():
+        if not path.startswith(OF_OTHERS):
+            for call in called(module, "getattr", "hasattr"):
+                asks = ast.unparse(call.func) == "hasattr" or len(call.args) == 3
+                # Python's own, such as __name__, is no part of an interface.
+                names = [text for text in texts(call.args[1]) if not text.startswith("__")]
+                assert not (asks and names), (path, ast.unparse(call))
+
+
+def test_what_only_some_platforms_have_stands_in_one_module():
+    names = re.compile(r"\bfcntl\b|\bmsvcrt\b|os\.(setsid|killpg|fork|getuid)\b|SIGKILL|SIGHUP")
+    for path, module in MODULES.items():
+        if path != PLATFORM:
+            assert not names.search(ast.unparse(module)), path
+
+
+def test_no_name_of_an_optimizer_or_simulator_is_asked_for_outside_its_room():
+    for room, registry in (("optimizers", OPTIMIZERS), ("simulators", SIMULATORS)):
+        for path, module in MODULES.items():
+            if not path.startswith(f"{room}/"):
+                for node in ast.walk(module):
+                    if isinstance(node, ast.Compare):
+                        assert not set(texts(node)) & set(registry.names()), (path, ast.unparse(node))
