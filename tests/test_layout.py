@@ -28,8 +28,8 @@ LARGE = {
     "simulators/carla/simulator.py __init__": "one parameter for each option of the simulator",
     "simulators/carmaker/simulator.py __init__": "one parameter for each option of the simulator",
 }
-# Objects of other packages, whose versions differ in what they have, and a base class that sets what is missing.
-OF_OTHERS = ("recordings/formats/", "_common/platform.py", "drivers/base.py")
+# Objects of other packages, whose versions differ in what they have; and drivers, which need no base class.
+OF_OTHERS = ("recordings/formats/", "_common/platform.py", "drivers/base.py", "drivers/loading.py")
 OPTIONS_OF_OTHERS = {"--csv_logger"}
 PLATFORM = "_common/platform.py"
 
