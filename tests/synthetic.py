@@ -6,12 +6,12 @@ The other entity stands at 10 |a - b| m from the ego; a scenario with a > 0.9 fa
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from cornercase._common.errors import SimulationError
 from cornercase.exploration import ScenarioExplorer
@@ -36,7 +36,7 @@ class Synthetic(Simulator):
     def run(self, concretes):
         for concrete in concretes:
             if self.left == 0:
-                os.kill(os.getpid(), signal.SIGKILL)
+                psutil.Process().kill()
             if self.ran == self.interrupts:
                 raise KeyboardInterrupt
             if self.left is not None:

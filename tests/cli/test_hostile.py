@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import pytest
 
@@ -142,13 +142,18 @@ HOSTILE = {
 
 
 def limits():
+    import resource
+
     resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
     resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
 
 
+LIMITS = {"preexec_fn": limits} if find_spec("resource") is not None else {}
+
+
 def run(*arguments):
     command = [sys.executable, "-c", "from cornercase.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=90, preexec_fn=limits)
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, **LIMITS)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

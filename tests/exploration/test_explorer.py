@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import os
 import signal
 import sqlite3
 import subprocess
@@ -107,7 +106,7 @@ def test_a_killed_exploration_goes_on_as_if_undisturbed(undisturbed, tmp_path):
         except sqlite3.Error:
             pass
         time.sleep(0.002)
-    os.kill(process.pid, signal.SIGKILL)
+    process.kill()
     process.wait()
     interrupted, _ = results(path)
     assert 13 <= sum(state == "done" for *_, state in interrupted) < 40
@@ -197,7 +196,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
         process = subprocess.run(
             [sys.executable, synthetic.__file__, tmp_path / "killed.db", str(survives)], check=False
         )
-        deaths += process.returncode == -signal.SIGKILL
+        deaths += process.returncode != 0
         with Study.open(tmp_path / "killed.db", readonly=True) as study:
             assert len(study.rows()) <= 47
     assert deaths == 4
@@ -385,7 +384,7 @@ def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path,
 def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
     def compare():
         try:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
             time.sleep(1)
         except KeyboardInterrupt:
             raise TypeError("cannot compare") from None

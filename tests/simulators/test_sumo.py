@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -12,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from command_line import cornercase
@@ -188,15 +187,15 @@ def test_a_killed_worker_changes_nothing(tmp_path):
     with subprocess.Popen([str(one) for one in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         victim = None
         while process.poll() is None and victim is None:
-            # Who is just beginning or ending has no such files.
-            with suppress(OSError):
-                for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
-                    if b"multiprocessing.spawn" in Path(f"/proc/{child}/cmdline").read_bytes():
-                        victim = int(child)
+            # One that is just beginning or ending has no command line.
+            with suppress(psutil.Error):
+                for child in psutil.Process(process.pid).children():
+                    if "multiprocessing.spawn" in " ".join(child.cmdline()):
+                        victim = child
         # Long enough for it to be at a scenario.
         time.sleep(3.0)
         assert victim is not None
-        os.kill(victim, signal.SIGKILL)
+        victim.kill()
         _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
     with Study.open(quiet, readonly=True) as one, Study.open(killed, readonly=True) as other:

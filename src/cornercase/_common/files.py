@@ -48,6 +48,11 @@ def written_whole(path: Path | str) -> Iterator[Path]:
     path : path
         Where the file shall be. Missing folders are made.
 
+    Yields
+    ------
+    Path
+        The temporary name.
+
     Raises
     ------
     InputError

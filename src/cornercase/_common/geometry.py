@@ -248,7 +248,7 @@ def first_contact(
         gain = np.where(np.abs(gain) <= _STEADY, 0.0, gain)
         exact, _ = _open_quadratic(low, high, speed, gain)
         starts, ends = _open_quadratic(low - _CONTACT, high + _CONTACT, speed, gain)
-    # The allowance shall find a contact, not bring it forward; an axis along which nothing moves has no say.
+    # The allowance shall find a contact, not bring it forward. Both are infinite along an axis without motion.
     with np.errstate(invalid="ignore"):
         starts = np.where((exact >= starts) & (exact - starts <= 1e-3), exact, starts)
     horizon = np.asarray(horizon, dtype=np.float64)

@@ -52,6 +52,10 @@ def held_lock(path: Path) -> Iterator[None]:
     ----------
     path : Path
         File of the lock; it is made where it is missing, with its folder.
+
+    Yields
+    ------
+    None
     """
     with ExitStack() as held:
         # A time-out is an OSError, too.

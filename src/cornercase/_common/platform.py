@@ -21,14 +21,25 @@ _EXCEPTIONS: Final = 0xC0000000
 
 
 def available_cpus() -> int:
-    """Return the number of CPUs that this process may use."""
+    """Count the CPUs that this process may use.
+
+    Returns
+    -------
+    int
+    """
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def user_cache() -> Path:
-    """Return the folder in which a user's programs keep what they can make again."""
+    """Tell where a user's programs keep what they can make again.
+
+    Returns
+    -------
+    Path
+        ``XDG_CACHE_HOME`` where it is set, else the folder of the platform.
+    """
     named = os.environ.get("XDG_CACHE_HOME") or (os.environ.get("LOCALAPPDATA") if _WINDOWS else None)
     if named:
         return Path(named)
@@ -36,7 +47,12 @@ def user_cache() -> Path:
 
 
 def new_file_mode() -> int:
-    """Return the permissions that a new file gets by the user's choice."""
+    """Tell which permissions a new file gets by the user's choice.
+
+    Returns
+    -------
+    int
+    """
     # It can only be read by setting it.
     mask = os.umask(0o077)
     os.umask(mask)
@@ -136,7 +152,13 @@ def words_of_exit_code(code: int | None) -> str:
 
 
 def parent_watch() -> Callable[[], bool]:
-    """Return a function that says whether the process that has started this one is still there."""
+    """Remember which process has started this one.
+
+    Returns
+    -------
+    callable
+        Says whether that process is still there.
+    """
     number = os.getppid()
     try:
         parent = psutil.Process(number)

@@ -36,7 +36,22 @@ class EntitySamples:
 
 
 def box_center(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:
-    """Where a box's centre is that lies so far ahead of and to the left of a point, in m."""
+    """Tell where the centre of a box is.
+
+    Parameters
+    ----------
+    x, y : float
+        Point that moves with the box, in m.
+    heading : float
+        rad.
+    ahead, left : float
+        How far the centre lies ahead of and to the left of the point, in m.
+
+    Returns
+    -------
+    x, y : float
+        m.
+    """
     cos, sin = math.cos(heading), math.sin(heading)
     return x + ahead * cos - left * sin, y + ahead * sin + left * cos
 

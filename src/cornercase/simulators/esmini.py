@@ -112,7 +112,16 @@ class EsminiSimulator(Simulator):
         return Availability("", missing, abilities)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Give one recording or one error per concrete scenario, in order.
+        """Run scenarios.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+
+        Yields
+        ------
+        Recording or SimulationError
+            One for each scenario, in order.
 
         Raises
         ------
@@ -130,7 +139,17 @@ class EsminiSimulator(Simulator):
                 self._loaded.SE_Close()
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario that asks for what esmini does not have."""
+        """Refuse a scenario that asks for what esmini does not have.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Raises
+        ------
+        InputError
+            It names a driver of cornercase.
+        """
         if self._undriven or not scenario.drivers:
             return
         name, driver = next(iter(scenario.drivers.items()))

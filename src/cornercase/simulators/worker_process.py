@@ -41,7 +41,12 @@ class Task:
 
 @dataclass(frozen=True)
 class Raised:
-    """What a simulator raised in place of results."""
+    """What a simulator raised in place of results.
+
+    Attributes
+    ----------
+    words : str
+    """
 
     words: str
 
@@ -81,7 +86,14 @@ class Worker:
         self.deadline = float("inf")
 
     def give(self, task: Task, concretes: Sequence[ConcreteScenario]) -> None:
-        """Let it run the scenarios of a task."""
+        """Let it run the scenarios of a task.
+
+        Parameters
+        ----------
+        task : Task
+        concretes : sequence of ConcreteScenario
+            All that there are; the task tells which it runs.
+        """
         if self._process is None or not self._process.is_alive():
             self.stop()
             # Started anew rather than forked: threads of numerical libraries do not survive a fork.
@@ -131,7 +143,13 @@ class Worker:
         return found
 
     def ending(self) -> str:
-        """Say how the process ended."""
+        """Say how the process ended.
+
+        Returns
+        -------
+        str
+            ``"the simulator's process ended with exit code 3"``.
+        """
         return f"the simulator's process {words_of_exit_code(self._code)}"
 
     def stop(self) -> None:

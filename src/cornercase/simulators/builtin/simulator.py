@@ -71,7 +71,17 @@ class BuiltinSimulator(Simulator):
 
     @classmethod
     def without_effect(cls, scenario: Scenario) -> dict[str, int]:
-        """Count what of a scenario file changes nothing here."""
+        """Count what of a scenario file changes nothing here.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Returns
+        -------
+        dict of str to int
+            Actions, conditions and controllers, by the name of the element, and roads that climb or bank.
+        """
         return without_effect(scenario)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:

@@ -113,7 +113,16 @@ class ScenarioRunner:
 
 
 def scenario_runner_folder(given: str) -> Path:
-    """Folder of ScenarioRunner: the one that is given, or that of the environment variable.
+    """Find ScenarioRunner: in the folder that is given, or in that of the environment variable.
+
+    Parameters
+    ----------
+    given : str
+        Empty for that of the variable ``SCENARIO_RUNNER_ROOT``.
+
+    Returns
+    -------
+    Path
 
     Raises
     ------

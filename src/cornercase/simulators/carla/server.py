@@ -27,7 +27,11 @@ class Server:
         self._client: Any = None
 
     def client(self) -> Any:
-        """Client to it, which is made when it is first asked for.
+        """Return the client to it, which is made when it is first asked for.
+
+        Returns
+        -------
+        carla.Client
 
         Raises
         ------

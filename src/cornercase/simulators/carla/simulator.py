@@ -164,7 +164,16 @@ class CarlaSimulator(Simulator):
         )  # fmt: skip
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Give one recording or one error per concrete scenario, in order.
+        """Run scenarios.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+
+        Yields
+        ------
+        Recording or SimulationError
+            One for each scenario, in order.
 
         Raises
         ------
@@ -186,7 +195,17 @@ class CarlaSimulator(Simulator):
                 yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario with entities or drivers that CARLA does not have."""
+        """Refuse a scenario with entities or drivers that CARLA does not have.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Raises
+        ------
+        InputError
+            It has one.
+        """
         self._behaviors(scenario)
 
     def _behaviors(self, scenario: Scenario) -> dict[str, str]:

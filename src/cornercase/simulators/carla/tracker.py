@@ -123,14 +123,22 @@ class Tracker:
         return len(self._frames)
 
     def progress(self) -> tuple[float, bool]:
-        """Time of the run so far, in s, and whether the ego was there and is no more."""
+        """Tell how far the run is.
+
+        Returns
+        -------
+        time : float
+            Of the run so far, in s.
+        ended : bool
+            Whether the ego was there and is no more.
+        """
         run = self._run()
         if not run:
             return 0.0, False
         return (len(run) - 1) * self._time_step, self._ids[self._ego] not in self._frames[-1].places
 
     def recording(self, source: Path, duration: float, until_collision: bool) -> Recording:
-        """How the entities moved.
+        """Put together how the entities moved.
 
         Parameters
         ----------
@@ -140,6 +148,10 @@ class Tracker:
             s after which nothing is taken.
         until_collision : bool
             Whether the first collision is the end.
+
+        Returns
+        -------
+        Recording
 
         Raises
         ------

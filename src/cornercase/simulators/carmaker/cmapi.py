@@ -19,7 +19,12 @@ _ENDING: Final = 5.0
 
 
 def has_cmapi() -> bool:
-    """Whether IPG's module ``cmapi`` can be imported; it lies in CarMaker's installation."""
+    """Look whether IPG's module ``cmapi`` can be imported; it lies in CarMaker's installation.
+
+    Returns
+    -------
+    bool
+    """
     return find_spec("cmapi") is not None
 
 
@@ -88,7 +93,16 @@ class CarMakerApi:
         return variation
 
     def run(self, values: Mapping[str, Value]) -> Path:
-        """Run the TestRun, and give the result file that CarMaker wrote.
+        """Run the TestRun with named values.
+
+        Parameters
+        ----------
+        values : mapping of str to float or str
+
+        Returns
+        -------
+        Path
+            Of the result file that CarMaker wrote.
 
         Raises
         ------

@@ -134,7 +134,16 @@ class CarMakerSimulator(Simulator):
         )
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Give one recording or one error per concrete scenario, in order.
+        """Run scenarios.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+
+        Yields
+        ------
+        Recording or SimulationError
+            One for each scenario, in order.
 
         Raises
         ------
@@ -167,7 +176,17 @@ class CarMakerSimulator(Simulator):
             self._line = None
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario with entities that CarMaker does not have."""
+        """Refuse a scenario with entities that CarMaker does not have.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Raises
+        ------
+        InputError
+            It has one.
+        """
         for name in scenario.entities:
             if not re.fullmatch(r"Ego|T\d{2,}", name):
                 raise InputError(
@@ -251,7 +270,19 @@ class CommandPort:
         self._heard = b""
 
     def ask(self, command: str, timeout: float) -> str:
-        """Send a command, and give the value that comes back; empty where there is none.
+        """Send a command, and wait for its answer.
+
+        Parameters
+        ----------
+        command : str
+            In Tcl.
+        timeout : float
+            s.
+
+        Returns
+        -------
+        str
+            The value that comes back; empty where there is none.
 
         Raises
         ------

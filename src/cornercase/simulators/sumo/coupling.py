@@ -109,7 +109,15 @@ class SumoCoupling:
         self._folder.cleanup()
 
     def step(self, world: World, dt: float) -> None:
-        """Show SUMO the others as they will be at the end of the step, let it step, and take over whom it drives."""
+        """Show SUMO the others as they will be at the end of a step, let it step, and take over whom it drives.
+
+        Parameters
+        ----------
+        world : World
+            Of one scenario; changed in place.
+        dt : float
+            s; with 0 the entities that are there are only made known.
+        """
         if self.error is not None or not world.running[0]:
             return
         try:

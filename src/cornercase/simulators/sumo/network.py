@@ -20,7 +20,7 @@ _PATIENCE: Final = 120.0
 
 
 def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[str, Value] | None = None) -> Path:
-    """Network file for a scenario: the one that is given, or netconvert's of the OpenDRIVE file.
+    """Find or make the network of a scenario: the one that is given, or netconvert's of the OpenDRIVE file.
 
     What was converted is kept in the user's cache, under the hash of the OpenDRIVE file.
 
@@ -31,6 +31,11 @@ def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[s
         A ``.net.xml`` in the coordinates of the scenario.
     values : mapping of str to float or str, optional
         Of its parameters, one of which may name the roads.
+
+    Returns
+    -------
+    Path
+        Of the ``.net.xml``.
 
     Raises
     ------

@@ -98,11 +98,30 @@ class SumoSimulator(Simulator):
 
     @classmethod
     def without_effect(cls, scenario: Scenario) -> dict[str, int]:
-        """Count what of a scenario file changes nothing in the builtin storyboard."""
+        """Count what of a scenario file changes nothing in the builtin storyboard.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Returns
+        -------
+        dict of str to int
+            As of the builtin simulator.
+        """
         return without_effect(scenario)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Give one recording or one error per concrete scenario, in order.
+        """Run scenarios.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+
+        Yields
+        ------
+        Recording or SimulationError
+            One for each scenario, in order.
 
         Raises
         ------
@@ -133,7 +152,17 @@ class SumoSimulator(Simulator):
             yield coupling.error or batch.result(0)
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario that asks for a driver that nobody knows."""
+        """Refuse a scenario that asks for a driver that nobody knows.
+
+        Parameters
+        ----------
+        scenario : Scenario
+
+        Raises
+        ------
+        InputError
+            It does.
+        """
         self._types(scenario)
 
     def _types(self, scenario: Scenario) -> dict[str, str]:
