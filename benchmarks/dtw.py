@@ -200,7 +200,7 @@ def killed_and_resumed(threads: int, n: int) -> list[dict[str, Any]]:
 
 def memory_of(pid: int) -> float:
     """Most memory that a running process has had, in GB."""
-    status = Path(f"/proc/{pid}/status").read_text()
+    status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) * 1024 / 1e9
 
 

@@ -12,7 +12,7 @@ import concurrent.futures
 import getpass
 import logging.handlers
 import multiprocessing.connection
-import multiprocessing.popen_spawn_posix
+import multiprocessing.popen_spawn_posix as _started_processes
 import os
 import pathlib
 import shutil
@@ -39,6 +39,7 @@ _LACKING = {
 # Imported above so that they have the whole of it.
 _KNOW_THE_PLATFORM = (
     asyncio, concurrent.futures, filelock, getpass, logging.handlers, multiprocessing, pathlib, psutil, shutil, subprocess, tempfile,
+    _started_processes,
 )  # fmt: skip
 
 for _module, _names in _LACKING.items():

@@ -148,12 +148,13 @@ def limits():
     resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
 
 
-LIMITS = {"preexec_fn": limits} if find_spec("resource") is not None else {}
+# Windows has none.
+LIMITS = limits if find_spec("resource") is not None else None
 
 
 def run(*arguments):
     command = [sys.executable, "-c", "from cornercase.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=90, **LIMITS)
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, preexec_fn=LIMITS)
 
 
 @pytest.mark.parametrize("name", HOSTILE)
