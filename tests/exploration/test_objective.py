@@ -16,7 +16,7 @@ from cornercase.exploration import Objective, on_front
 from cornercase.exploration.objective import Best
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, EvolutionaryOptimizer, OptunaOptimizer
-from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
 from cornercase.study import Study
 from searches import CUBE, explored
 from synthetic import explorer, opened
@@ -128,7 +128,9 @@ def test_evolution_finds_the_front_of_two_scores():
 
 @pytest.mark.parametrize("make", [EvolutionaryOptimizer, OptunaOptimizer])
 def test_a_small_space_is_run_whole(make):
-    space = ParameterSpace.from_ranges(["a=0:5:1", "b=0:9:1"]).limited(lambda p: p[:, 0] < 0.9)
+    space = ParameterSpace.from_ranges(["a=0:5:1", "b=0:9:1"]).constrained(
+        [Declaration("a", "double", "0", ((Constraint("lessThan", "5"),),)), Declaration("b", "double", "0")]
+    )
     optimizer = make(space, 0)
     points = explored(optimizer, 50, function=lambda p: p[:, 0] + p[:, 1])
     assert len(np.unique(points, axis=0)) == 50

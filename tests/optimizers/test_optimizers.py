@@ -18,7 +18,7 @@ from cornercase.optimizers import (
     optimizer_needs,
 )
 from cornercase.optimizers.unseen import Unseen
-from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
 from cornercase.scenario.distributions import Distribution
 from searches import CUBE, explored, ridge
 
@@ -143,7 +143,14 @@ def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_
         Parameter("kind", 0, 2, choices=("car", "truck", "bicycle")),
         Parameter("b", 0, 9, 1.0),
     ]
-    space = ParameterSpace(parameters).limited(lambda points: points[:, 0] + points[:, 2] < 1.2)
+    # Less than 1.2 in the unit cube.
+    limit = Constraint("lessThan", "${1.15 - $b / 10}")
+    declared = [
+        Declaration("b", "double", "0"),
+        Declaration("kind", "string", ""),
+        Declaration("a", "double", "0", ((limit,),)),
+    ]
+    space = ParameterSpace(parameters).constrained(declared)
 
     def scores(points):
         kind = parameters[1].numbers(points[:, 1])

@@ -4,6 +4,7 @@ import csv
 import os
 import sqlite3
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from conftest import same_recording
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import MOTION, Collision, Recording, read_recording
-from cornercase.scenario import ParameterSpace
+from cornercase.scenario import Constraint, Declaration, ParameterSpace
 from cornercase.study import Study
 from synthetic import about
 
@@ -262,3 +263,19 @@ def test_a_study_with_damaged_facts_is_refused_in_a_sentence(study):
     for readonly in (True, False):
         with pytest.raises(InputError, match="cannot be used as a study"):
             Study.open(study.path, readonly=readonly)
+
+
+def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(study):
+    limit = Declaration("a", "double", "0", ((Constraint("lessThan", "5"),),))
+    declared = [limit, Declaration("b", "double", "0")]
+    known = replace(META, space=ParameterSpace(SPACE.parameters, declared), critical=0.5)
+    study.continue_with(known)
+    study.close()
+    with Study.open(study.path) as again:
+        assert again.meta == known
+        assert again.space.admits(POINTS).tolist() == [True, True, True]
+        assert not again.space.admits(np.array([[0.9, 0.5]])).any()
+        # A search that does not know them does not take them away.
+        with pytest.raises(InputError, match=r"another threshold of what is critical \(0.5\)"):
+            again.continue_with(META)
+        assert again.meta == known

@@ -135,7 +135,7 @@ def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
         repeats=one.repeats,
     )
     with Study.open(path) if path.exists() else Study.create(path, meta) as study:
-        study.meta.require_same(meta, path, same_budget="budget" in needs)
+        study.continue_with(meta, same_budget="budget" in needs)
         explorer = ScenarioExplorer(
             one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
             budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,

@@ -1,12 +1,14 @@
+from .constraints import Constraint as Constraint
+from .constraints import Declaration as Declaration
 from .logical import ConcreteScenario as ConcreteScenario
 from .logical import LogicalScenario as LogicalScenario
 from .openscenario import DRIVER_PROPERTY as DRIVER_PROPERTY
 from .openscenario import Scenario as Scenario
 from .openscenario import copy_beside as copy_beside
 from .openscenario import write_concrete as write_concrete
+from .parameter import Parameter as Parameter
+from .parameter import Value as Value
 from .scope import Scope as Scope
 from .scope import VariesError as VariesError
-from .space import Parameter as Parameter
 from .space import ParameterSpace as ParameterSpace
-from .space import Value as Value
 from .xml import read_xml as read_xml

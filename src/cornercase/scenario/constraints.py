@@ -1,9 +1,10 @@
-"""Constraint groups: which values of a scenario's parameters belong together."""
+"""Declarations of a scenario's parameters, and which of their values belong together."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from lxml import etree
@@ -20,61 +21,191 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "lessOrEqual": np.less_equal,
 }
 
+_SIGNS: Final = {
+    "equalTo": "=",
+    "notEqualTo": "≠",
+    "greaterThan": ">",
+    "greaterOrEqual": ">=",
+    "lessThan": "<",
+    "lessOrEqual": "<=",
+}
+
 # Values are handed on with six decimals, so that a bound may be missed by the last of them.
 _TOLERANCE: Final = 1e-6
 
 
-def violations(
-    root: etree._Element, source: str, scenarios: int, value_of: Callable[[str], Any], read: Callable[[str], Any]
-) -> dict[str, BoolArray]:
-    """Find concrete scenarios whose parameters break a constraint of their declarations.
+@dataclass(frozen=True)
+class Constraint:
+    """What the value of a parameter has to fulfil (OpenSCENARIO 1.3, ``ValueConstraint``).
 
-    A parameter has to fulfil all constraints of at least one of its groups (OpenSCENARIO 1.3, ``ConstraintGroup``).
+    Attributes
+    ----------
+    rule : str
+        ``"equalTo"``, ``"notEqualTo"``, ``"greaterThan"``, ``"greaterOrEqual"``, ``"lessThan"`` or ``"lessOrEqual"``.
+    value : str
+        What the parameter is compared with; it may be an expression of other parameters.
+    """
+
+    rule: str
+    value: str
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """A parameter of a scenario, as its file declares it (OpenSCENARIO 1.3, ``ParameterDeclaration``).
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    kind : str
+        Type of its values, ``"double"`` or ``"string"`` for instance.
+    value : str
+        What it is where nothing else is said; it may be an expression of the parameters before it.
+    groups : tuple of tuple of Constraint
+        The value has to fulfil all constraints of at least one group; without groups it may be any.
+    sourceline : int or None
+        Where it stands in the file.
+    """
+
+    tag: ClassVar[str] = "ParameterDeclaration"
+
+    name: str
+    kind: str
+    value: str
+    groups: tuple[tuple[Constraint, ...], ...] = ()
+    sourceline: int | None = field(default=None, repr=False, compare=False)
+
+    @classmethod
+    def read(cls, element: etree._Element, source: str) -> Declaration:
+        """Read an element of a file.
+
+        Parameters
+        ----------
+        element : lxml element
+            ``ParameterDeclaration``.
+        source : str
+            Name of the file, for messages.
+
+        Returns
+        -------
+        Declaration
+
+        Raises
+        ------
+        InputError
+            A constraint has no rule that exists.
+        """
+        for constraint in element.iterfind("ConstraintGroup/ValueConstraint"):
+            rule = constraint.get("rule", "")
+            if rule not in _RULES:
+                raise InputError(
+                    f"{source}, line {constraint.sourceline}: the rule '{rule}' of a <ValueConstraint>:"
+                    f" {suggestion(rule, _RULES)}"
+                )
+        groups = tuple(
+            tuple(Constraint(one.get("rule", ""), one.get("value", "")) for one in group.iterfind("ValueConstraint"))
+            for group in element.iterfind("ConstraintGroup")
+        )
+        kind = element.get("parameterType", "string")
+        line: Any = element.sourceline
+        return cls(element.get("name", ""), kind, element.get("value", ""), groups, line)
+
+
+def read_declarations(root: etree._Element, source: str) -> tuple[Declaration, ...]:
+    """Read the parameters that an element of a file declares.
 
     Parameters
     ----------
     root : lxml element
-        ``OpenSCENARIO``.
+        ``OpenSCENARIO``, an entry of a catalog, or another one with ``ParameterDeclarations``.
     source : str
         Name of the file, for messages.
-    scenarios : int
-        N.
-    value_of : callable
-        Name of a parameter to its value, one or (N,).
-    read : callable
-        Text of a constraint's value to that value, one or (N,).
 
     Returns
     -------
-    dict of str to ndarray of bool, shape (N,)
-        Where each parameter with constraints breaks them; without those that never do.
+    tuple of Declaration
+        In the order of the file.
 
     Raises
     ------
     InputError
         A constraint has no rule that exists.
     """
+    found = root.iterfind("ParameterDeclarations/ParameterDeclaration")
+    return tuple(Declaration.read(element, source) for element in found)
+
+
+def violations(
+    declarations: Sequence[Declaration], scenarios: int, value_of: Callable[[str], Any], bound: Callable[[str], Any]
+) -> dict[str, BoolArray]:
+    """Find concrete scenarios whose parameters break the constraints of their declarations.
+
+    Parameters
+    ----------
+    declarations : sequence of Declaration
+    scenarios : int
+        N.
+    value_of : callable
+        Name of a parameter to its value, one or (N,).
+    bound : callable
+        Text of a constraint's value to that value, one or (N,).
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (N,)
+        Where each parameter with constraints breaks them; without those that never do.
+    """
     found = {}
-    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
-        groups = list(declaration.iterfind("ConstraintGroup"))
-        if not groups:
+    for declaration in declarations:
+        if not declaration.groups:
             continue
-        name = declaration.get("name", "")
         fulfilled = np.zeros(scenarios, dtype=np.bool_)
-        for group in groups:
+        for group in declaration.groups:
             holds = np.ones(scenarios, dtype=np.bool_)
-            for constraint in group.iterfind("ValueConstraint"):
-                rule = constraint.get("rule", "")
-                if rule not in _RULES:
-                    raise InputError(
-                        f"{source}, line {constraint.sourceline}: the rule '{rule}' of a <ValueConstraint>:"
-                        f" {suggestion(rule, _RULES)}"
-                    )
-                holds &= _compare(rule, value_of(name), read(constraint.get("value", "")))
+            for constraint in group:
+                holds &= _compare(constraint.rule, value_of(declaration.name), bound(constraint.value))
             fulfilled |= holds
         if not fulfilled.all():
-            found[name] = ~fulfilled
+            found[declaration.name] = ~fulfilled
     return found
+
+
+def in_words(group: Sequence[Constraint]) -> str:
+    """Say what a group of constraints asks for, as ``"> 18 and <= 20"``."""
+    return " and ".join(f"{_SIGNS[one.rule]} {one.value}" for one in group)
+
+
+def to_json(declarations: Sequence[Declaration]) -> list[dict[str, Any]]:
+    """Plain values from which `from_json` makes the same declarations."""
+    return [
+        {
+            "name": one.name,
+            "type": one.kind,
+            "value": one.value,
+            "groups": [[{"rule": each.rule, "value": each.value} for each in group] for group in one.groups],
+        }
+        for one in declarations
+    ]
+
+
+def from_json(plain: Sequence[Mapping[str, Any]]) -> tuple[Declaration, ...]:
+    """Declarations from `to_json`."""
+    return tuple(
+        Declaration(
+            one["name"],
+            one["type"],
+            one["value"],
+            tuple(tuple(Constraint(_known(each["rule"]), each["value"]) for each in group) for group in one["groups"]),
+        )
+        for one in plain
+    )
+
+
+def _known(rule: str) -> str:
+    if rule not in _RULES:
+        raise InputError(f"The rule '{rule}' of a constraint: {suggestion(rule, _RULES)}")
+    return rule
 
 
 def _compare(rule: str, value: Any, bound: Any) -> Any:

@@ -7,13 +7,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from cornercase._common.errors import InputError
-from cornercase._common.typing import BoolArray
+from cornercase.scenario.constraints import read_declarations
 from cornercase.scenario.openscenario import Scenario
-from cornercase.scenario.scope import Scope, VariesError
-from cornercase.scenario.space import ParameterSpace, Value
+from cornercase.scenario.parameter import Value
+from cornercase.scenario.space import ParameterSpace
 
 
 @dataclass(frozen=True)
@@ -51,24 +49,6 @@ class ConcreteScenario:
         return known if known is not None and known.is_same(given) else given
 
 
-def admitted(file: Scenario, values: Sequence[Mapping[str, Value]]) -> BoolArray:
-    """Which concrete scenarios fulfil the constraint groups of a file's parameters, shape (n,)."""
-    result = np.ones(len(values), dtype=np.bool_)
-    try:
-        scope = Scope.of_file(str(file.path), file.root, values)
-    except VariesError as varies:
-        # Texts have one value for all; so each combination of them is looked at by itself.
-        names = sorted(varies.names)
-        keys = [tuple(str(one.get(name)) for name in names) for one in values]
-        for key in dict.fromkeys(keys):
-            rows = [i for i, one in enumerate(keys) if one == key]
-            result[rows] = admitted(file, [values[i] for i in rows])
-        return result
-    for broken in scope.violations(file.root).values():
-        result &= ~broken
-    return result
-
-
 @dataclass(frozen=True)
 class LogicalScenario:
     """A traffic situation with parameter ranges.
@@ -89,6 +69,9 @@ class LogicalScenario:
     space: ParameterSpace
     fingerprint: str
     source: Scenario | None = field(default=None, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        return f"<LogicalScenario {str(self.path)!r}: {', '.join(map(str, self.space.parameters))}>"
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -141,9 +124,7 @@ class LogicalScenario:
         file = Scenario.read(scenario)
         file.require_parameters(list(varied.assigns))
         varied = varied.continuous() if continuous else varied
-        if file.root.find("ParameterDeclarations/ParameterDeclaration/ConstraintGroup") is not None:
-            whole = varied
-            varied = varied.limited(lambda points: admitted(file, whole.values(points)))
+        varied = varied.constrained(read_declarations(file.root, str(file.path)), str(file.path))
         return cls(Path(scenario), varied, file.fingerprint(), file)
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:

@@ -14,7 +14,7 @@ from lxml import etree
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import written_whole
 from cornercase.scenario.expressions import names_in
-from cornercase.scenario.space import Value
+from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import XmlFiles
 
 DRIVER_PROPERTY = "cornercase.driver"

@@ -10,12 +10,15 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.scenario.constraints import violations
+from cornercase.scenario.constraints import Declaration, read_declarations, violations
 from cornercase.scenario.expressions import evaluate, names_in
-from cornercase.scenario.space import Value
+from cornercase.scenario.parameter import Value
 
 Catalogs = Callable[[str, str], etree._Element]
 """Name of a catalog and of an entry to the entry."""
+
+_Placed = etree._Element | Declaration
+"""What has a line in the file."""
 
 _DEEPEST = 20
 _NUMERIC = {"double", "integer", "int", "unsignedInt", "unsignedShort"}
@@ -74,23 +77,32 @@ class Scope:
         catalogs: Catalogs | None = None,
     ) -> Scope:
         """Scope of a scenario file's parameter declarations, for the given concrete scenarios."""
+        return cls.of_declarations(source, read_declarations(root, source), concretes, catalogs)
+
+    @classmethod
+    def of_declarations(
+        cls,
+        source: str,
+        declarations: Sequence[Declaration],
+        concretes: Sequence[Mapping[str, Value]],
+        catalogs: Catalogs | None = None,
+    ) -> Scope:
+        """Scope of declared parameters, for the given concrete scenarios."""
         scope = cls(source, len(concretes), {}, {}, catalogs)
         names = {name for values in concretes for name in values}
-        for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
-            name = declaration.get("name", "")
-            kind = declaration.get("parameterType", "string")
+        for declaration in declarations:
+            name = declaration.name
             if name not in names:
                 scope._declare(declaration)
                 continue
-            default = declaration.get("value", "")
-            texts = [values.get(name, default) for values in concretes]
-            if kind in _NUMERIC:
+            texts = [values.get(name, declaration.value) for values in concretes]
+            if declaration.kind in _NUMERIC:
                 scope.values[name] = np.array([scope._number(text, declaration) for text in texts])
             else:
                 different = {str(text) for text in texts}
                 if len(different) > 1:
                     raise VariesError({name})
-                scope.values[name] = _typed(different.pop(), kind)
+                scope.values[name] = _typed(different.pop(), declaration.kind)
             scope._origins[name] = {name}
             names.discard(name)
         if names:
@@ -102,7 +114,7 @@ class Scope:
         """Scope of a catalog entry or maneuver: its own declarations, overwritten by assignments from here."""
         inner = Scope(self.source, self.scenarios, self.values, self._origins, self._catalogs)
         inner._depth, inner._undefined = self._depth, self._undefined
-        for declaration in element.iterfind("ParameterDeclarations/ParameterDeclaration"):
+        for declaration in read_declarations(element, self.source):
             inner._declare(declaration)
         if assignments is not None:
             for assignment in assignments.iterfind("ParameterAssignment"):
@@ -127,10 +139,17 @@ class Scope:
 
     def violations(self, root: etree._Element) -> dict[str, BoolArray]:
         """Where parameters break the constraints of their declarations, each (N,); without those that never do."""
-        return violations(root, self.source, self.scenarios, self.values.__getitem__, self._bound)
+        return self.broken(read_declarations(root, self.source))
+
+    def broken(self, declarations: Sequence[Declaration]) -> dict[str, BoolArray]:
+        """Where parameters break the constraints of declarations, as `violations`."""
+        return violations(declarations, self.scenarios, self.values.__getitem__, self._bound)
 
     def _bound(self, text: str) -> Any:
-        return evaluate(text.strip()[2:-1], self.values) if text.strip().startswith("${") else text
+        text = text.strip()
+        if text.startswith("${"):
+            return evaluate(text[2:-1], self.values)
+        return evaluate(text, self.values) if text.startswith("$") else text
 
     def referred(self, holder: etree._Element, tag: str) -> tuple[etree._Element, Scope]:
         """Element of a kind that stands in `holder` or in a catalog that it refers to, and the scope to read it in.
@@ -232,15 +251,12 @@ class Scope:
             raise self._error(element, attribute, f"is '{text}', not true or false")
         return text in ("true", "1")
 
-    def _declare(self, declaration: etree._Element) -> None:
-        name, text = declaration.get("name", ""), declaration.get("value", "")
-        value = self._value(text, declaration)
-        self.values[name] = (
-            _typed(value, declaration.get("parameterType", "string")) if isinstance(value, str) else value
-        )
-        self._origins[name] = self.origins(text)
+    def _declare(self, declaration: Declaration) -> None:
+        value = self._value(declaration.value, declaration)
+        self.values[declaration.name] = _typed(value, declaration.kind) if isinstance(value, str) else value
+        self._origins[declaration.name] = self.origins(declaration.value)
 
-    def _value(self, text: str, element: etree._Element, attribute: str = "value") -> Any:
+    def _value(self, text: str, element: _Placed, attribute: str = "value") -> Any:
         text = text.strip()
         try:
             if text.startswith("${") and text.endswith("}"):
@@ -251,19 +267,58 @@ class Scope:
             raise self._error(element, attribute, f"cannot be evaluated. {error}") from None
         return text
 
-    def _number(self, value: Value, element: etree._Element) -> float:
+    def _number(self, value: Value, element: _Placed) -> float:
         """Value given for a parameter, which may be an expression itself."""
         return self._float(self._value(value, element) if isinstance(value, str) else value, element)
 
-    def _float(self, text: Value, element: etree._Element, attribute: str = "value") -> float:
+    def _float(self, text: Value, element: _Placed, attribute: str = "value") -> float:
         try:
             return float(text)
         except ValueError:
             raise self._error(element, attribute, f"is '{text}', which is not a number") from None
 
-    def _error(self, element: etree._Element, attribute: str, why: str) -> InputError:
+    def _error(self, element: _Placed, attribute: str, why: str) -> InputError:
         line = f", line {element.sourceline}" if element.sourceline else ""
         return InputError(f"{self.source}{line}: {attribute} of <{element.tag}> {why}.")
+
+
+def admitted(
+    declarations: Sequence[Declaration], values: Sequence[Mapping[str, Value]], source: str = "the scenario"
+) -> BoolArray:
+    """Which concrete scenarios fulfil the constraints of their parameters' declarations.
+
+    Parameters
+    ----------
+    declarations : sequence of Declaration
+        All parameters that the scenario declares.
+    values : sequence of mapping, length n
+        Values of those that are varied.
+    source : str
+        Name of the file, for messages.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+
+    Raises
+    ------
+    InputError
+        An expression cannot be evaluated.
+    """
+    result = np.ones(len(values), dtype=np.bool_)
+    try:
+        scope = Scope.of_declarations(source, declarations, values)
+    except VariesError as varies:
+        # Texts have one value for all; so each combination of them is looked at by itself.
+        names = sorted(varies.names)
+        keys = [tuple(str(one.get(name)) for name in names) for one in values]
+        for key in dict.fromkeys(keys):
+            rows = [i for i, one in enumerate(keys) if one == key]
+            result[rows] = admitted(declarations, [values[i] for i in rows], source)
+        return result
+    for broken in scope.broken(declarations).values():
+        result &= ~broken
+    return result
 
 
 def _rounded(value: Any) -> Any:

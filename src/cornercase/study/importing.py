@@ -96,7 +96,7 @@ def import_recordings(
     path = Path(path)
     with Study.open(path) if path.exists() else Study.create(path, meta) as study:
         # The table may lie elsewhere now; the fingerprint tells whether it is the same.
-        study.meta.require_same(replace(meta, settings=study.meta.settings), path)
+        study.continue_with(replace(meta, settings=study.meta.settings))
         rows = study.rows() or study.propose(1, space.points(values), values)
         pending = [row for row in rows if row.state == "pending"]
         shown = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)

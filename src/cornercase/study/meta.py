@@ -134,7 +134,11 @@ class StudyMeta:
             Something else differs.
         """
         for name, words in _DIFFERENT.items():
-            if getattr(self, name) != getattr(other, name):
+            mine, given = getattr(self, name), getattr(other, name)
+            if name == "space":
+                # Its constraints follow from the file, and earlier versions did not write them.
+                mine, given = mine.parameters, given.parameters
+            if mine != given:
                 raise InputError(
                     f"{path}: belongs to {words}; name another study with `study`, or give the same options."
                 )

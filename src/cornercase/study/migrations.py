@@ -83,6 +83,13 @@ def _from_1(connection: sqlite3.Connection) -> None:
         if statement.strip():
             connection.execute(statement.replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
     connection.executemany("INSERT OR IGNORE INTO meta VALUES (?, 'null')", [(key,) for key in _LATER])
+    # Which constraints the space had was not written.
+    (space,) = connection.execute("SELECT value FROM meta WHERE key = 'space'").fetchone()
+    parameters = [{"sets": []} | one for one in json.loads(space)]
+    connection.execute(
+        "UPDATE meta SET value = ? WHERE key = 'space'",
+        (json.dumps({"parameters": parameters, "declarations": []}, sort_keys=True),),
+    )
     for name, info in infos.items():
         arrays = unpack_arrays(before[name])
         whole = _whole_reduction(info) if name == "reduction" else _whole_analysis(info, arrays)

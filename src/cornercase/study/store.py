@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -125,6 +126,39 @@ class Study:
         table, metric = self.table(), METRICS.create(self.meta.metrics[0])
         worst = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable").head(_SHOWN)
         return f"<p>{escape(repr(self))}</p><p>Most critical by {escape(metric.name)}:</p>{worst.to_html(index=False)}"
+
+    def continue_with(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
+        """Refuse to go on with a study of something else, and note what an earlier version did not write.
+
+        That is the constraints of the space, which follow from the same scenario file, and a threshold.
+
+        Parameters
+        ----------
+        meta : StudyMeta
+            What one wants to go on with.
+        same_budget : bool, default False
+            Whether the budget may not grow, because the search depends on it.
+
+        Raises
+        ------
+        InputError
+            The study is of something else.
+        """
+        self.meta.require_same(meta, self.path, same_budget=same_budget)
+        known = replace(
+            self.meta,
+            space=self.space if self.space.declarations else meta.space,
+            critical=meta.critical if self.meta.critical is None else self.meta.critical,
+        )
+        if known == self.meta:
+            return
+        with self._database.writing() as connection:
+            plain = known.to_json()
+            connection.executemany(
+                "UPDATE meta SET value = ? WHERE key = ?",
+                [(json.dumps(plain[key], sort_keys=True), key) for key in ("space", "critical")],
+            )
+        self.meta, self.space = known, known.space
 
     def propose(self, number: int, points: FloatArray, values: Sequence[Mapping[str, Value]]) -> list[Row]:
         """Store a round of proposals as pending, all or none.

@@ -1,0 +1,136 @@
+"""One varied parameter, between the unit interval and its values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.scenario.distributions import Distribution
+
+Value = float | str
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One varied parameter.
+
+    Attributes
+    ----------
+    name : str
+    low, high : float
+        Bounds; for a set of choices 0 and their number minus one.
+    step : float or None
+        Values lie on low, low + step, …, none above `high`; None for a continuous range.
+    choices : tuple of str
+        Values of a set; empty for a range.
+    unit : str
+        As it stands in tables and on axes; empty where unknown.
+    distribution : Distribution or None
+        Turns the unit interval into values by its inverse distribution function, so that a likely value has a large
+        share of it; None means uniform.
+    sets : tuple of tuple of (str, str)
+        For each choice, the scenario's parameters that it sets together, and their values; empty where it sets but the
+        one of its own name.
+    """
+
+    name: str
+    low: float
+    high: float
+    step: float | None = None
+    choices: tuple[str, ...] = ()
+    unit: str = ""
+    distribution: Distribution | None = None
+    sets: tuple[tuple[tuple[str, str], ...], ...] = ()
+
+    def __repr__(self) -> str:
+        law = "" if self.distribution is None else f", {self.distribution.kind}"
+        return f"<Parameter {self}{law}>"
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.values_text} {self.unit}".rstrip()
+
+    @property
+    def values_text(self) -> str:
+        """Its values in a few words, as ``"2 to 17 by 0.1"``."""
+        if self.choices:
+            return ", ".join(self.choices)
+        return f"{self.low:g} to {self.high:g}" + ("" if self.step is None else f" by {self.step:g}")
+
+    @property
+    def size(self) -> int | None:
+        """Number of different values; None where there are infinitely many."""
+        if self.choices:
+            return len(self.choices)
+        return None if self.step is None else int(np.floor((self.high - self.low) / self.step + 1e-9)) + 1
+
+    @property
+    def assigns(self) -> tuple[str, ...]:
+        """Names of the scenario's parameters that it gives values to."""
+        return tuple(dict(self.sets[0])) if self.sets else (self.name,)
+
+    def assigned(self, u: float) -> dict[str, Value]:
+        """Parameters of the scenario, and their values, at a place of the unit interval."""
+        if not self.sets:
+            return {self.name: self.value(u)}
+        (k,) = self.numbers(np.array([u])).tolist()
+        return dict(self.sets[k])
+
+    def read(self, values: Mapping[str, Value]) -> Value:
+        """Value among those of a concrete scenario; for values set together, the choice that they are."""
+        if not self.sets:
+            return values[self.name]
+        for choice, members in zip(self.choices, self.sets, strict=True):
+            if all(str(values.get(name)) == value for name, value in members):
+                return choice
+        raise InputError(f"No value set of {self.name} has these values.")
+
+    def value(self, u: float) -> Value:
+        """Value at a place of the unit interval."""
+        if self.size is None:
+            x = self.low + u * (self.high - self.low)
+            return float(x if self.distribution is None else self.distribution.quantile(u))
+        (k,) = self.numbers(np.array([u])).tolist()
+        return self.choices[k] if self.choices else _clean(self.low + k * float(self.step or 0.0))
+
+    def unit_place(self, value: Value) -> float:
+        """Place on the unit interval of a value: the middle of its step or choice."""
+        size = self.size
+        if self.choices:
+            if str(value) not in self.choices:
+                raise InputError(f"The parameter {self.name} has no value '{value}'.")
+            return float(self.middles(np.array([self.choices.index(str(value))]))[0])
+        x = float(value)
+        if size is not None:
+            k = round((x - self.low) / float(self.step or 1.0))
+            return float(self.middles(np.array([min(max(k, 0), size - 1)]))[0])
+        if self.distribution is not None:
+            return self.distribution.place(x)
+        return float(np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0))
+
+    def numbers(self, u: FloatArray) -> IntArray:
+        """Which step or choice, from 0 on, lies at each place of the unit interval, shape (n,)."""
+        if self._edges is not None:
+            return np.asarray(np.searchsorted(self._edges[1:-1], u, side="right"), dtype=np.int64)
+        size = self.size or 1
+        return np.asarray(np.minimum(np.floor(u * size), size - 1), dtype=np.int64)
+
+    def middles(self, numbers: IntArray) -> FloatArray:
+        """Middle of the share that a step or choice has of the unit interval, shape (n,)."""
+        if self._edges is not None:
+            return np.asarray(0.5 * (self._edges[numbers] + self._edges[numbers + 1]))
+        return np.asarray((numbers + 0.5) / (self.size or 1))
+
+    @cached_property
+    def _edges(self) -> FloatArray | None:
+        """Bounds of the shares where they differ."""
+        return None if self.size is None or self.distribution is None else self.distribution.edges()
+
+
+def _clean(x: float) -> float:
+    """Round away what adding steps leaves behind, so that 3 × 0.1 is 0.3."""
+    return float(f"{x:.12g}")

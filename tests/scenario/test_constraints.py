@@ -1,0 +1,129 @@
+"""Constraints of parameters: data of the space, in the study as in the search."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from command_line import cornercase
+from conftest import EXAMPLES
+from cornercase._common.errors import InputError
+from cornercase.reduction import write as reduction
+from cornercase.scenario import Constraint, Declaration, LogicalScenario, Parameter, ParameterSpace
+from cornercase.study import Study
+
+RULES = ("equalTo", "notEqualTo", "greaterThan", "greaterOrEqual", "lessThan", "lessOrEqual")
+PARAMETERS = [Parameter("a", 0, 10, 1.0), Parameter("b", -1, 1), Parameter("kind", 0, 2, choices=("car", "van", "<b>"))]
+NUMBERS = st.one_of(st.integers(0, 10).map(str), st.sampled_from(["$b", "${$b * 5 + 5}", "$c", "${$c / 2}"]))
+
+
+def groups(values):
+    constraints = st.builds(Constraint, st.sampled_from(RULES), values)
+    return st.lists(st.lists(constraints, max_size=3).map(tuple), max_size=3).map(tuple)
+
+
+@st.composite
+def spaces(draw):
+    texts = st.builds(Constraint, st.sampled_from(RULES[:2]), st.sampled_from(["car", "van", "truck"]))
+    kinds = st.lists(st.lists(texts, max_size=2).map(tuple), max_size=2).map(tuple)
+    declarations = [
+        Declaration("b", "double", "0", draw(groups(st.sampled_from(["0", "0.5", "-0.2"])))),
+        Declaration("c", "double", "${$b * 3}"),
+        Declaration("a", "integer", "1", draw(groups(NUMBERS))),
+        Declaration("kind", "string", "car", draw(kinds)),
+    ]
+    return ParameterSpace(PARAMETERS, declarations)
+
+
+@settings(max_examples=60, deadline=None)
+@given(spaces(), st.integers(0, 2**32 - 1))
+def test_a_space_that_was_written_admits_the_same(space, seed):
+    points = np.random.default_rng(seed).random((60, 3))
+    admitted = space.admits(points)
+    for again in (ParameterSpace.from_json(json.loads(json.dumps(space.to_json()))), pickle.loads(pickle.dumps(space))):
+        assert again == space
+        np.testing.assert_array_equal(again.admits(points), admitted)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(RULES), st.integers(0, 10))
+def test_a_rule_holds_where_its_comparison_does(rule, bound):
+    space = ParameterSpace(PARAMETERS[:1], [Declaration("a", "double", "0", ((Constraint(rule, str(bound)),),))])
+    points = space.lattice()
+    values = np.array([one["a"] for one in space.values(points)])
+    compare = {
+        "equalTo": values == bound, "notEqualTo": values != bound, "greaterThan": values > bound,
+        "greaterOrEqual": values >= bound, "lessThan": values < bound, "lessOrEqual": values <= bound,
+    }  # fmt: skip
+    np.testing.assert_array_equal(space.admits(points), compare[rule])
+
+
+def test_a_space_says_what_it_is_and_escapes_names():
+    limit = ((Constraint("greaterThan", "2"), Constraint("lessThan", "$b")), (Constraint("equalTo", "9"),))
+    space = ParameterSpace(PARAMETERS, [Declaration("a", "double", "0", limit)])
+    assert repr(space) == "<ParameterSpace: a 0 to 10 by 1, b -1 to 1, kind car, van, <b>, a constrained>"
+    assert repr(space.parameters[0]) == "<Parameter a 0 to 10 by 1>"
+    page = space._repr_html_()
+    assert "<b>" not in page
+    assert "&gt; 2 and &lt; $b or = 9" in page
+
+
+def test_a_rule_that_does_not_exist_is_refused():
+    plain = ParameterSpace(PARAMETERS, [Declaration("a", "double", "0", ((Constraint("lessThan", "1"),),))]).to_json()
+    plain["declarations"][0]["groups"][0][0]["rule"] = "lesThan"
+    with pytest.raises(InputError, match="did you mean 'lessThan'"):
+        ParameterSpace.from_json(plain)
+
+
+@pytest.fixture(scope="module")
+def constrained(tmp_path_factory):
+    """A copy of the X-intersection whose parameters are constrained, and what a search of it says."""
+    folder = tmp_path_factory.mktemp("constrained") / "x_intersection"
+    shutil.copytree(EXAMPLES / "x_intersection", folder)
+    path = folder / "x_intersection.xosc"
+    text = path.read_text(encoding="utf-8")
+    group = '<ConstraintGroup><ValueConstraint rule="lessThan" value="${$pedestrian_wait * 4 + 35}"/></ConstraintGroup>'
+    # Declared behind what it is constrained by.
+    (declared,) = re.findall(r'<ParameterDeclaration [^>]*name="ego_start"[^>]*/>', text)
+    (waits,) = re.findall(r'<ParameterDeclaration [^>]*name="pedestrian_wait"[^>]*/>', text)
+    text = text.replace(declared, "").replace(waits, f"{waits}{declared[:-2]}>{group}</ParameterDeclaration>")
+    path.write_text(text, encoding="utf-8")
+    study = folder / "study.db"
+    done = cornercase(
+        "explore", path, "--space", folder / "x_intersection.space.xosc", "--ego", "Ego", "--other", "Pedestrian",
+        "--metric", "wttc", "--optimizer", "sobol", "--stop-when", "interval<1", "--budget", "60", "-o", study,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return path, study, done.stdout
+
+
+def test_explore_show_and_reduce_judge_the_same_space(constrained, tmp_path, monkeypatch):
+    path, study, said = constrained
+    searched = LogicalScenario.read(path, path.with_name("x_intersection.space.xosc")).space
+    points = np.random.default_rng(0).random((2000, searched.dimension))
+    assert 0.2 < searched.admits(points).mean() < 0.8
+    with Study.open(study, readonly=True) as opened:
+        assert opened.space == searched
+        np.testing.assert_array_equal(opened.space.admits(points), searched.admits(points))
+    # What explore stopped for is what show says.
+    shown = json.loads(cornercase("show", study, "--json").stdout)["critical"]
+    width = shown["share"]["high"] - shown["share"]["low"]
+    assert f"the critical share is known within {width:.2%}" in " ".join(said.split())
+    # The reduced set is that of the space that was searched.
+    assert cornercase("analyze", study, "--by", "wttc").returncode == 0
+    kept = [Path(shutil.copy(study, tmp_path / f"{name}.db")) for name in "ab"]
+    manifests = []
+    for name, space in zip(kept, (None, searched), strict=True):
+        with Study.open(name) as opened:
+            opened.space = opened.space if space is None else space
+            manifests.append(reduction.reduce_study(opened, tmp_path / name.stem))
+    assert manifests[0]["critical"] == manifests[1]["critical"]
+    assert [one["id"] for one in manifests[0]["scenarios"]] == [one["id"] for one in manifests[1]["scenarios"]]
