@@ -1,0 +1,116 @@
+"""Parts of another package are found by its entry points, and every command takes them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from command_line import SPACE, X
+from cornercase.study import Study
+
+PARTS = '''
+import numpy as np
+
+from cornercase.drivers import Driver
+from cornercase.metrics import Metric
+from cornercase.optimizers import Optimizer
+from cornercase.simulators import BuiltinSimulator
+
+
+class SpeedDifference(Metric):
+    """Difference of the speeds of both."""
+
+    name, unit, source = "speed-difference", "m/s", "an example"
+    lower_is_critical, cap = False, 0.0
+
+    def course(self, recording, ego, other):
+        return np.abs(recording.speed[recording.index(ego)] - recording.speed[recording.index(other)])
+
+
+class Diagonal(Optimizer):
+    """Goes along the diagonal of the space."""
+
+    name, needs = "diagonal", frozenset({"budget"})
+
+    def __init__(self, space, seed, budget, begin=0.0):
+        self.points = np.linspace(begin, 1.0, budget)[:, None] * np.ones(space.dimension)
+
+    def ask(self, n):
+        return self.points[:n]
+
+    def tell(self, points, scores):
+        self.points = self.points[len(points) :]
+
+
+class Steady(Driver):
+    """Keeps the speed that is asked for and sees nobody."""
+
+    def acceleration(self, situation):
+        return np.clip(situation.target_speed - situation.speed, -3.0, 2.0)
+
+
+class Short(BuiltinSimulator):
+    """The builtin simulator, for 5 s at most."""
+
+    name = "short"
+
+    def __init__(self, **options):
+        super().__init__(**{**options, "duration": 5.0})
+'''
+ENTRY_POINTS = """
+[cornercase.metrics]
+speed-difference = of_another:SpeedDifference
+[cornercase.optimizers]
+diagonal = of_another:Diagonal
+[cornercase.drivers]
+steady = of_another:Steady
+[cornercase.simulators]
+short = of_another:Short
+"""
+
+
+@pytest.fixture
+def command(tmp_path):
+    """The command line where a package with these parts is installed."""
+    site = tmp_path / "site"
+    (site / "of_another-1.0.dist-info").mkdir(parents=True)
+    (site / "of_another.py").write_text(PARTS)
+    (site / "of_another-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: of-another\nVersion: 1.0\n"
+    )
+    (site / "of_another-1.0.dist-info" / "entry_points.txt").write_text(ENTRY_POINTS)
+    paths = [str(site), *filter(None, [os.environ.get("PYTHONPATH")])]
+
+    def run(*arguments):
+        return subprocess.run(
+            [sys.executable, "-c", "from cornercase.cli import main; main()", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            timeout=300,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        )
+
+    return run
+
+
+def test_every_command_takes_the_parts_of_another_package(command, tmp_path):
+    assert "speed-difference" in command("metrics").stdout
+    assert "short" in command("simulators").stdout
+    explored = command(
+        "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "speed-difference",
+        "--optimizer", "diagonal:begin=0.5", "--simulator", "short", "--driver", "Ego=steady", "--budget", 4,
+        "--critical", 5, "--workers", 2, "-o", "study.db",
+    )  # fmt: skip
+    assert explored.returncode == 0, explored.stderr
+    with Study.open(tmp_path / "study.db", readonly=True) as study:
+        points = [row.point.tolist() for row in study.done()]
+        assert points[0] == pytest.approx([0.5] * 3, abs=0.05)
+        assert points[-1] == pytest.approx([1.0] * 3, abs=0.05)
+        assert study.recording(1).time[-1] == pytest.approx(5.0)
+    # What it does not know is refused in one sentence, with what it knows.
+    wrong = command("measure", "nothing.csv", "--ego", "A", "--other", "B", "--metric", "speed-diference")
+    assert (wrong.returncode, "did you mean 'speed-difference'" in wrong.stderr) == (2, True)
