@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import typer
 from rich.table import Column, Table
 
-from cornercase._common.errors import InputError
 from cornercase.cli import parsing
 from cornercase.cli.options import (
     Critical,
@@ -158,9 +157,9 @@ def check(
       cornercase check examples/x_intersection/x_intersection.xosc \\
           --space examples/x_intersection/x_intersection.space.xosc
     """
-    from cornercase.simulators import check_scenario
+    from cornercase import simulators
 
-    found = check_scenario(scenario, space)
+    found = simulators.check(scenario, space)
     for key, count in found.contents.items():
         out.print(f"{key}: {count}")
     out.print(f"parameters: {', '.join(found.parameters) or 'none'}", markup=False)
@@ -174,10 +173,10 @@ def check(
         out.print(f"schema {found.schema}: {'valid' if not found.invalid else 'not valid'}")
     for line in (*found.invalid, *found.trouble):
         out.print(f"  {line}", markup=False)
-    for line in found.space:
-        out.print(f"varied: {line}", markup=False)
-    if found.space:
-        out.print(f"concrete scenarios: {'infinitely many' if found.size is None else found.size}")
+    if found.space is not None:
+        for parameter in found.space.parameters:
+            out.print(f"varied: {_words_of(parameter)}", markup=False)
+        out.print(f"concrete scenarios: {'infinitely many' if found.space.size is None else found.space.size}")
     out.print("can be run" if not found.trouble else "cannot be run")
     if not found.good:
         raise typer.Exit(1)
@@ -225,23 +224,19 @@ def simulate(
       cornercase simulate examples/x_intersection/x_intersection.xosc \\
           --set ego_start=40 -o recording.csv
     """
-    from cornercase.drivers import named_driver
-    from cornercase.scenario import ConcreteScenario, Scenario
-    from cornercase.simulators import BuiltinSimulator
+    from cornercase import simulators
+    from cornercase.scenario import Scenario
 
-    pairs = parsing.pairs(values or (), "--set")
     read = Scenario.read(scenario)
-    read.require_parameters(list(pairs))
     _notice(read, "builtin")
-    simulator = BuiltinSimulator(
+    recording = simulators.simulate(
+        read,
+        parsing.pairs(values or (), "--set"),
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,
-        drivers={entity: named_driver(name) for entity, name in parsing.pairs(driver or (), "--driver").items()},
+        drivers=parsing.pairs(driver or (), "--driver"),
     )
-    (recording,) = simulator.run([ConcreteScenario(scenario, pairs)])
-    if isinstance(recording, Exception):
-        raise InputError(f"{scenario}: {recording}.")
     recording.to_csv(output)
     out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
     for collision in recording.collisions:
@@ -376,6 +371,14 @@ def simulators(
             name, "no" if one.missing else "yes", one.version or "-", ", ".join(one.abilities), one.missing or "-"
         )
     out.print(table)
+
+
+def _words_of(parameter: Any) -> str:
+    """Say what of a parameter is varied."""
+    if parameter.choices:
+        return f"{parameter.name}: {len(parameter.choices)} choices"
+    step = "" if parameter.step is None else f" in steps of {parameter.step:g}"
+    return f"{parameter.name}: {parameter.low:g} to {parameter.high:g}{step} {parameter.unit}".rstrip()
 
 
 def _notice(scenario: Any, simulator: str) -> None:

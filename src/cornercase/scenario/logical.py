@@ -81,7 +81,7 @@ class LogicalScenario:
     @classmethod
     def read(
         cls,
-        scenario: Path | str | None,
+        scenario: Path | str | Scenario | None,
         space: Path | str | None = None,
         ranges: Sequence[str] = (),
         continuous: bool = False,
@@ -90,7 +90,7 @@ class LogicalScenario:
 
         Parameters
         ----------
-        scenario : path, optional
+        scenario : path or Scenario, optional
             OpenSCENARIO file; without one it is the file that `space` names.
         space : path, optional
             ParameterValueDistribution file.
@@ -120,12 +120,13 @@ class LogicalScenario:
         if ranges:
             varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
         if varied is None:
-            raise InputError(f"{scenario}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
-        file = Scenario.read(scenario)
+            where = scenario.path if isinstance(scenario, Scenario) else scenario
+            raise InputError(f"{where}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
+        file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
         file.require_parameters(list(varied.assigns))
         varied = varied.continuous() if continuous else varied
         varied = varied.constrained(read_declarations(file.root, str(file.path)), str(file.path))
-        return cls(Path(scenario), varied, file.fingerprint(), file)
+        return cls(file.path, varied, file.fingerprint(), file)
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:
         """Return the concrete scenario of the given values."""

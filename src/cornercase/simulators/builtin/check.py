@@ -11,7 +11,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, LogicalScenario, Parameter, Scenario, read_xml
+from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, Scenario, read_xml
 from cornercase.simulators.builtin.effect import without_effect
 from cornercase.simulators.builtin.simulator import BuiltinSimulator
 
@@ -21,37 +21,39 @@ _COUNTED: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
 _SCHEMAS: Final = {0: "1.0.0", 1: "1.1.1", 2: "1.2.0", 3: "1.3.0"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Check:
     """What was found in a scenario file.
 
     Attributes
     ----------
+    path : Path
+        The scenario file.
     contents : dict of str to int
         How many there are of each kind of element.
     parameters, variables : tuple of str
+        Names of those that it declares.
     ignored : dict of str to int
-        What changes nothing here, and how many of each: actions, conditions, the elevation of roads.
+        What changes nothing in the builtin simulator, and how many of each: actions, conditions, the elevation of
+        roads.
     schema : str or None
-        Version of the schema that was looked at; None where it is not installed.
+        Version of the schema that it was held against; None where the schema is not installed.
     invalid : tuple of str
-        Where the file breaks the schema.
-    space : tuple of str
-        What is varied, a line for each.
-    size : int or None
-        Number of concrete scenarios; None where there are infinitely many or nothing is varied.
+        Where the file, or that of the space, breaks the schema.
+    space : ParameterSpace or None
+        What is varied; None where no space was given, or it cannot be used.
     trouble : tuple of str
-        Why it cannot be run.
+        Why the scenario cannot be run.
     """
 
+    path: Path
     contents: dict[str, int]
     parameters: tuple[str, ...]
     variables: tuple[str, ...]
     ignored: dict[str, int]
     schema: str | None
     invalid: tuple[str, ...]
-    space: tuple[str, ...]
-    size: int | None
+    space: ParameterSpace | None
     trouble: tuple[str, ...]
 
     @property
@@ -59,59 +61,75 @@ class Check:
         """Whether the file is valid, as far as that could be seen, and can be run."""
         return not self.invalid and not self.trouble
 
+    def __repr__(self) -> str:
+        held = ", ".join(f"{count} {kind}" for kind, count in self.contents.items() if count)
+        validity = "schema not installed" if self.schema is None else f"schema {self.schema}: "
+        if self.schema is not None:
+            validity += f"{len(self.invalid)} errors" if self.invalid else "valid"
+        lines = [f"<Check of {self.path.name}: {'cannot' if self.trouble else 'can'} be run, {validity}; {held}"]
+        if self.ignored:
+            lines.append("without effect: " + ", ".join(self.ignored))
+        return "\n  ".join([*lines, *self.invalid, *self.trouble]) + ">"
 
-def check_scenario(path: Path | str, space: Path | str | None = None) -> Check:
-    """Look at a scenario file, and at the parameter space that goes with it.
+
+def check(scenario: Path | str | Scenario, space: Path | str | None = None) -> Check:
+    """Tell what a scenario file holds, what of it has no effect here, and whether it is valid and can be run.
+
+    It is held against ASAM's schema, where the extra ``cornercase[validate]`` is installed, and run for one time step:
+    with the parameters' own values, or those in the middle of the space.
 
     Parameters
     ----------
-    path : path
+    scenario : path or Scenario
         OpenSCENARIO file.
     space : path, optional
         ParameterValueDistribution file.
+
+    Returns
+    -------
+    Check
 
     Raises
     ------
     InputError
         A file is missing, is not XML, or is neither.
+
+    Examples
+    --------
+    >>> import cornercase.simulators as simulators
+    >>> found = simulators.check("examples/t_intersection/t_intersection.xosc")
+    >>> found.good, found.contents["ScenarioObject"]
+    (True, 2)
     """
-    scenario = Scenario.read(path)
-    tags = Counter(str(e.tag) for e in scenario.root.iter() if isinstance(e.tag, str))
-    trouble, lines, size = [], list[str](), None
+    file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+    tags = Counter(str(e.tag) for e in file.root.iter() if isinstance(e.tag, str))
+    trouble, varied = [], None
     try:
-        if space is None:
-            concretes = [ConcreteScenario(Path(path))]
-        else:
-            logical = LogicalScenario.read(path, space)
-            size, lines = logical.space.size, [_line(parameter) for parameter in logical.space.parameters]
-            concretes = [logical.concrete(one) for one in logical.space.values(logical.space.middle())]
-        (result,) = BuiltinSimulator(duration=0.05).run(concretes)
+        concrete = ConcreteScenario(file.path, {}, file)
+        if space is not None:
+            varied = LogicalScenario.read(file, space).space
+            (values,) = varied.values(varied.middle())
+            concrete = ConcreteScenario(file.path, values, file)
+        (result,) = BuiltinSimulator(duration=0.05).run([concrete])
         if isinstance(result, Exception):
-            trouble.append(f"{path}: {result}.")
+            trouble.append(f"{file.path}: {result}.")
     except InputError as error:
         trouble.append(str(error))
-    version, invalid = _validate(scenario.root)
+    version, invalid = _validate(file.root)
     if space is not None:
         _, more = _validate(read_xml(Path(space)))
         invalid += [f"{space}: {one}" for one in more]
     return Check(
-        {tag: tags[tag] for tag in _COUNTED},
-        scenario.parameters,
-        tuple(e.get("name", "") for e in scenario.root.iterfind("VariableDeclarations/VariableDeclaration")),
-        without_effect(scenario),
-        version,
-        tuple(invalid),
-        tuple(lines),
-        size,
-        tuple(trouble),
+        path=file.path,
+        contents={tag: tags[tag] for tag in _COUNTED},
+        parameters=file.parameters,
+        variables=tuple(e.get("name", "") for e in file.root.iterfind("VariableDeclarations/VariableDeclaration")),
+        ignored=without_effect(file),
+        schema=version,
+        invalid=tuple(invalid),
+        space=varied,
+        trouble=tuple(trouble),
     )
-
-
-def _line(parameter: Parameter) -> str:
-    if parameter.choices:
-        return f"{parameter.name}: {len(parameter.choices)} choices"
-    step = "" if parameter.step is None else f" in steps of {parameter.step:g}"
-    return f"{parameter.name}: {parameter.low:g} to {parameter.high:g}{step} {parameter.unit}".rstrip()
 
 
 def schema_errors(root: etree._Element) -> list[str] | None:
