@@ -28,15 +28,13 @@ from scipy.stats import spearmanr
 from sklearn.metrics import adjusted_rand_score, silhouette_score
 
 from cornercase import SimulationError
-from cornercase.clustering import EGO_TRAJECTORY, analyze_study, cluster, series_of, tell_outcome
+from cornercase.clustering import EGO_TRAJECTORY, analyze, cluster, read_distances, series_of, tell_outcome
 from cornercase.drivers import named_driver
 from cornercase.dtw import distances_to
 from cornercase.evidence import estimate_sensitivity
 from cornercase.exploration import Objective, demonstration, explore_scenario
 from cornercase.metrics import METRICS
-from cornercase.reduction import reduce_study
-from cornercase.reduction.coverage import medoids
-from cornercase.reduction.write import critical_clusters
+from cornercase.reduction import choose_medoids, find_critical_clusters, reduce
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
@@ -53,10 +51,11 @@ class Experiment:
         asked = demonstration(name, budget=budget, seed=seed, driver=driver)
         explore_scenario(replace(asked, optimizer="bayes:filling=0"), path, progress=True)
         with Study.open(path) as study:
-            self.found = analyze_study(study)
-            self.kept = reduce_study(study, folder / f"{path.stem}-paper", archetypes=15, method="hull")["kept"]
-            self.reduced = reduce_study(study, folder / f"{path.stem}-reduced")
-            self.critical = critical_clusters(study, study.analysis(self.reduced["by"])[0])
+            self.found = analyze(study)
+            self.distances = {name: read_distances(study, name) for name in self.found}
+            self.kept = len(reduce(study, folder / f"{path.stem}-paper", archetypes=15, archetypes_by="hull"))
+            self.reduced = reduce(study, folder / f"{path.stem}-reduced")
+            self.critical = find_critical_clusters(study, self.found[self.reduced.by])
             self.unlike = self._unlike(study)
             rows, meta = study.done(), study.meta
             self.points = np.array([row.point for row in rows])
@@ -65,9 +64,10 @@ class Experiment:
             self.scores = {m: study.scores(m) for m in meta.metrics}
             scores = Objective.of_study(meta).oriented(np.stack(list(self.scores.values()), axis=1))
             self.influence = estimate_sensitivity(study.space, self.points, scores, seed)
-            self.ends = [tell_outcome(study.recording(row.id), meta.ego, meta.other) for row in rows]
+            recordings = [study.recording(row.id) for row in rows]
+            self.ends = [tell_outcome(one, meta.ego, meta.other) for one in recordings]
+            self.crash = np.array([any(meta.ego in hit.entities for hit in one.collisions) for one in recordings])
             self.seconds = study.elapsed()["compare"] / len(self.found)
-        self.crash = np.array(["collide" in end for end in self.ends])
 
     def _unlike(self, study: Study) -> dict[str, float]:
         """Share of the critical ones among 2,000 random scenarios that are unlike every kept one."""
@@ -90,9 +90,9 @@ class Experiment:
         limit = objective.flip(meta.critical)
         runs = [one for one in runs if objective.flip(metric.score(metric.course(one, meta.ego, meta.other))) <= limit]
         rows = [row.id for row in study.done()]
-        kept = [rows.index(item["id"]) for item in self.reduced["scenarios"]]
+        kept = [rows.index(scenario) for scenario in self.reduced.ids]
         shares = {}
-        for by, found in self.reduced["critical"].items():
+        for by, found in self.reduced.critical.items():
             measured = None if by == EGO_TRAJECTORY else METRICS.create(by)
             new = [
                 one.center(meta.ego)
@@ -102,7 +102,7 @@ class Experiment:
             ]
             series = series_of(study, by)
             away = distances_to(new, [series[k] for k in kept]).min(axis=1)
-            shares[by] = float((away > found["within"]).mean())
+            shares[by] = float((away > found.within).mean())
         return shares
 
     def ended(self, text: str) -> npt.NDArray[np.bool_]:
@@ -230,28 +230,25 @@ def scenario_2(t: Experiment) -> list[tuple[str, str, bool]]:
 
 def beyond(x: Experiment) -> list[tuple[str, str, bool]]:
     """What the paper leaves open, asked of the same study."""
-    reduced, by = x.reduced, x.reduced["by"]
-    better = {name: (one["better_largest"], one["better_mean"]) for name, one in reduced["coverage"].items()}
+    reduced, by = x.reduced, x.reduced.by
+    better = {name: (one.better_largest, one.better_mean) for name, one in reduced.coverage.items()}
     text = ", ".join(f"{name} {largest:.0%} and {mean:.0%}" for name, (largest, mean) in better.items())
     found = x.found[by]
-    rows = {scenario: k for k, scenario in enumerate(found.ids.tolist())}
-    kept = [rows[item["id"]] for item in reduced["scenarios"]]
+    kept, distances = found.rows_of(reduced.ids), x.distances[by]
     members = np.isin(found.clustering.labels, x.critical)
-    mine, theirs = (
-        found.distances[members][:, some].min(axis=1) for some in (kept, medoids(found.distances, len(kept)))
-    )
+    mine, theirs = (distances[members][:, some].min(axis=1) for some in (kept, choose_medoids(distances, len(kept))))
     ratios = float(mine.max() / theirs.max()), float(mine.mean() / theirs.mean())
     part = bool((found.clustering.labels[~members] >= 0).any())
-    kinds = {name: (one.distances, one.clustering.labels) for name, one in x.found.items()}
+    kinds = {name: (x.distances[name], one.labels) for name, one in x.found.items()}
     rng = np.random.default_rng(0)
-    order = rng.permutation(len(rows))
+    order = rng.permutation(len(found.ids))
     again = {n: adjusted_rand_score(cluster(d[np.ix_(order, order)]).labels, c[order]) for n, (d, c) in kinds.items()}
-    fewer = np.arange(round(len(rows) / 1.1))
+    fewer = np.arange(round(len(found.ids) / 1.1))
     before = {n: adjusted_rand_score(cluster(d[np.ix_(fewer, fewer)]).labels, c[fewer]) for n, (d, c) in kinds.items()}
-    foretold = {name: one["unlike"] for name, one in reduced["critical"].items() if one["unlike"]}
-    inside = [one["low"] - 0.01 <= x.unlike[name] <= one["high"] + 0.01 for name, one in foretold.items()]
+    foretold = {name: one.unlike for name, one in reduced.critical.items() if one.unlike}
+    inside = [one.low - 0.01 <= x.unlike[name] <= one.high + 0.01 for name, one in foretold.items()]
     return [
-        (f"{reduced['kept']} kept leave a smaller largest gap and mean than random choices", f"of 100: {text} (95 %)",
+        (f"{len(reduced)} kept leave a smaller largest gap and mean than random choices", f"of 100: {text} (95 %)",
          min(map(min, better.values())) >= 0.95),
         (f"and in the critical clusters by {by} than k-medoids", f"largest {ratios[0]:.2f}, mean {ratios[1]:.2f} of"
          " theirs (1)" + ("" if part else ", but all is one cluster"), max(ratios) <= 1.0 + 1e-9 or not part),
@@ -259,7 +256,7 @@ def beyond(x: Experiment) -> list[tuple[str, str, bool]]:
         ("so do the last 10 % of the scenarios, clustered anew", f"adjusted Rand {_listed(before)} (0.9)",
          min(before.values()) >= 0.9),
         ("a critical scenario of the space is as likely unlike all kept as foretold", "; ".join(
-            f"{name} {x.unlike[name]:.0%}, foretold {one['low']:.0%} to {one['high']:.0%}"
+            f"{name} {x.unlike[name]:.0%}, foretold {one.low:.0%} to {one.high:.0%}"
             for name, one in foretold.items()), all(inside)),
     ]  # fmt: skip
 

@@ -2,7 +2,7 @@ from ._common.errors import InputError as InputError
 from ._common.errors import SimulationError as SimulationError
 from ._common.version import __version__ as __version__
 from .clustering import ScenarioClustering as ScenarioClustering
-from .clustering import analyze_study as analyze_study
+from .clustering import analyze as analyze
 from .drivers import DRIVERS as DRIVERS
 from .evidence import CriticalSet as CriticalSet
 from .exploration import ScenarioExplorer as ScenarioExplorer
@@ -10,7 +10,7 @@ from .metrics import METRICS as METRICS
 from .optimizers import OPTIMIZERS as OPTIMIZERS
 from .recordings import Recording as Recording
 from .recordings import read_recording as read_recording
-from .reduction import reduce_study as reduce_study
+from .reduction import reduce as reduce
 from .report import write_report as write_report
 from .scenario import ConcreteScenario as ConcreteScenario
 from .scenario import LogicalScenario as LogicalScenario

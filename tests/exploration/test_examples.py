@@ -83,10 +83,10 @@ def test_critical_scenarios_lie_along_a_diagonal(x_study):
 
 
 def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
-    from cornercase.clustering import analyze_study
+    from cornercase.clustering import analyze
 
     with Study.open(x_study) as study:
-        labels = analyze_study(study, ["wttc"])["wttc"].clustering.labels
+        labels = analyze(study, ["wttc"])["wttc"].clustering.labels
         scores = study.scores("wttc")
     medians = [np.median(scores[labels == k]) for k in range(labels.max() + 1)]
     assert len(medians) >= 2
@@ -98,12 +98,12 @@ def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
 
 
 def test_accidents_form_a_cluster_of_their_own_by_ego_trajectory(tmp_path):
-    from cornercase.clustering import analyze_study
+    from cornercase.clustering import analyze
 
     path = tmp_path / "study.db"
     explore_scenario(demonstration("t-intersection", budget=100, seed=0), path)
     with Study.open(path) as study:
-        labels = analyze_study(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
+        labels = analyze(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
         crashed = np.array([bool(study.recording(row.id).collisions) for row in study.done()])
     assert 0 < crashed.sum() < len(crashed)
     of_crashes = set(labels[crashed].tolist())

@@ -326,8 +326,9 @@ def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
         for row, score in zip(study.done(), expected, strict=True):
             assert study.recording(row.id).x[1, 0] == pytest.approx(score)
             assert study.course(row.id, "distance")[0] == pytest.approx(score)
-        said = summarize(study)["metrics"]["distance"]
-        assert said["spread of the runs, largest"] == pytest.approx(max(max(run) - min(run) for run in runs))
+        said = summarize(study).metrics["distance"]
+        assert said.spread is not None
+        assert said.spread[1] == pytest.approx(max(max(run) - min(run) for run in runs))
         write_report(study, tmp_path / "r.html")
         assert "Each was run 3 times" in (tmp_path / "r.html").read_text()
         study.export(tmp_path / "csv")

@@ -8,9 +8,11 @@ from scipy.optimize import linprog
 from scipy.spatial.distance import pdist, squareform
 
 from cornercase._common.errors import InputError
-from cornercase.reduction.coverage import coverage
-from cornercase.reduction.hulls import convex_hull, hull_archetypes, prototype
-from cornercase.reduction.selection import Kept, reduce_clusters
+from cornercase.reduction.cluster_selection import choose_by_cluster
+from cornercase.reduction.coverage import measure_coverage
+from cornercase.reduction.hulls import find_hull, find_hull_archetypes
+from cornercase.reduction.kept import Kept
+from cornercase.reduction.medoids import find_prototype
 
 
 def is_mixture(point, others):
@@ -24,7 +26,7 @@ def test_corners_of_a_cube():
     corners = np.array(list(itertools.product([0.0, 1.0], repeat=3)))
     inside = np.random.default_rng(0).uniform(0.05, 0.95, (40, 3))
     points = np.concatenate((inside, corners))
-    hull = convex_hull(points)
+    hull = find_hull(points)
     assert hull.vertices.tolist() == list(range(40, 48))
     # Twelve triangles, which enclose the volume of the cube.
     assert hull.simplices.shape == (12, 3)
@@ -39,7 +41,7 @@ def test_every_scenario_lies_between_the_archetypes(n, d, flat, seed):
     # Points of any rank: in a flat of `flat` dimensions through the cube, turned and moved.
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1, 1, (n, min(flat, d))) @ rng.uniform(-1, 1, (min(flat, d), d)) + rng.random(d)
-    vertices = hull_archetypes(points)
+    vertices = find_hull_archetypes(points)
     assert len(set(vertices.tolist())) == len(vertices)
     assert (np.diff(vertices) > 0).all()
     centre = points[vertices].mean(axis=0)
@@ -63,7 +65,7 @@ def test_every_scenario_lies_between_the_archetypes(n, d, flat, seed):
     ],
 )
 def test_flat_hulls(points, vertices, facets):
-    hull = convex_hull(points)
+    hull = find_hull(points)
     assert hull.vertices.tolist() == vertices
     assert hull.simplices.shape == facets
     assert set(hull.simplices.ravel().tolist()) <= set(vertices)
@@ -72,26 +74,26 @@ def test_flat_hulls(points, vertices, facets):
 def test_few_archetypes_are_spread_over_the_hull():
     angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    four = hull_archetypes(circle, 4)
+    four = find_hull_archetypes(circle, 4)
     turns = np.diff(np.append(angles[four], angles[four[0]] + 2 * np.pi))
     np.testing.assert_allclose(turns, np.pi / 2)
-    assert set(four) <= set(hull_archetypes(circle, 9))
-    assert len(hull_archetypes(circle)) == 40
-    assert len(hull_archetypes(circle, 100)) == 40
+    assert set(four) <= set(find_hull_archetypes(circle, 9))
+    assert len(find_hull_archetypes(circle)) == 40
+    assert len(find_hull_archetypes(circle, 100)) == 40
 
 
 def test_many_dimensions_end():
     points = np.random.default_rng(0).random((60, 12))
-    assert 10 < len(hull_archetypes(points)) <= 60
+    assert 10 < len(find_hull_archetypes(points)) <= 60
 
 
 def test_prototype_is_the_medoid():
     points = np.array([[0.0], [9.0], [1.0], [5.0], [2.0]])
     distances = squareform(pdist(points))
-    assert prototype(distances, [0, 1, 2, 3, 4]) == 4
-    assert prototype(distances, [1, 3]) == 1
-    assert prototype(distances, [3, 1]) == 1
-    assert prototype(distances, [2]) == 2
+    assert find_prototype(distances, [0, 1, 2, 3, 4]) == 4
+    assert find_prototype(distances, [1, 3]) == 1
+    assert find_prototype(distances, [3, 1]) == 1
+    assert find_prototype(distances, [2]) == 2
 
 
 def test_reduces_400_scenarios_in_2_clusters_to_32():
@@ -99,70 +101,70 @@ def test_reduces_400_scenarios_in_2_clusters_to_32():
     points = rng.random((400, 3))
     labels = (points[:, 0] > points[:, 1]).astype(int)
     distances = squareform(pdist(points))
-    kept = reduce_clusters(points, distances, labels)
+    kept = choose_by_cluster(points, distances, labels)
     assert len(kept) == 32
     assert len({one.index for one in kept}) == 32
     for name in (0, 1):
         roles = [one.role for one in kept if one.cluster == name]
         assert roles == ["prototype"] + ["archetype"] * 15
     assert all(labels[one.index] == one.cluster for one in kept)
-    assert kept == reduce_clusters(points, distances, labels)
+    assert kept == choose_by_cluster(points, distances, labels)
 
 
 def test_keeps_about_a_tenth_and_nothing_of_the_noise():
     rng = np.random.default_rng(1)
     points = rng.random((300, 3))
     labels = rng.integers(-1, 3, 300)
-    kept = reduce_clusters(points, squareform(pdist(points)), labels)
+    kept = choose_by_cluster(points, squareform(pdist(points)), labels)
     assert len(kept) == 30
     assert {one.cluster for one in kept} == {0, 1, 2}
-    assert len(reduce_clusters(points, squareform(pdist(points)), labels, archetypes=2)) == 9
+    assert len(choose_by_cluster(points, squareform(pdist(points)), labels, archetypes=2)) == 9
 
 
 def test_nothing_is_kept_twice():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0], [0.5, 0.5]])
     distances = squareform(pdist(points))
-    kept = reduce_clusters(points, distances, [0, 0, 0, 1, -1])
+    kept = choose_by_cluster(points, distances, [0, 0, 0, 1, -1])
     assert kept == (Kept(0, 0, "prototype"), Kept(1, 0, "archetype"), Kept(3, 1, "prototype"))
-    assert reduce_clusters(points, distances, [-1] * 5) == ()
+    assert choose_by_cluster(points, distances, [-1] * 5) == ()
 
 
 def test_coverage_of_points_on_a_line():
     distances = squareform(pdist(np.arange(11.0)[:, None]))
-    found = coverage(distances, [0, 5, 5])
+    found = measure_coverage(distances, [0, 5, 5])
     assert (found.kept, found.largest, found.worst) == (2, 5.0, 10)
     assert found.mean == pytest.approx((0 + 1 + 2 + 2 + 1 + 0 + 1 + 2 + 3 + 4 + 5) / 11)
     assert found.largest_relative == pytest.approx(0.5)
     assert found.mean_relative == pytest.approx(found.mean / 10)
-    assert coverage(distances, range(11)).largest == 0.0
+    assert measure_coverage(distances, range(11)).largest == 0.0
     # All subsets of one: the farthest is 5 to 10 away, by symmetry 8 in the middle.
-    assert coverage(distances, [5], draws=2000).random_largest == 8.0
-    assert coverage(np.zeros((4, 4)), [1]).largest_relative == 0.0
+    assert measure_coverage(distances, [5], draws=2000).random_largest == 8.0
+    assert measure_coverage(np.zeros((4, 4)), [1]).largest_relative == 0.0
 
 
 def test_archetypes_cover_the_extremes_better_than_chance():
     points = np.random.default_rng(2).random((300, 3))
     distances = squareform(pdist(points))
     labels = (points[:, 2] > 0.5).astype(int)
-    found = coverage(distances, [one.index for one in reduce_clusters(points, distances, labels)])
+    found = measure_coverage(distances, [one.index for one in choose_by_cluster(points, distances, labels)])
     assert found.largest < found.random_largest
 
 
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: convex_hull(np.empty((0, 3))), "have no hull"),
-        (lambda: convex_hull([1.0, 2.0]), "have no hull"),
-        (lambda: convex_hull([[1.0], [np.nan]]), "Point 1 is not finite"),
-        (lambda: hull_archetypes([[1.0]], 0), "k is 0"),
-        (lambda: prototype(np.zeros((2, 2)), []), "has no prototype"),
-        (lambda: reduce_clusters(np.zeros((3, 1)), np.zeros((2, 2)), [0, 0]), "same scenarios"),
-        (lambda: reduce_clusters(np.zeros((1, 1)), [[0.0]], [0], archetypes=0), "archetypes is 0"),
-        (lambda: coverage(np.zeros((2, 2)), []), "No scenario is kept"),
-        (lambda: coverage(np.zeros((2, 2)), [2]), "not among the 2"),
-        (lambda: coverage(np.zeros((2, 2)), [-1]), "not among the 2"),
-        (lambda: coverage(np.zeros((2, 3)), [0]), "is not square"),
-        (lambda: coverage(np.zeros((2, 2)), [0], draws=0), "draws is 0"),
+        (lambda: find_hull(np.empty((0, 3))), "have no hull"),
+        (lambda: find_hull([1.0, 2.0]), "have no hull"),
+        (lambda: find_hull([[1.0], [np.nan]]), "Point 1 is not finite"),
+        (lambda: find_hull_archetypes([[1.0]], 0), "`k` 0"),
+        (lambda: find_prototype(np.zeros((2, 2)), []), "has no prototype"),
+        (lambda: choose_by_cluster(np.zeros((3, 1)), np.zeros((2, 2)), [0, 0]), "same scenarios"),
+        (lambda: choose_by_cluster(np.zeros((1, 1)), [[0.0]], [0], archetypes=0), "`archetypes` 0"),
+        (lambda: measure_coverage(np.zeros((2, 2)), []), "No scenario is kept"),
+        (lambda: measure_coverage(np.zeros((2, 2)), [2]), "not among the 2"),
+        (lambda: measure_coverage(np.zeros((2, 2)), [-1]), "not among the 2"),
+        (lambda: measure_coverage(np.zeros((2, 3)), [0]), "is not square"),
+        (lambda: measure_coverage(np.zeros((2, 2)), [0], draws=0), "`draws` 0"),
     ],
 )
 def test_refuses_in_one_sentence(call, words):

@@ -9,11 +9,11 @@ from scipy.spatial.distance import cdist
 from cornercase._common.errors import InputError
 from cornercase.clustering import cluster
 from cornercase.dtw import distance_matrix
-from cornercase.reduction.archetypal_analysis import archetypal_analysis, kernel_archetypal_analysis
-from cornercase.reduction.cluster_shapes import shapes
-from cornercase.reduction.convexity import CONVEX, convexity, near_convex_parts
-from cornercase.reduction.hulls import hull_archetypes
-from cornercase.reduction.selection import reduce_clusters
+from cornercase.reduction.archetypal_analysis import find_archetypes, find_kernel_archetypes
+from cornercase.reduction.cluster_selection import choose_by_cluster
+from cornercase.reduction.cluster_shapes import find_shapes
+from cornercase.reduction.convexity import CONVEX, find_convex_parts, measure_convexity
+from cornercase.reduction.hulls import find_hull_archetypes
 
 
 def horseshoe(count, seed, legs=2.0):
@@ -41,33 +41,33 @@ def everyone(points):
 def test_cubes_and_balls_are_convex(count, dimensions, seed):
     rng = np.random.default_rng(seed)
     for points in (rng.random((count, dimensions)), rng.normal(size=(count, dimensions))):
-        assert convexity(points, everyone(points)) > 0.95
-        assert len(near_convex_parts(points, everyone(points))) == 1
+        assert measure_convexity(points, everyone(points)) > 0.95
+        assert len(find_convex_parts(points, everyone(points))) == 1
     halves = rng.random((count, dimensions))
-    assert convexity(halves, halves[:, 0] < halves[:, 1]) > 0.9
+    assert measure_convexity(halves, halves[:, 0] < halves[:, 1]) > 0.9
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_horseshoe_is_not_and_falls_into_parts_that_are(seed):
     points = horseshoe(200, seed)
-    assert convexity(points, everyone(points)) < 0.7
-    parts = near_convex_parts(points, everyone(points))
+    assert measure_convexity(points, everyone(points)) < 0.7
+    parts = find_convex_parts(points, everyone(points))
     assert 2 <= len(parts) <= 4
     assert sorted(np.concatenate(parts).tolist()) == list(range(200))
     for part in parts:
-        assert convexity(points[part], everyone(part)) >= CONVEX
+        assert measure_convexity(points[part], everyone(part)) >= CONVEX
 
 
 def test_what_lies_around_others_is_not_convex():
     points = np.random.default_rng(0).random((400, 2))
     inner = np.linalg.norm(points - 0.5, axis=1) < 0.3
-    assert convexity(points, ~inner) < 0.7
-    assert convexity(points, inner) > 0.9
+    assert measure_convexity(points, ~inner) < 0.7
+    assert measure_convexity(points, inner) > 0.9
 
 
 def test_too_few_to_know_count_as_convex():
-    assert convexity(np.random.default_rng(0).random((9, 3)), np.arange(9) < 4) == 1.0
-    assert convexity(np.zeros((20, 2)), everyone(np.zeros((20, 2)))) == 1.0
+    assert measure_convexity(np.random.default_rng(0).random((9, 3)), np.arange(9) < 4) == 1.0
+    assert measure_convexity(np.zeros((20, 2)), everyone(np.zeros((20, 2)))) == 1.0
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -76,30 +76,30 @@ def test_archetypes_are_the_known_corners(corners, seed):
     rng = np.random.default_rng(seed)
     places = np.concatenate([np.zeros((1, 4)), np.eye(4)])[:corners]
     points = np.concatenate([places, rng.dirichlet(np.full(corners, 0.8), 200) @ places])
-    found = archetypal_analysis(points)
+    found = find_archetypes(points)
     assert len(found.indices) == corners == len(found.explained)
     assert found.explained[-1] > 0.98
     away = cdist(places, points[found.indices])
     assert away.min(axis=1).max() < 0.15
-    assert archetypal_analysis(points).indices.tolist() == found.indices.tolist()
+    assert find_archetypes(points).indices.tolist() == found.indices.tolist()
 
 
 def test_the_number_of_archetypes_can_be_given_and_none_is_there_twice():
     points = np.random.default_rng(1).random((50, 3))
     for k in (1, 2, 7, 15, 50, 60):
-        indices = archetypal_analysis(points, k).indices
+        indices = find_archetypes(points, k).indices
         assert len(set(indices.tolist())) == min(k, 50)
-    assert len(archetypal_analysis(np.zeros((5, 2)), 3).indices) == 1
-    assert archetypal_analysis(np.array([[1.0, 2.0]])).indices.tolist() == [0]
-    assert len(kernel_archetypal_analysis(np.zeros((5, 5)), 2).indices) == 1
+    assert len(find_archetypes(np.zeros((5, 2)), 3).indices) == 1
+    assert find_archetypes(np.array([[1.0, 2.0]])).indices.tolist() == [0]
+    assert len(find_kernel_archetypes(np.zeros((5, 5)), 2).indices) == 1
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_kernel_archetypes_cover_a_horseshoe_of_trajectories(seed):
     points = horseshoe(200, seed, legs=3.0)
     distances = distance_matrix(standing(points))
-    around = hull_archetypes(points, 16)
-    along = kernel_archetypal_analysis(distances, len(around)).indices
+    around = find_hull_archetypes(points, 16)
+    along = find_kernel_archetypes(distances, len(around)).indices
     left = [float(distances[:, kept].min(axis=1).max()) for kept in (around, along)]
     assert left[1] < 0.5 * left[0]
 
@@ -110,37 +110,37 @@ def test_the_shape_decides(seed):
     bent, round_ = horseshoe(200, seed), rng.normal(size=(100, 2)) * 0.2 + [6, 0]
     points = np.concatenate([bent, round_])
     labels = np.repeat([0, 1], [200, 100])
-    found = shapes(points, labels)
-    assert [one.method for one in found] == ["parts", "hull"]
+    found = find_shapes(points, labels)
+    assert [one.shape.method for one in found] == ["parts", "hull"]
     assert len(found[0].parts) > 1
-    assert found[0].convexity < CONVEX <= found[1].convexity
+    assert found[0].shape.convexity < CONVEX <= found[1].shape.convexity
     # The same region, but bent in kernel space, as the distances are those of the horseshoe.
     clustered = cluster(distance_matrix(standing(points)))
     flat = np.concatenate([rng.random((200, 2)), 2.0 + rng.random((100, 2))])
-    assert shapes(flat, labels, clustered.embedding)[0].method == "kernel"
-    assert [one.method for one in shapes(points, labels, method="pcha")] == ["pcha", "pcha"]
-    assert shapes(rng.random((100, 8)), np.zeros(100, dtype=np.int64))[0].method == "pcha"
+    assert find_shapes(flat, labels, clustered.embedding)[0].shape.method == "kernel"
+    assert [one.shape.method for one in find_shapes(points, labels, method="pcha")] == ["pcha", "pcha"]
+    assert find_shapes(rng.random((100, 8)), np.zeros(100, dtype=np.int64))[0].shape.method == "pcha"
 
 
 def test_all_ways_keep_scenarios_of_the_cluster_and_as_many_as_wanted():
     points = horseshoe(120, 0)
     distances, labels = cdist(points, points), np.repeat([0, -1], [100, 20])
     for method in ("auto", "hull", "pcha", "parts", "kernel"):
-        shaped = shapes(points, labels, method=method)
-        kept = reduce_clusters(points, distances, labels, archetypes=8, shaped=shaped)
+        shaped = find_shapes(points, labels, method=method)
+        kept = choose_by_cluster(points, distances, labels, archetypes=8, shaped=shaped)
         assert len({one.index for one in kept}) == len(kept) <= 9
         assert all(one.cluster == 0 and one.index < 100 for one in kept)
-        assert kept == reduce_clusters(points, distances, labels, archetypes=8, shaped=shaped)
+        assert kept == choose_by_cluster(points, distances, labels, archetypes=8, shaped=shaped)
 
 
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: archetypal_analysis(np.empty((0, 2))), "have no archetypes"),
-        (lambda: archetypal_analysis(np.array([[1.0], [2.0]]), 0), "k is 0"),
-        (lambda: archetypal_analysis(np.array([[1.0], [2.0]]), most=0), "most is 0"),
+        (lambda: find_archetypes(np.empty((0, 2))), "have no archetypes"),
+        (lambda: find_archetypes(np.array([[1.0], [2.0]]), 0), "`k` 0"),
+        (lambda: find_archetypes(np.array([[1.0], [2.0]]), most=0), "`most` 0"),
         (
-            lambda: shapes(np.zeros((3, 1)), np.zeros(3, dtype=np.int64), method="hul"),  # type: ignore[arg-type]
+            lambda: find_shapes(np.zeros((3, 1)), np.zeros(3, dtype=np.int64), method="hul"),  # type: ignore[arg-type]
             "did you mean 'hull'",
         ),
     ],

@@ -9,7 +9,7 @@ from scipy.stats import qmc
 
 from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet
-from cornercase.reduction.critical_coverage import alike, critical_coverage
+from cornercase.reduction.critical_coverage import distance_alike, measure_critical_coverage
 from cornercase.scenario import ParameterSpace
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
@@ -35,7 +35,7 @@ def nearest(points, *places):
 def test_the_space_is_as_unlike_as_a_dense_sample_says(places, seed):
     points, scores, distances = explored(seed=seed)
     kept = nearest(points, *places)
-    found = critical_coverage(SPACE, points, scores, 0.3, distances, kept, 0.2, seed=seed)
+    found = measure_critical_coverage(SPACE, points, scores, 0.3, distances, kept, 0.2, seed=seed)
     dense = np.random.default_rng(99).random((20_000, 2))
     dense = dense[disc(dense) <= 0.3]
     truth = float((cdist(dense, points[kept]).min(axis=1) > 0.2).mean())
@@ -48,7 +48,7 @@ def test_the_space_is_as_unlike_as_a_dense_sample_says(places, seed):
 def test_shares_of_what_was_run():
     points, scores, distances = explored()
     kept = nearest(points, (0.5, 0.5))
-    found = critical_coverage(SPACE, points, scores, 0.3, distances, kept, 0.2)
+    found = measure_critical_coverage(SPACE, points, scores, 0.3, distances, kept, 0.2)
     critical = scores <= 0.3
     gap = distances[:, kept[0]]
     assert found.within == 0.2
@@ -57,9 +57,9 @@ def test_shares_of_what_was_run():
     assert found.boundary == 0.0
     assert found.largest == pytest.approx(gap[critical].max())
     assert found.mean == pytest.approx(gap[critical].mean())
-    everything = critical_coverage(SPACE, points, scores, 0.3, distances, np.flatnonzero(critical), 0.2)
+    everything = measure_critical_coverage(SPACE, points, scores, 0.3, distances, np.flatnonzero(critical), 0.2)
     assert (everything.critical, everything.boundary, everything.largest) == (1.0, 1.0, 0.0)
-    half = critical_coverage(SPACE, points, scores, 0.3, distances, np.flatnonzero(critical)[::2], 0.2)
+    half = measure_critical_coverage(SPACE, points, scores, 0.3, distances, np.flatnonzero(critical)[::2], 0.2)
     assert half.unlike is not None
     assert half.unlike.value < 0.02
     assert half.medoids is not None
@@ -70,7 +70,7 @@ def test_shares_of_what_was_run():
 @pytest.mark.filterwarnings("ignore:The balance properties")
 def test_without_critical_scenarios_nothing_is_said():
     points, scores, distances = explored()
-    found = critical_coverage(SPACE, points, scores, -1.0, distances, np.array([0]), 0.2)
+    found = measure_critical_coverage(SPACE, points, scores, -1.0, distances, np.array([0]), 0.2)
     assert (found.critical, found.boundary, found.random, found.medoids, found.unlike) == (None,) * 5
 
 
@@ -87,11 +87,11 @@ def test_alike_is_half_of_what_is_usual_within_clusters():
     places = np.array([0.0, 1.0, 2.0, 100.0, 101.0, 102.0, 500.0])
     distances = cdist(places[:, None], places[:, None])
     labels = np.array([0, 0, 0, 1, 1, 1, -1])
-    assert alike(distances, labels) == 0.5
-    assert alike(distances, labels, 2.0) == 2.0
-    assert alike(distances, np.full(7, -1)) == 0.5 * np.median(distances[np.triu_indices(7, 1)])
+    assert distance_alike(distances, labels) == 0.5
+    assert distance_alike(distances, labels, 2.0) == 2.0
+    assert distance_alike(distances, np.full(7, -1)) == 0.5 * np.median(distances[np.triu_indices(7, 1)])
     for share in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(InputError, match="give a number above 0"):
-            alike(distances, labels, share)
+            distance_alike(distances, labels, share)
     with pytest.raises(InputError, match="keep at least one"):
-        critical_coverage(SPACE, np.zeros((7, 2)), places, 1.0, distances, np.zeros(0, dtype=np.int64), 1.0)
+        measure_critical_coverage(SPACE, np.zeros((7, 2)), places, 1.0, distances, np.zeros(0, dtype=np.int64), 1.0)

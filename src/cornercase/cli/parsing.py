@@ -34,13 +34,6 @@ def weights(texts: Sequence[str]) -> dict[str, float]:
     return weights
 
 
-def of_all(share: float, count: int) -> int:
-    """How many a share of some is."""
-    if not 0.0 < share <= 1.0:
-        raise InputError(f"--share {share:g}: give a number above 0 and up to 1.")
-    return max(1, round(share * count))
-
-
 def number_or_auto(text: str, option: str) -> float | Literal["auto"]:
     """A positive number, or auto."""
     if text == "auto":

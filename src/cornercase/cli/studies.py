@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from cornercase._common.errors import InputError
 from cornercase.cli import parsing
 from cornercase.cli.options import (
     By,
@@ -46,20 +45,18 @@ def analyze(
     Example:
       cornercase analyze study.db --by ego-trajectory --by wttc
     """
-    from cornercase.clustering import analyze_study
-    from cornercase.study import Study
+    from cornercase import clustering
 
-    with Study.open(study) as opened:
-        results = analyze_study(
-            opened,
-            by,
-            gamma=parsing.number_or_auto(gamma, "--gamma"),
-            eps=parsing.number_or_auto(eps, "--eps"),
-            min_samples=parsing.count_or_auto(min_samples, "--min-samples"),
-            method=parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
-            keep=keep,
-            progress=True,
-        )
+    results = clustering.analyze(
+        study,
+        by,
+        gamma=parsing.number_or_auto(gamma, "--gamma"),
+        eps=parsing.number_or_auto(eps, "--eps"),
+        min_samples=parsing.count_or_auto(min_samples, "--min-samples"),
+        method=parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
+        keep=keep,
+        progress=True,
+    )
     table = Table("by", "clusters", "sizes", "noise", "stability", "gamma", "eps", "min samples", box=None)
     for name, one in results.items():
         found = one.clustering
@@ -119,25 +116,20 @@ def reduce(
     Example:
       cornercase reduce study.db --size 32 -o reduced
     """
-    from cornercase.reduction import reduce_study
-    from cornercase.study import Study
+    from cornercase import reduction
 
-    if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
-        raise InputError("--size, --share, --cover, --archetypes: give one of them.")
-    with Study.open(study) as opened:
-        if share is not None:
-            size = parsing.of_all(share, len(opened.done()))
-        manifest = reduce_study(
-            opened,
-            output,
-            by=by,
-            archetypes=None if archetypes is None else parsing.count_or_auto(archetypes, "--archetypes"),
-            size=size,
-            cover=cover,
-            method=parsing.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
-            within=within,
-        )
-    out.print(f"{manifest['kept']} of {manifest['run']} scenarios kept, in {output}")
+    reduced = reduction.reduce(
+        study,
+        output,
+        by=by,
+        size=size,
+        share=share,
+        cover=cover,
+        archetypes=None if archetypes is None else parsing.count_or_auto(archetypes, "--archetypes"),
+        archetypes_by=parsing.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
+        within=within,
+    )
+    out.print(f"{len(reduced.kept)} of {reduced.run} scenarios kept, in {output}")
 
 
 @app.command()
@@ -153,11 +145,8 @@ def report(
       cornercase report study.db -o report.html
     """
     from cornercase.report import write_report
-    from cornercase.study import Study
 
-    with Study.open(study, readonly=True) as opened:
-        write_report(opened, output)
-    out.print(f"The report is {output.resolve()}")
+    out.print(f"The report is {write_report(study, output).resolve()}")
 
 
 @app.command()
@@ -180,9 +169,8 @@ def demo(
     Example:
       cornercase demo x-intersection --budget 100 -o demo
     """
-    from cornercase.clustering import analyze_study
+    from cornercase import clustering, reduction
     from cornercase.exploration import demonstration, explore_scenario
-    from cornercase.reduction import reduce_study
     from cornercase.report import write_report
     from cornercase.study import Study
 
@@ -191,8 +179,8 @@ def demo(
     study = folder / "study.db"
     explored(explore_scenario, exploration, study)
     with Study.open(study) as opened:
-        analyze_study(opened, progress=True)
-        reduce_study(opened, folder / "reduced")
+        clustering.analyze(opened, progress=True)
+        reduction.reduce(opened, folder / "reduced")
         write_report(opened, folder / "report.html")
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
@@ -209,15 +197,13 @@ def show(
     Example:
       cornercase show study.db
     """
-    from cornercase.report import summarize
-    from cornercase.study import Study
+    from cornercase.report import put_in_words, summarize
 
-    with Study.open(study, readonly=True) as opened:
-        summary = summarize(opened)
+    told = put_in_words(summarize(study))
     if as_json:
-        sys.stdout.write(json.dumps(summary, indent=2) + "\n")
+        sys.stdout.write(json.dumps(told, indent=2) + "\n")
         return
-    for key, value in summary.items():
+    for key, value in told.items():
         _show(key, value)
 
 

@@ -1,7 +1,10 @@
 from .agreement import Agreement as Agreement
 from .agreement import compare_clusterings as compare_clusterings
 from .analysis import Analysis as Analysis
-from .analysis import analyze_study as analyze_study
+from .analysis import read_analyses as read_analyses
+from .analysis import read_analysis as read_analysis
+from .analysis import read_distances as read_distances
+from .analyzing import analyze as analyze
 from .aspects import EGO_TRAJECTORY as EGO_TRAJECTORY
 from .aspects import series_of as series_of
 from .aspects import unit_of as unit_of

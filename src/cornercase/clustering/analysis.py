@@ -1,139 +1,98 @@
-"""How alike the scenarios of a study are: by behaviour and by criticality."""
+"""An analysis: how the scenarios of a study cluster by one aspect, as it is stored and read back."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from cornercase._common.errors import InputError
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering.aspects import aspects_of, series_of
-from cornercase.clustering.clusters import Candidate, Clustering, ClusteringMethod
-from cornercase.clustering.estimator import ScenarioClustering, cluster
-from cornercase.clustering.outcomes import tell_outcome
-from cornercase.clustering.profiles import Profile, describe_clusters
-from cornercase.dtw import distance_matrix
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering.clusters import Candidate, Clustering
+from cornercase.clustering.profiles import Profile
+from cornercase.clustering.rules import Rule
 from cornercase.study import Study
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Analysis:
-    """Clusters of a study's scenarios.
+    """Clusters of a study's scenarios by one aspect.
+
+    The distances are not among it, as there are n × n of them; `read_distances` gives them.
 
     Attributes
     ----------
     by : str
-        ``"ego-trajectory"`` or the name of a metric.
+        The aspect: ``"ego-trajectory"`` or the name of a metric.
     ids : ndarray of int64, shape (n,)
         Scenarios.
-    distances : ndarray of float64, shape (n, n)
-        Dynamic Time Warping.
     clustering : Clustering
+        Their clusters, in the order of `ids`.
+    fitted : ndarray of int64, shape (m,)
+        Scenarios that the clusters were found from; the others have joined them since.
     profiles : tuple of Profile
-        What is alike within each cluster.
+        What the scenarios of each cluster have in common, noise last; empty in a study of an early version.
     """
 
     by: str
     ids: IntArray
-    distances: FloatArray
     clustering: Clustering
+    fitted: IntArray
     profiles: tuple[Profile, ...]
 
     @property
+    def labels(self) -> IntArray:
+        """Cluster of each scenario, shape (n,); the largest is 0, -1 is noise."""
+        return self.clustering.labels
+
+    @property
     def sizes(self) -> list[int]:
-        """Number of scenarios in each cluster."""
-        labels = self.clustering.labels
-        return np.bincount(labels[labels >= 0]).tolist() if (labels >= 0).any() else []
+        """Number of scenarios in each cluster, without noise."""
+        counts = np.bincount(self.labels[self.labels >= 0], minlength=self.clustering.n_clusters)
+        return [int(count) for count in counts]
+
+    def rows_of(self, scenarios: IntArray | list[int]) -> IntArray:
+        """Rows of some scenarios in `ids`.
+
+        Parameters
+        ----------
+        scenarios : ndarray of int64 or list of int, shape (m,)
+            Ids; those that were not analysed are left out.
+
+        Returns
+        -------
+        ndarray of int64, shape (k,)
+        """
+        place = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
+        return np.array([place[int(one)] for one in scenarios if int(one) in place], dtype=np.int64)
+
+    def __repr__(self) -> str:
+        found = self.clustering
+        return (
+            f"Analysis(by {self.by}: {len(self.ids)} scenarios, clusters of {self.sizes}, {found.noise:.0%} noise,"
+            f" {found.method}, gamma={found.gamma:.4g}, eps={found.eps:.4g}, min_samples={found.min_samples})"
+        )
 
 
-def analyze_study(
-    study: Study,
-    by: Sequence[str] | None = None,
-    *,
-    gamma: float | Literal["auto"] = "auto",
-    eps: float | Literal["auto"] = "auto",
-    min_samples: int | Literal["auto"] = "auto",
-    method: ClusteringMethod = "dbscan",
-    keep: bool = False,
-    progress: bool = False,
-) -> dict[str, Analysis]:
-    """Cluster the scenarios of a study, and store the result in it.
-
-    The paper's section "Scenario Clustering": DTW distance matrix, RBF kernel PCA to three dimensions, DBSCAN.
+def save_analysis(study: Study, analysis: Analysis, distances: FloatArray) -> None:
+    """Store an analysis in a study, in place of the one by the same aspect.
 
     Parameters
     ----------
     study : Study
         Open for writing.
-    by : sequence of str, optional
-        ``"ego-trajectory"`` and metrics; all by default.
-    gamma, eps : float or "auto"
-    min_samples : int or "auto"
-    method : {"dbscan", "hdbscan"}
-        As of `cornercase.clustering.cluster`.
-    keep : bool, default False
-        Keep the clusters that the study has, and let only scenarios that were run since join them, as of
-        `cornercase.clustering.ScenarioClustering.predict`.
-    progress : bool, default False
-
-    Returns
-    -------
-    dict of str to Analysis
-
-    Raises
-    ------
-    InputError
-        Fewer than two scenarios were run, or the study holds no such metric.
+    analysis : Analysis
+    distances : ndarray of float64, shape (n, n)
+        Distances that the scenarios were clustered by.
     """
-    ids = np.array([row.id for row in study.done()], dtype=np.int64)
-    if len(ids) < 2:
-        raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
-    outcomes = [tell_outcome(study.recording(i), study.meta.ego, study.meta.other) for i in ids.tolist()]
-    study.save_outcomes(dict(zip(ids.tolist(), outcomes, strict=True)))
-    results = {}
-    for name in by or aspects_of(study):
-        begun = time.monotonic()
-        distances = distance_matrix(series_of(study, name), progress=progress)
-        measured = time.monotonic()
-        fitted = np.ones(len(ids), dtype=np.bool_)
-        if keep and name in study.analyses():
-            found, fitted = _joined(study, name, ids, distances)
-        else:
-            found = cluster(distances, gamma=gamma, eps=eps, min_samples=min_samples, method=method)
-        described = describe_clusters(study, found.labels, outcomes)
-        results[name] = Analysis(name, ids, distances, found, described)
-        study.save_analysis(
-            name,
-            {"ids": ids, "distances": distances, "labels": found.labels, "embedding": found.embedding},
-            _info(found) | {"fitted": ids[fitted].tolist(), "profiles": [asdict(one) for one in described]},
-        )
-        study.add_elapsed("compare", measured - begun)
-        study.add_elapsed("cluster", time.monotonic() - measured)
-    return results
-
-
-def _joined(study: Study, name: str, ids: IntArray, distances: FloatArray) -> tuple[Clustering, BoolArray]:
-    """Clusters that a study has, joined by the scenarios that were run since, and of which they were found."""
-    _, info = study.analysis(name, "ids")
-    # Scenarios that failed before have run since at times; so the earlier ones need not be the first.
-    earlier = np.isin(ids, info["fitted"])
-    model = ScenarioClustering(info["gamma"], info["eps"], info["min_samples"], method=info["method"]).fit(
-        distances[np.ix_(earlier, earlier)]
-    )
-    labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), model.n_components))
-    labels[earlier], embedding[earlier] = model.labels_, model.embedding_
-    to_earlier = distances[np.ix_(~earlier, earlier)]
-    labels[~earlier], embedding[~earlier] = model.predict(to_earlier), model.transform(to_earlier)
-    candidates = tuple(Candidate(**one) for one in info["candidates"])
-    return replace(model.result_, labels=labels, embedding=embedding, candidates=candidates), earlier
-
-
-def _info(found: Clustering) -> dict[str, Any]:
-    return {
+    found = analysis.clustering
+    arrays = {
+        "ids": analysis.ids,
+        "distances": distances,
+        "labels": found.labels,
+        "embedding": found.embedding,
+        "landmarks": found.landmarks,
+    }
+    info = {
         "gamma": found.gamma,
         "eps": found.eps,
         "min_samples": found.min_samples,
@@ -143,5 +102,92 @@ def _info(found: Clustering) -> dict[str, Any]:
         "stability": found.stability,
         "landmarks": len(found.landmarks),
         "error": found.error,
-        "candidates": [asdict(candidate) for candidate in found.candidates],
+        "candidates": [asdict(one) for one in found.candidates],
+        "fitted": analysis.fitted.tolist(),
+        "profiles": [asdict(one) for one in analysis.profiles],
     }
+    study.save_analysis(analysis.by, arrays, info)
+
+
+def read_analysis(study: Study, by: str) -> Analysis:
+    """Read back what `analyze` found.
+
+    Parameters
+    ----------
+    study : Study
+    by : str
+        Aspect.
+
+    Returns
+    -------
+    Analysis
+
+    Raises
+    ------
+    InputError
+        The study was not analysed by it.
+    """
+    arrays, info = study.analysis(by, "ids", "labels", "embedding", "landmarks")
+    clustering = Clustering(
+        labels=arrays["labels"],
+        embedding=arrays["embedding"],
+        gamma=info["gamma"],
+        eps=info["eps"],
+        min_samples=info["min_samples"],
+        scale=info["scale"],
+        explained=info["explained"],
+        candidates=tuple(Candidate(**one) for one in info["candidates"]),
+        method=info["method"],
+        landmarks=arrays["landmarks"],
+        error=info["error"],
+    )
+    profiles = tuple(
+        Profile(
+            cluster=one["cluster"],
+            size=one["size"],
+            scores={name: (low, middle, high) for name, (low, middle, high) in one["scores"].items()},
+            outcomes=one["outcomes"],
+            rules=tuple(Rule(**rule) for rule in one["rules"]),
+        )
+        for one in info["profiles"]
+    )
+    return Analysis(by, arrays["ids"], clustering, np.array(info["fitted"], dtype=np.int64), profiles)
+
+
+def read_analyses(study: Study) -> dict[str, Analysis]:
+    """Read back all analyses of a study.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    dict of str to Analysis
+        By aspect: the ego's trajectory first, then the metrics.
+    """
+    return {by: read_analysis(study, by) for by in study.analyses()}
+
+
+def read_distances(study: Study, by: str) -> FloatArray:
+    """Read the distances that scenarios were clustered by.
+
+    Parameters
+    ----------
+    study : Study
+    by : str
+        Aspect.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, n)
+        Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect.
+
+    Raises
+    ------
+    InputError
+        The study was not analysed by it.
+    """
+    arrays, _ = study.analysis(by, "distances")
+    distances: FloatArray = arrays["distances"]
+    return distances

@@ -28,6 +28,24 @@ def aspects_of(study: Study) -> tuple[str, ...]:
     return (EGO_TRAJECTORY, *study.meta.metrics)
 
 
+def require_aspect(study: Study, aspect: str) -> None:
+    """Refuse an aspect that the scenarios of a study cannot be compared by.
+
+    Parameters
+    ----------
+    study : Study
+    aspect : str
+
+    Raises
+    ------
+    InputError
+        It is neither the ego's trajectory nor a metric of the study.
+    """
+    known = aspects_of(study)
+    if aspect not in known:
+        raise InputError(f"`by` {aspect}: {study.path} holds nothing to compare by it; {suggestion(aspect, known)}")
+
+
 def series_of(study: Study, aspect: str) -> list[FloatArray]:
     """Time series that the scenarios are compared by, one for each that was run.
 
@@ -47,13 +65,10 @@ def series_of(study: Study, aspect: str) -> list[FloatArray]:
     InputError
         The study holds no such metric.
     """
+    require_aspect(study, aspect)
     rows = study.done()
     if aspect == EGO_TRAJECTORY:
         return [study.recording(row.id).center(study.meta.ego) for row in rows]
-    if aspect not in study.meta.metrics:
-        raise InputError(
-            f"`by` {aspect}: {study.path} cannot be clustered by it; {suggestion(aspect, aspects_of(study))}"
-        )
     metric = METRICS.create(aspect)
     return [metric.capped(study.course(row.id, aspect)) for row in rows]
 

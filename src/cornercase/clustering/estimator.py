@@ -147,7 +147,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         InputError
             Not a distance matrix, or a parameter out of range.
         """
-        self._require_settings()
+        self.require_settings()
         matrix = _checked(distances)
         order = canonical_order(matrix)
         self._spanning = np.arange(len(matrix))
@@ -172,6 +172,30 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         self.gamma_, self.eps_, self.min_samples_ = found.gamma, found.eps, found.min_samples
         self.landmarks_, self.n_features_in_ = found.landmarks, len(matrix)
         return self
+
+    def require_settings(self) -> None:
+        """Refuse settings that are out of range; `fit` does it too.
+
+        Raises
+        ------
+        InputError
+            One is.
+        """
+        if self.method not in get_args(ClusteringMethod):
+            raise InputError(f"`method` {self.method}: {suggestion(str(self.method), get_args(ClusteringMethod))}")
+        if not _whole(self.n_components, 1):
+            raise InputError(f"`n_components` {self.n_components!r}: give a whole number of at least 1.")
+        # HDBSCAN takes a radius of 0: then it merges no clusters.
+        for name, value, least in (("gamma", self.gamma, False), ("eps", self.eps, self.method == "hdbscan")):
+            if isinstance(value, str) and value == "auto":
+                continue
+            number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            if not number or not (0 < value < math.inf or (least and value == 0)):
+                raise InputError(f"`{name}` {value!r}: give a number above 0, or 'auto'.")
+        if not _whole(self.min_samples, 1) and self.min_samples != "auto":
+            raise InputError(f"`min_samples` {self.min_samples!r}: give a whole number of at least 1, or 'auto'.")
+        if self.landmarks not in ("auto", None) and not _whole(self.landmarks, 2):
+            raise InputError(f"`landmarks` {self.landmarks!r}: give a whole number of at least 2, None or 'auto'.")
 
     def transform(self, distances: npt.ArrayLike) -> FloatArray:
         """Place new scenarios in the kernel space.
@@ -244,24 +268,6 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         if self.landmarks == "auto":
             return LANDMARKS if n > MOST_EXACT else n
         return n if self.landmarks is None else int(self.landmarks)
-
-    def _require_settings(self) -> None:
-        """Refuse settings that are out of range; scikit-learn's convention is to look at them in `fit`."""
-        if self.method not in get_args(ClusteringMethod):
-            raise InputError(f"`method` {self.method}: {suggestion(str(self.method), get_args(ClusteringMethod))}")
-        if not _whole(self.n_components, 1):
-            raise InputError(f"`n_components` {self.n_components!r}: give a whole number of at least 1.")
-        # HDBSCAN takes a radius of 0: then it merges no clusters.
-        for name, value, least in (("gamma", self.gamma, False), ("eps", self.eps, self.method == "hdbscan")):
-            if isinstance(value, str) and value == "auto":
-                continue
-            number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-            if not number or not (0 < value < math.inf or (least and value == 0)):
-                raise InputError(f"`{name}` {value!r}: give a number above 0, or 'auto'.")
-        if not _whole(self.min_samples, 1) and self.min_samples != "auto":
-            raise InputError(f"`min_samples` {self.min_samples!r}: give a whole number of at least 1, or 'auto'.")
-        if self.landmarks not in ("auto", None) and not _whole(self.landmarks, 2):
-            raise InputError(f"`landmarks` {self.landmarks!r}: give a whole number of at least 2, None or 'auto'.")
 
 
 def cluster(

@@ -1,3 +1,13 @@
+from .cluster_shapes import ArchetypeMethod as ArchetypeMethod
+from .cluster_shapes import ClusterShape as ClusterShape
+from .coverage import Coverage as Coverage
 from .coverage import Gaps as Gaps
-from .coverage import gaps as gaps
-from .write import reduce_study as reduce_study
+from .coverage import measure_coverage as measure_coverage
+from .coverage import measure_gaps as measure_gaps
+from .critical_clusters import find_critical_clusters as find_critical_clusters
+from .critical_coverage import CriticalCoverage as CriticalCoverage
+from .manifest import read_reduction as read_reduction
+from .medoids import choose_medoids as choose_medoids
+from .reduced_set import KeptScenario as KeptScenario
+from .reduced_set import ReducedSet as ReducedSet
+from .reducing import reduce as reduce

@@ -16,12 +16,12 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 
 MOST_ARCHETYPES: Final = 15
-"""As many as the paper keeps on each hull."""
+"""Number that the paper keeps on each hull."""
 
-# One more archetype that explains less than this adds nothing that anybody would see.
+# An archetype is added as long as it explains at least this share of the variance.
 _ELBOW: Final = 0.02
-# Kernel width over the median distance within the cluster; with it a horseshoe is bent enough in kernel space that all
-# along it is extreme.
+# Kernel width over the median distance within the cluster. It bends a horseshoe so much in kernel space that every
+# scenario along it is extreme.
 _GAMMA: Final = 4.0
 _KEPT_VARIANCE: Final = 0.99
 _ITERATIONS: Final = 300
@@ -29,7 +29,7 @@ _ITERATIONS: Final = 300
 
 @dataclass(frozen=True)
 class Archetypes:
-    """Scenarios between which all others lie.
+    """Scenarios at the extremes: all others lie between them.
 
     Attributes
     ----------
@@ -44,8 +44,8 @@ class Archetypes:
     explained: tuple[float, ...]
 
 
-def archetypal_analysis(points: FloatArray, k: int | None = None, *, most: int = MOST_ARCHETYPES) -> Archetypes:
-    """Principal convex hull of some scenarios: k mixtures of them of which all are, nearly, mixtures.
+def find_archetypes(points: FloatArray, k: int | None = None, *, most: int = MOST_ARCHETYPES) -> Archetypes:
+    """Find k mixtures of some points such that every point is, nearly, a mixture of these.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def archetypal_analysis(points: FloatArray, k: int | None = None, *, most: int =
     if points.ndim != 2 or not len(points):
         raise InputError(f"Points of shape {points.shape} have no archetypes; give shape (n, d) with n at least 1.")
     if (most if k is None else k) < 1:
-        raise InputError(f"{'most' if k is None else 'k'} is {most if k is None else k}; keep at least 1 archetype.")
+        raise InputError(f"`{'most' if k is None else 'k'}` {most if k is None else k}: keep at least 1 archetype.")
     places = np.unique(points, axis=0)
     variance = float(((points - points.mean(axis=0)) ** 2).sum())
     if len(places) <= (1 if k is None else k) or variance == 0.0:
@@ -94,11 +94,11 @@ def archetypal_analysis(points: FloatArray, k: int | None = None, *, most: int =
     return Archetypes(_snapped(best, points), tuple(explained))
 
 
-def kernel_archetypal_analysis(distances: FloatArray, k: int) -> Archetypes:
-    """Archetypes in the space of a Gaussian kernel of distances, where also a bent cluster has all its extremes.
+def find_kernel_archetypes(distances: FloatArray, k: int) -> Archetypes:
+    """Find archetypes in the space of a Gaussian kernel of distances.
 
-    The kernel falls so fast that what is far along a bent cluster is as good as unrelated, so archetypes come to lie
-    all along it. The analysis in kernel space is that of coordinates whose inner products are the centred kernel.
+    The kernel falls so fast that scenarios far apart along a bent cluster are unrelated, so archetypes come to lie all
+    along it. The coordinates in kernel space are those whose inner products are the centred kernel.
 
     Parameters
     ----------
@@ -113,11 +113,11 @@ def kernel_archetypal_analysis(distances: FloatArray, k: int) -> Archetypes:
     Raises
     ------
     InputError
-        As `archetypal_analysis`.
+        As `find_archetypes`.
     """
     positive = distances[distances > 0.0]
     if not len(positive):
-        return archetypal_analysis(np.zeros((len(distances), 1)), k)
+        return find_archetypes(np.zeros((len(distances), 1)), k)
     kernel = np.exp(-_GAMMA * (distances / np.median(positive)) ** 2)
     centred = kernel - kernel.mean(axis=0)
     centred -= centred.mean(axis=1)[:, None]
@@ -126,7 +126,7 @@ def kernel_archetypal_analysis(distances: FloatArray, k: int) -> Archetypes:
         values, vectors = eigh(centred)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     enough = int(np.searchsorted(np.cumsum(values) / values.sum(), _KEPT_VARIANCE)) + 1
-    return archetypal_analysis(vectors[:, :enough] * np.sqrt(values[:enough]), k)
+    return find_archetypes(vectors[:, :enough] * np.sqrt(values[:enough]), k)
 
 
 def _fitted(points: FloatArray, k: int) -> tuple[FloatArray, float]:

@@ -1,4 +1,4 @@
-"""Shapes of clusters, and the archetypes that fit them: those of the paper's convex ones, and of others."""
+"""Shapes of clusters, and the way to find archetypes that suits each."""
 
 from __future__ import annotations
 
@@ -10,39 +10,54 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.reduction.archetypal_analysis import archetypal_analysis, kernel_archetypal_analysis
-from cornercase.reduction.convexity import CONVEX, convexity, near_convex_parts
-from cornercase.reduction.hulls import MOST_HULL_DIMENSIONS, hull_archetypes
+from cornercase.reduction.archetypal_analysis import find_archetypes, find_kernel_archetypes
+from cornercase.reduction.convexity import CONVEX, find_convex_parts, measure_convexity
+from cornercase.reduction.hulls import MOST_HULL_DIMENSIONS, find_hull_archetypes
 
 ArchetypeMethod = Literal["auto", "hull", "pcha", "parts", "kernel"]
 
 
 @dataclass(frozen=True)
 class ClusterShape:
-    """ClusterShape of a cluster, and how its archetypes are found for that.
+    """Shape of a cluster, and how its archetypes are found.
 
     Attributes
     ----------
     cluster : int
     convexity : float
-        In the parameter space, 0 to 1, as of `cornercase.reduction.convexity.convexity`.
-    behaviour : float
+        In the parameter space, 0 to 1, as of `cornercase.reduction.convexity.measure_convexity`.
+    kernel_convexity : float
         The same in the kernel space of the distances; NaN where that is not known.
     method : {"hull", "pcha", "parts", "kernel"}
         ``"hull"``: corners of the convex hull in the parameter space. ``"pcha"``: archetypal analysis there.
         ``"parts"``: corners of the hulls of near-convex parts. ``"kernel"``: archetypal analysis in kernel space.
-    parts : tuple of ndarray of int64
-        Scenarios of each part; one part but for ``"parts"``.
+    parts : int
+        Number of near-convex parts; 1 but for ``"parts"``.
     """
 
     cluster: int
     convexity: float
-    behaviour: float
+    kernel_convexity: float
     method: str
+    parts: int
+
+
+@dataclass(frozen=True, eq=False)
+class ShapedCluster:
+    """A cluster of which the shape is known.
+
+    Attributes
+    ----------
+    shape : ClusterShape
+    parts : tuple of ndarray of int64
+        Scenarios of each part, by index; one part but for the method ``"parts"``.
+    """
+
+    shape: ClusterShape
     parts: tuple[IntArray, ...]
 
     def archetypes(self, points: FloatArray, distances: FloatArray, most: int) -> IntArray:
-        """Scenarios at the extremes of the cluster.
+        """Find scenarios at the extremes of the cluster.
 
         Parameters
         ----------
@@ -50,31 +65,32 @@ class ClusterShape:
             Parameters in the unit cube.
         distances : ndarray of float64, shape (n, n)
         most : int
-            How many at most; of parts each has as many as its share of the scenarios is.
+            Largest number; a part has its share of them, by its number of scenarios.
 
         Returns
         -------
         ndarray of int64, shape (m,)
+            Indices.
         """
         (whole, *more) = self.parts
-        if self.method == "kernel":
-            return whole[kernel_archetypal_analysis(distances[np.ix_(whole, whole)], most).indices]
-        if self.method == "pcha":
-            return whole[archetypal_analysis(points[whole], most=most).indices]
+        if self.shape.method == "kernel":
+            return whole[find_kernel_archetypes(distances[np.ix_(whole, whole)], most).indices]
+        if self.shape.method == "pcha":
+            return whole[find_archetypes(points[whole], most=most).indices]
         if not more:
-            return whole[hull_archetypes(points[whole], most)]
-        numbers = shared(most, [len(part) for part in self.parts])
+            return whole[find_hull_archetypes(points[whole], most)]
+        numbers = divide_fairly(most, [len(part) for part in self.parts])
         found = [
-            part[hull_archetypes(points[part], number)]
+            part[find_hull_archetypes(points[part], number)]
             for part, number in zip(self.parts, numbers, strict=True)
             if number
         ]
         return np.sort(np.concatenate(found))
 
 
-def shapes(
+def find_shapes(
     points: FloatArray, labels: IntArray, embedding: FloatArray | None = None, method: ArchetypeMethod = "auto"
-) -> tuple[ClusterShape, ...]:
+) -> tuple[ShapedCluster, ...]:
     """Decide for each cluster how its archetypes are found.
 
     Parameters
@@ -92,7 +108,7 @@ def shapes(
 
     Returns
     -------
-    tuple of ClusterShape
+    tuple of ShapedCluster
         Of cluster 0 first.
 
     Raises
@@ -100,27 +116,42 @@ def shapes(
     InputError
         There is no such method.
     """
-    if method not in get_args(ArchetypeMethod):
-        raise InputError(f"There is no method '{method}'; {suggestion(method, get_args(ArchetypeMethod))}")
+    require_archetype_method(method)
     found = []
     for label in np.unique(labels[labels >= 0]).tolist():
         members = labels == label
         whole = (np.flatnonzero(members),)
-        straight = convexity(points, members)
-        behaviour = float("nan") if embedding is None else convexity(embedding, members)
+        convexity = measure_convexity(points, members)
+        in_kernel = float("nan") if embedding is None else measure_convexity(embedding, members)
         how: str = method
         if method == "auto":
             convex = "hull" if points.shape[1] <= MOST_HULL_DIMENSIONS else "pcha"
-            how = "kernel" if behaviour < CONVEX else convex if straight >= CONVEX else "parts"
-        parts = tuple(near_convex_parts(points, members)) if how == "parts" else whole
+            how = "kernel" if in_kernel < CONVEX else convex if convexity >= CONVEX else "parts"
+        parts = tuple(find_convex_parts(points, members)) if how == "parts" else whole
         if not parts:
             how, parts = "kernel", whole
-        found.append(ClusterShape(label, straight, behaviour, how, parts))
+        found.append(ShapedCluster(ClusterShape(label, convexity, in_kernel, how, len(parts)), parts))
     return tuple(found)
 
 
-def shared(count: int, weights: Sequence[float]) -> list[int]:
-    """Divide a number by weights, whole and as fairly as can be.
+def require_archetype_method(method: str) -> None:
+    """Refuse a method that there is not.
+
+    Parameters
+    ----------
+    method : str
+
+    Raises
+    ------
+    InputError
+        There is no such method.
+    """
+    if method not in get_args(ArchetypeMethod):
+        raise InputError(f"`archetypes_by` {method}: {suggestion(method, get_args(ArchetypeMethod))}")
+
+
+def divide_fairly(count: int, weights: Sequence[float]) -> list[int]:
+    """Divide a number into whole numbers in proportion to weights.
 
     Parameters
     ----------
@@ -130,6 +161,7 @@ def shared(count: int, weights: Sequence[float]) -> list[int]:
     Returns
     -------
     list of int
+        Its sum is `count`; the remainders are given to the largest fractions.
     """
     if not len(weights):
         return []

@@ -21,12 +21,12 @@ _REACH: Final = 0.95
 _MOST_PARTS: Final = 6
 
 
-def convexity(points: FloatArray, members: BoolArray) -> float:
-    """How much of what lies between the scenarios of a cluster is the cluster's.
+def measure_convexity(points: FloatArray, members: BoolArray) -> float:
+    """Measure how much of the space between the scenarios of a cluster belongs to the cluster.
 
-    On the line between any two members three places are looked at, evenly spread. A place is the cluster's where the
-    nearest scenario of all is a member, and is no farther than members are from each other: than their 2 d-th
-    neighbours among themselves, for 95 % of them.
+    Three places are taken on the line between any two members, evenly spread. A place belongs to the cluster where the
+    nearest of all scenarios is a member, and is no farther than 95 % of the members are from their 2 d-th neighbour
+    among the members.
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ def convexity(points: FloatArray, members: BoolArray) -> float:
     Returns
     -------
     float
-        0 to 1; 1 for up to d + 1 members, between which too little is known. About 1 for a ball and a cube, 0.6 for a
-        thin horseshoe.
+        0 to 1; 1 for up to d + 1 members, which say too little of the space between them. About 1 for a ball and a
+        cube, 0.6 for a thin horseshoe.
     """
     own = points[members]
     count, dimensions = own.shape
@@ -59,8 +59,8 @@ def convexity(points: FloatArray, members: BoolArray) -> float:
     return inside / (len(_ALONG) * len(one))
 
 
-def near_convex_parts(points: FloatArray, members: BoolArray) -> list[IntArray]:
-    """Divide a cluster into as few parts as are all convex, by k-means.
+def find_convex_parts(points: FloatArray, members: BoolArray) -> list[IntArray]:
+    """Divide a cluster into the smallest number of convex parts that k-means finds.
 
     Parameters
     ----------
@@ -70,11 +70,11 @@ def near_convex_parts(points: FloatArray, members: BoolArray) -> list[IntArray]:
     Returns
     -------
     list of ndarray of int64
-        Indices of each part's scenarios, the largest part first: one part where the cluster is convex, and none where
-        not even six parts are enough.
+        Indices of each part's scenarios, the largest part first: one part where the cluster is convex, none where six
+        parts are not enough.
     """
     own = np.flatnonzero(members)
-    if convexity(points, members) >= CONVEX:
+    if measure_convexity(points, members) >= CONVEX:
         return [own]
     for count in range(2, min(_MOST_PARTS, len(own)) + 1):
         with threadpool_limits(limits=1):
@@ -91,4 +91,4 @@ def _alone(points: FloatArray, members: BoolArray, part: IntArray) -> float:
     seen[part] = True
     mine = np.zeros(len(points), dtype=np.bool_)
     mine[part] = True
-    return convexity(points[seen], mine[seen])
+    return measure_convexity(points[seen], mine[seen])

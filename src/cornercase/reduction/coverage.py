@@ -1,4 +1,4 @@
-"""How much of what was run is unlike everything that is kept."""
+"""How well the kept scenarios represent all that were run."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray, IntArray
-from cornercase.reduction.hulls import prototype
+from cornercase._common.typing import FloatArray
+from cornercase.reduction.draws import DRAWS, draw_choices, nearest_of
+from cornercase.reduction.medoids import choose_medoids
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Distances from every scenario to the nearest kept one, in the unit of the distance matrix.
+    """Distances from every scenario to the nearest kept one, in the unit of the distances.
 
     Attributes
     ----------
@@ -23,16 +24,17 @@ class Coverage:
     largest, mean : float
         Of these distances.
     worst : int
-        The scenario at the largest distance: the one that the kept ones represent worst.
+        The scenario at the largest distance: the one that the kept ones represent worst. By index, or by id where
+        ids were given.
     largest_relative, mean_relative : float
         The same as shares of the largest distance of any two scenarios; 0 where all are alike.
     random_largest, random_mean : float
-        Medians of the same figures over random subsets of the same size: what a choice without thought would
-        reach.
+        Medians of the same figures over random choices of as many.
     better_largest, better_mean : float
-        Shares of the random subsets that leave a larger gap, and a larger mean, than the kept ones.
+        Shares of the random choices that leave a larger gap, and a larger mean, than the kept ones.
     medoids_largest, medoids_mean : float
-        The same figures of k-medoids of the same size: the subset that leaves the smallest mean.
+        The same figures of k-medoids of the same number: the choice that leaves the smallest mean. These and the two
+        before are NaN in a study that an early version reduced.
     """
 
     kept: int
@@ -49,17 +51,17 @@ class Coverage:
     medoids_mean: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gaps:
-    """Distances from every scenario to the nearest one of some subsets.
+    """Distances from every scenario to the nearest one of some choices.
 
     Attributes
     ----------
     kept : ndarray of float64, shape (n,)
     medoids : ndarray of float64, shape (n,)
-        Of k-medoids of the same size.
+        Of k-medoids of the same number.
     random : ndarray of float64, shape (draws, n)
-        Of random subsets of the same size.
+        Of random choices of the same number.
     """
 
     kept: FloatArray
@@ -67,50 +69,54 @@ class Gaps:
     random: FloatArray
 
 
-def gaps(distances: FloatArray, kept: npt.ArrayLike, *, draws: int = 100, seed: int = 0) -> Gaps:
-    """Measure how far every scenario is from the nearest kept one, and from what could have been kept instead.
+def measure_gaps(distances: FloatArray, kept: npt.ArrayLike, *, draws: int = DRAWS, seed: int = 0) -> Gaps:
+    """Measure how far every scenario is from the nearest kept one, and from those of other choices.
 
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
     kept : array_like of int, shape (m,)
-        At least one.
-    draws : int
-        Number of random subsets.
-    seed : int
+        Indices of the kept scenarios, at least one; the same index twice counts once.
+    draws : int, default 100
+        Number of random choices to compare with. They are drawn for this: `choose_scenarios` knows others.
+    seed : int, default 0
+        Of the random choices.
 
     Returns
     -------
     Gaps
     """
     chosen = np.unique(np.asarray(kept, dtype=np.int64))
+    random = draw_choices(len(distances), len(chosen), stream="grading", draws=draws, seed=seed)
     return Gaps(
         distances[:, chosen].min(axis=1),
-        distances[:, medoids(distances, len(chosen))].min(axis=1),
-        random_gaps(distances, len(chosen), draws=draws, seed=seed),
+        distances[:, choose_medoids(distances, len(chosen))].min(axis=1),
+        nearest_of(distances, random),
     )
 
 
-def random_gaps(distances: FloatArray, size: int, *, draws: int = 100, seed: int = 0) -> FloatArray:
-    """Distances from every scenario to the nearest one of random subsets of a size, shape (draws, n)."""
-    rng = np.random.default_rng(seed)
-    chosen = [rng.choice(len(distances), size=size, replace=False) for _ in range(draws)]
-    return np.array([distances[:, one].min(axis=1) for one in chosen])
-
-
-def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100, seed: int = 0) -> Coverage:
+def measure_coverage(
+    distances: npt.ArrayLike,
+    kept: npt.ArrayLike,
+    *,
+    ids: npt.ArrayLike | None = None,
+    draws: int = DRAWS,
+    seed: int = 0,
+) -> Coverage:
     """Measure how well some scenarios represent all.
 
     Parameters
     ----------
     distances : array_like, shape (n, n)
-        Dynamic time warping distances of all scenarios.
+        Between all scenarios.
     kept : array_like of int, shape (m,)
-        Indices of those kept, at least one; the same index twice counts once.
-    draws : int
-        Number of random subsets to compare with.
-    seed : int
-        Of the random subsets.
+        Indices of the kept scenarios, at least one; the same index twice counts once.
+    ids : array_like of int, shape (n,), optional
+        Names of the scenarios; indices by default.
+    draws : int, default 100
+        Number of random choices to compare with, as of `measure_gaps`.
+    seed : int, default 0
+        Of the random choices.
 
     Returns
     -------
@@ -130,16 +136,15 @@ def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100,
         raise InputError("No scenario is kept, so nothing is covered; keep at least one.")
     if chosen[0] < 0 or chosen[-1] >= n:
         raise InputError(f"A kept scenario is not among the {n} of the distance matrix; give indices from 0.")
-    if draws < 1:
-        raise InputError(f"draws is {draws}; give at least 1.")
+    names = np.arange(n) if ids is None else np.asarray(ids, dtype=np.int64)
     extent = float(matrix.max())
-    found = gaps(matrix, chosen, draws=draws, seed=seed)
+    found = measure_gaps(matrix, chosen, draws=draws, seed=seed)
     left, random, middle = found.kept, found.random, found.medoids
     return Coverage(
         kept=len(chosen),
         largest=float(left.max()),
         mean=float(left.mean()),
-        worst=int(left.argmax()),
+        worst=int(names[left.argmax()]),
         largest_relative=float(left.max()) / extent if extent else 0.0,
         mean_relative=float(left.mean()) / extent if extent else 0.0,
         random_largest=float(np.median(random.max(axis=1))),
@@ -149,40 +154,3 @@ def coverage(distances: npt.ArrayLike, kept: npt.ArrayLike, *, draws: int = 100,
         medoids_largest=float(middle.max()),
         medoids_mean=float(middle.mean()),
     )
-
-
-def medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
-    """Choose k scenarios with a small mean distance from all to the nearest one.
-
-    Begins with those that lower it most, one after the other (L. Kaufman, P. J. Rousseeuw, "Finding Groups in Data",
-    1990, BUILD); then each takes the middle of those that are nearest to it, until nothing changes (H.-S. Park, C.-H.
-    Jun, Expert Systems with Applications 36, 2009).
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n)
-    k : int
-        1 to n.
-    rounds : int, default 50
-
-    Returns
-    -------
-    ndarray of int64, shape (k,)
-        Rising.
-    """
-    chosen = [int(distances.sum(axis=1).argmin())]
-    gap = distances[chosen[0]].copy()
-    while len(chosen) < k:
-        gain = np.maximum(gap[:, None] - distances, 0.0).sum(axis=0)
-        gain[chosen] = -1.0
-        chosen.append(int(gain.argmax()))
-        gap = np.minimum(gap, distances[chosen[-1]])
-    found = np.array(chosen, dtype=np.int64)
-    for _ in range(rounds):
-        nearest = distances[:, found].argmin(axis=1)
-        nearest[found] = np.arange(k)
-        middles = [prototype(distances, np.flatnonzero(nearest == j)) for j in range(k)]
-        if np.array_equal(middles, found):
-            break
-        found = np.array(middles, dtype=np.int64)
-    return np.sort(found)

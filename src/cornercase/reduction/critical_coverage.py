@@ -1,4 +1,4 @@
-"""How much of the critical set, of what was run and of what was not, is unlike everything that is kept."""
+"""How well the kept scenarios represent the critical ones, those that were run and those that were not."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from scipy.spatial import cKDTree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence import CriticalSet, Estimate, encoded
-from cornercase.reduction.coverage import gaps
+from cornercase.reduction.coverage import measure_gaps
 from cornercase.scenario import ParameterSpace
 
 WITHIN: Final = 0.5
-"""Up to this share of what is usual within a cluster two scenarios are alike, unless somebody says otherwise."""
+"""Share of the median distance within clusters up to which two scenarios are alike, unless another one is given."""
 
 
 @dataclass(frozen=True)
 class CriticalCoverage:
-    """What kept scenarios say of the critical ones, by one kind of distance.
+    """How well kept scenarios represent the critical ones, by one aspect.
 
     Attributes
     ----------
@@ -31,7 +31,8 @@ class CriticalCoverage:
         Share of the critical scenarios that were run, and of those of them on the boundary of the critical set, that
         are like a kept one; None where there are none.
     random, medoids : float or None
-        `critical` for random subsets of the same size, the median of 100, and for k-medoids.
+        `critical` for random choices of as many, the median of 100, and for k-medoids. The random choices are those of
+        `cornercase.reduction.coverage.measure_gaps`.
     largest, mean : float or None
         Distance of these critical scenarios to the nearest kept one.
     medoids_largest, medoids_mean : float or None
@@ -53,7 +54,7 @@ class CriticalCoverage:
     unlike: Estimate | None
 
 
-def critical_coverage(
+def measure_critical_coverage(
     space: ParameterSpace,
     points: FloatArray,
     scores: FloatArray,
@@ -73,16 +74,17 @@ def critical_coverage(
     points : ndarray of float64, shape (n, d)
         Scenarios that were run, in the unit cube.
     scores : ndarray of float64, shape (n,)
-        Lower is more critical.
+        Oriented: lower is more critical.
     threshold : float
-        Score up to which a scenario is critical.
+        Oriented score up to which a scenario is critical.
     distances : ndarray of float64, shape (n, n)
     kept : ndarray of int64, shape (m,)
     within : float
-        Distance up to which scenarios are alike, as of `alike`.
+        Distance up to which scenarios are alike, as of `distance_alike`.
     seed : int, default 0
+        Of the random choices and of the draws of critical sets.
     critical_set : CriticalSet, optional
-        Of the same points, scores, threshold and seed, where somebody has it already.
+        Of the same points, scores, threshold and seed, where it is known already.
 
     Returns
     -------
@@ -96,14 +98,14 @@ def critical_coverage(
     Notes
     -----
     A critical scenario is on the boundary where one of the 2 d scenarios that were run nearest to it is not critical.
-    What was not run is foretold by two Gaussian processes over the parameter space: one of the scores, and one of the
-    distance of the critical ones to the nearest kept scenario, each corrected by how well it foretells each scenario
-    that was run from all others, as `cornercase.evidence.critical_set.CriticalSet` says.
+    Scenarios that were not run are predicted by two Gaussian processes over the parameter space: one of the scores, and
+    one of the distance of the critical scenarios to the nearest kept one. Each is corrected by how well it predicts
+    each scenario that was run from all others, as `cornercase.evidence.CriticalSet` says.
     """
     if not len(kept):
         raise InputError("No scenario is kept, so nothing is covered; keep at least one.")
     critical = scores <= threshold
-    all_gaps = gaps(distances, kept, seed=seed)
+    all_gaps = measure_gaps(distances, kept, seed=seed)
     gap, middle = all_gaps.kept, all_gaps.medoids
     random = all_gaps.random[:, critical] <= within
     there = bool(critical.any())
@@ -127,8 +129,8 @@ def critical_coverage(
     )
 
 
-def alike(distances: FloatArray, labels: IntArray, share: float = WITHIN) -> float:
-    """Distance up to which two scenarios are taken for alike.
+def distance_alike(distances: FloatArray, labels: IntArray, share: float = WITHIN) -> float:
+    """Give the distance up to which two scenarios count as alike.
 
     Parameters
     ----------
@@ -138,20 +140,40 @@ def alike(distances: FloatArray, labels: IntArray, share: float = WITHIN) -> flo
     share : float, default 0.5
         Of the median distance between two scenarios of one cluster; of any two where there are no clusters.
 
+    Returns
+    -------
+    float
+        In the unit of the distances.
+
     Raises
     ------
     InputError
         `share` is not positive.
     """
-    if not 0.0 < share < float("inf"):
-        raise InputError(f"A share of {share:g} of the distance within clusters cannot be; give a number above 0.")
+    require_within(share)
     one, two = np.triu_indices(len(labels), 1)
     same = (labels[one] == labels[two]) & (labels[one] >= 0)
     return share * float(np.median(distances[one, two][same if same.any() else ~same])) if len(one) else 0.0
 
 
+def require_within(share: float) -> None:
+    """Refuse a share of the distance within clusters that cannot be.
+
+    Parameters
+    ----------
+    share : float
+
+    Raises
+    ------
+    InputError
+        It is not positive, or not finite.
+    """
+    if not 0.0 < share < float("inf"):
+        raise InputError(f"`within` {share:g}: give a number above 0.")
+
+
 def _beside(points: FloatArray, others: BoolArray) -> BoolArray:
-    """Whether one of some others is among the 2 d nearest to each point, shape (n,)."""
+    """Whether one of the `others` is among the 2 d scenarios nearest to each point, shape (n,)."""
     count = min(2 * points.shape[1], len(points) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.bool_)

@@ -1,8 +1,7 @@
-"""The few scenarios of each cluster that stand for it: archetypes on its hull, a prototype in its middle.
+"""Convex hulls of clusters in the parameter space, and the archetypes at their corners.
 
-As in the paper, the archetypes are vertices of the convex hull of a cluster in the parameter space, the
-scenarios between which all others lie; Cutler and Breiman (Archetypal analysis, 1994) show that archetypes
-are to be found there. The prototype is the scenario that is most like all others of its cluster.
+As in the paper, the archetypes of a cluster are vertices of its convex hull: all its other scenarios lie between them.
+A. Cutler and L. Breiman, "Archetypal analysis", 1994, show that archetypes are to be found there.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import IntArray
 
 # The number of facets grows so fast with the dimensions that hulls beyond these are of no use.
 MOST_HULL_DIMENSIONS = 6
@@ -31,7 +30,7 @@ class Hull:
         Indices of the points at its corners, rising.
     simplices : ndarray of int64, shape (m, r)
         Facets, each by the indices of r points; r is the number of dimensions that the points fill: triangles
-        in space, edges in a plane (also one that lies in space), the two ends of a line. ClusterShape (0, 0) for one
+        in space, edges in a plane (also one that lies in space), the two ends of a line. Shape (0, 0) for one
         point.
     """
 
@@ -39,8 +38,8 @@ class Hull:
     simplices: IntArray
 
 
-def convex_hull(points: npt.ArrayLike) -> Hull:
-    """Convex hull, also of points that lie in a plane, on a line or upon each other.
+def find_hull(points: npt.ArrayLike) -> Hull:
+    """Find the convex hull, also of points that lie in a plane, on a line or upon each other.
 
     Parameters
     ----------
@@ -82,8 +81,8 @@ def convex_hull(points: npt.ArrayLike) -> Hull:
     return Hull(ends, ends[:, None])
 
 
-def hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArray:
-    """Points at the corners of the convex hull, the most different ones if there are more than wanted.
+def find_hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArray:
+    """Find points at the corners of the convex hull, the most different ones if there are more than wanted.
 
     Parameters
     ----------
@@ -102,12 +101,12 @@ def hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArray:
     Raises
     ------
     InputError
-        As `convex_hull`, or `k` is not positive.
+        As `find_hull`, or `k` is not positive.
     """
     if k is not None and k < 1:
-        raise InputError(f"k is {k}; keep at least 1 archetype.")
+        raise InputError(f"`k` {k}: keep at least 1 archetype.")
     array = np.asarray(points, dtype=np.float64)
-    vertices = convex_hull(array).vertices
+    vertices = find_hull(array).vertices
     if k is None or len(vertices) <= k:
         return vertices
     corners = array[vertices]
@@ -118,29 +117,3 @@ def hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArray:
         away = np.linalg.norm(corners - corners[taken[-1]], axis=1)
         nearest = away if len(taken) == 1 else np.minimum(nearest, away)
     return np.sort(vertices[taken])
-
-
-def prototype(distances: FloatArray, members: npt.ArrayLike) -> int:
-    """Medoid: the member with the smallest sum of distances to the others, at a tie the first.
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n)
-    members : array_like of int, shape (m,)
-        Indices of the scenarios of one cluster, at least one.
-
-    Returns
-    -------
-    int
-        Index of the scenario, one of `members`.
-
-    Raises
-    ------
-    InputError
-        There are no members.
-    """
-    indices = np.asarray(members, dtype=np.int64)
-    if not len(indices):
-        raise InputError("A cluster without scenarios has no prototype; leave it out.")
-    indices = np.sort(indices)
-    return int(indices[distances[np.ix_(indices, indices)].sum(axis=1).argmin()])

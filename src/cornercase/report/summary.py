@@ -1,182 +1,164 @@
-"""What a study holds, in a few lines."""
+"""What a study holds, as typed values."""
 
 from __future__ import annotations
 
-from contextlib import suppress
-from typing import Any, Final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from cornercase.clustering import compare_clusterings
-from cornercase.evidence import CriticalSet, estimate_sensitivity
-from cornercase.exploration import Objective, on_front
+from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
+from cornercase.exploration import Objective
 from cornercase.metrics import METRICS
-from cornercase.study import Study
+from cornercase.reduction import ReducedSet, read_reduction
+from cornercase.report.knowledge import Knowledge, find_knowledge
+from cornercase.scenario import Value
+from cornercase.study import Study, StudyMeta, open_study
 
 
-def summarize(study: Study) -> dict[str, Any]:
-    """Plain values that tell what was run and what was found.
+@dataclass(frozen=True)
+class MetricSummary:
+    """Scores of the scenarios that were run, by one metric.
+
+    Attributes
+    ----------
+    name, unit : str
+        The unit is ``"1"`` for none.
+    lower_is_critical : bool
+    most_critical, median : float
+        In the unit of the metric.
+    scenario : int
+        Id of the most critical scenario.
+    at : mapping of str to float or str
+        Its parameters.
+    spread : tuple of float, or None
+        Difference between the scores of the runs of one scenario, in the median scenario and at most; None where each
+        was run once.
+    """
+
+    name: str
+    unit: str
+    lower_is_critical: bool
+    most_critical: float
+    median: float
+    scenario: int
+    at: Mapping[str, Value]
+    spread: tuple[float, float] | None
+
+
+@dataclass(frozen=True, repr=False)
+class Summary:
+    """What was run in a study, and what was found.
+
+    Attributes
+    ----------
+    meta : StudyMeta
+        What the study is about.
+    searched : str
+        What the search made as critical as it could: a metric, a weighted sum, or the front of several metrics.
+    run, failed, pending : int
+        Number of scenarios.
+    collisions : int
+        Number of scenarios in which the ego and the other entity collide.
+    metrics : mapping of str to MetricSummary
+        Empty before a scenario was run.
+    analyses : mapping of str to Analysis
+        By aspect.
+    agreements : mapping of (str, str) to Agreement
+        Of each pair of aspects that the same scenarios were analysed by.
+    seconds : mapping of str to float
+        Time spent by stage, in s.
+    knowledge : Knowledge
+        What the scenarios that were run say of all others.
+    reduced : ReducedSet or None
+        None before the study was reduced.
+    """
+
+    meta: StudyMeta
+    searched: str
+    run: int
+    failed: int
+    pending: int
+    collisions: int
+    metrics: Mapping[str, MetricSummary]
+    analyses: Mapping[str, Analysis]
+    agreements: Mapping[tuple[str, str], Agreement]
+    seconds: Mapping[str, float]
+    knowledge: Knowledge
+    reduced: ReducedSet | None
+
+    def __repr__(self) -> str:
+        found = [f"{Path(self.meta.scenario).stem}: {self.run} scenarios run, {self.collisions} collisions"]
+        if self.failed:
+            found.append(f"{self.failed} failed")
+        if self.pending:
+            found.append(f"{self.pending} pending")
+        found += [f"{name} from {one.most_critical:.4g} {one.unit}" for name, one in self.metrics.items()]
+        found += [f"{len(one.sizes)} clusters by {by}" for by, one in self.analyses.items()]
+        if self.reduced is not None:
+            found.append(f"{len(self.reduced)} kept")
+        return f"Summary({', '.join(found)})"
+
+
+def summarize(study: Study | Path | str) -> Summary:
+    """Say what was run in a study, and what was found.
 
     Parameters
     ----------
-    study : Study
+    study : Study or path
 
     Returns
     -------
-    dict
+    Summary
+
+    Raises
+    ------
+    InputError
+        There is no such study.
+
+    See Also
+    --------
+    cornercase.write_report : The same with figures, for a person.
     """
-    meta, rows = study.meta, study.rows()
-    done = [row for row in rows if row.state == "done"]
-    summary: dict[str, Any] = {
-        "scenario": meta.scenario,
-        "ego": meta.ego,
-        "other": meta.other,
-        "optimizer": meta.optimizer,
-        "seed": meta.seed,
-        "simulator": meta.simulator,
-        "parameters": {
-            p.name: f"{p.low:g} to {p.high:g} {p.unit}".strip() if not p.choices else ", ".join(p.choices)
-            for p in study.space.parameters
-        },
-        "run": len(done),
-        "failed": sum(row.state == "failed" for row in rows),
-        "pending": sum(row.state == "pending" for row in rows),
-        "collisions": collisions(study),
-        "metrics": {},
-        "clusters": {},
-        "seconds": {stage: round(seconds, 2) for stage, seconds in study.elapsed().items()},
-    }
-    for name in meta.metrics if done else ():
-        metric, scores = METRICS.create(name), study.scores(name)
-        worst = int(metric.oriented(scores).argmin())
-        summary["metrics"][name] = {
-            "unit": metric.unit,
-            "critical is": "low" if metric.lower_is_critical else "high",
-            "most critical": float(scores[worst]),
-            "median": float(np.median(scores)),
-            "at": done[worst].values,
-        }
-        if (width := run_spread(study, name)) is not None:
-            summary["metrics"][name] |= {
-                "runs of each": meta.repeats,
-                "spread of the runs, median": width[0],
-                "spread of the runs, largest": width[1],
-            }
-    objective = Objective.of_study(meta)
-    summary["searched"] = objective.text
-    if done:
-        summary |= knowledge(study, objective)
-    for name in study.analyses():
-        arrays, info = study.analysis(name, "labels")
-        labels = arrays["labels"]
-        summary["clusters"][name] = {
-            "sizes": np.bincount(labels[labels >= 0]).tolist(),
-            "noise": int((labels < 0).sum()),
-        } | {
-            f"cluster {one['cluster']}": {
-                "scenarios": one["size"],
-                "outcomes": one["outcomes"],
-                "median": {metric: quartiles[1] for metric, quartiles in one["scores"].items()},
-                "where": [f"{r['text']} ({r['covers']:.0%} of it, {r['purity']:.0%} pure)" for r in one["rules"]],
-            }
-            for one in info["profiles"]
-            if one["cluster"] >= 0
-        }
-    summary["agreement"] = {
-        f"{a} and {b}": {
-            "adjusted rand": one.rand,
-            "adjusted mutual information": one.mutual,
-            "scenarios that differ": len(one.differ),
-        }
-        for (a, b), one in compare_clusterings(study).items()
-    }
-    reduction = study.reduction()
-    if reduction is not None:
-        summary["kept"] = len(reduction["kept"])
-        summary["shapes"] = {
-            f"cluster {one['cluster']}": {key: value for key, value in one.items() if key != "cluster"}
-            for one in reduction["shapes"]
-        }
-        summary["coverage"] = {name: _told(one, _LEFT_OUT) for name, one in reduction["coverage"].items() if one}
-        for name, one in reduction["critical"].items():
-            summary["coverage"].setdefault(name, {})["critical scenarios"] = _told(one, _OF_CRITICAL)
-    return summary
+    with open_study(study, readonly=True) as opened:
+        rows = opened.rows()
+        states = [row.state for row in rows]
+        return Summary(
+            meta=opened.meta,
+            searched=Objective.of_study(opened.meta).text,
+            run=states.count("done"),
+            failed=states.count("failed"),
+            pending=states.count("pending"),
+            collisions=_count_collisions(opened),
+            metrics={name: _of_metric(opened, name) for name in opened.meta.metrics} if "done" in states else {},
+            analyses=read_analyses(opened),
+            agreements=compare_clusterings(opened),
+            seconds=opened.elapsed(),
+            knowledge=find_knowledge(opened),
+            reduced=read_reduction(opened),
+        )
 
 
-_LEFT_OUT: Final = {
-    "largest": "largest distance to a kept one",
-    "mean": "mean distance",
-    "better_largest": "random subsets with a larger largest one",
-    "better_mean": "random subsets with a larger mean",
-    "medoids_largest": "largest one of k-medoids",
-    "medoids_mean": "mean of k-medoids",
-}
-_OF_CRITICAL: Final = {
-    "within": "alike up to a distance of",
-    "critical": "like a kept one",
-    "random": "like one of a random subset",
-    "medoids": "like one of k-medoids",
-    "boundary": "on the boundary, like a kept one",
-    "unlike": "one of the space is unlike all kept",
-}
+def _of_metric(study: Study, name: str) -> MetricSummary:
+    metric, scores = METRICS.create(name), study.scores(name)
+    worst = int(metric.oriented(scores).argmin())
+    row = study.done()[worst]
+    between = study.spread(name)
+    width = None if between is None else between[:, 1] - between[:, 0]
+    return MetricSummary(
+        name=name,
+        unit=metric.unit,
+        lower_is_critical=metric.lower_is_critical,
+        most_critical=float(scores[worst]),
+        median=float(np.median(scores)),
+        scenario=row.id,
+        at=row.values,
+        spread=None if width is None else (float(np.median(width)), float(width.max())),
+    )
 
 
-def _told(found: dict[str, Any], words: dict[str, str]) -> dict[str, Any]:
-    """What is known of the kept scenarios, in the words of a summary."""
-    return {text: found[key] for key, text in words.items() if found.get(key) is not None}
-
-
-def knowledge(study: Study, objective: Objective) -> dict[str, Any]:
-    """What is known of the front, of the critical set, and of the influence of each parameter.
-
-    Parameters
-    ----------
-    study : Study
-        In which some scenario ended.
-    objective : Objective
-        The study's own.
-
-    Returns
-    -------
-    dict
-        ``front``, or ``critical`` and ``sensitivity`` as far as there is enough to say something.
-    """
-    known: dict[str, Any] = {}
-    rows, meta = study.done(), study.meta
-    points = np.array([row.point for row in rows])
-    scores = objective.oriented_of(study)
-    if objective.pareto:
-        front = np.flatnonzero(on_front(scores))
-        known["front"] = {
-            f"scenario {rows[k].id}": {m.name: float(study.scores(m.name)[k]) for m in objective.metrics} for k in front
-        }
-        return known
-    if meta.critical is not None:
-        limit = float(meta.critical)
-        low = objective.weights or objective.metrics[0].lower_is_critical
-        known["critical"] = {
-            "is": f"{objective.text} {'<=' if low else '>='} {limit:g} {objective.unit}".rstrip(),
-            "scenarios": int((scores <= objective.flip(limit)).sum()),
-        }
-        with suppress(ValueError):
-            critical_set = CriticalSet(study.space, points, scores, objective.flip(limit), meta.seed)
-            known["critical"] |= critical_set.to_json()
-    with suppress(ValueError):
-        known["sensitivity"] = estimate_sensitivity(study.space, points, scores, meta.seed).to_json()
-    return known
-
-
-def run_spread(study: Study, metric: str) -> tuple[float, float] | None:
-    """By how much the runs of a scenario differ, in the median scenario and at most; None if each ran once."""
-    spread = study.spread(metric)
-    if spread is None:
-        return None
-    width = spread[:, 1] - spread[:, 0]
-    return float(np.median(width)), float(width.max())
-
-
-def collisions(study: Study) -> int:
-    """Number of scenarios in which the ego and the other entity collide."""
+def _count_collisions(study: Study) -> int:
     pair = {study.meta.ego, study.meta.other}
     return sum(
         any(set(collision.entities) == pair for collision in study.recording(row.id).collisions) for row in study.done()

@@ -1,17 +1,40 @@
-"""Tables of the report."""
+"""Tables of the report, as HTML."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import Final
 
-from cornercase.report import figures
+from cornercase.clustering import Candidate, Clustering, Profile
+from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage
+from cornercase.report.words import name_cluster
+from cornercase.scenario import Value
+
+_UNKNOWN: Final = "–"
+_ARCHETYPES: Final = {
+    "hull": "corners of the hull",
+    "pcha": "archetypal analysis in the parameter space",
+    "parts": "corners of the hulls of {parts} near-convex parts",
+    "kernel": "archetypal analysis in kernel space",
+}
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = (0,)) -> str:
-    """Table of texts; columns in `text` begin at the left."""
+def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = (0,)) -> str:
+    """Make a table of plain texts.
+
+    Parameters
+    ----------
+    head : sequence of str, length c
+    rows : sequence of sequence of str, each of length c
+    text : sequence of int, default (0,)
+        Columns that are aligned at the left; -1 is the last.
+
+    Returns
+    -------
+    str
+    """
     left = {k % len(head) for k in text}
 
     def line(cells: Sequence[str], tag: str) -> str:
@@ -23,145 +46,171 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int
     return f"<div class='wide'><table><tr>{line(head, 'th')}</tr>{body}</table></div>"
 
 
-def in_words(described: Sequence[dict[str, Any]]) -> str:
-    """Clusters by how their scenarios end, and where they lie."""
-    return table(
+def format_value(value: Value) -> str:
+    """Write the value of a parameter.
+
+    Parameters
+    ----------
+    value : float or str
+
+    Returns
+    -------
+    str
+    """
+    return value if isinstance(value, str) else f"{value:.6g}"
+
+
+def tell_profiles(profiles: Sequence[Profile]) -> str:
+    """Tell how the scenarios of each cluster end, and where they lie.
+
+    Parameters
+    ----------
+    profiles : sequence of Profile
+
+    Returns
+    -------
+    str
+    """
+    return make_table(
         ["cluster", "how it ends", "where", "of the cluster", "purity"],
         [
             [
-                figures.look(one["cluster"])[2] if k == 0 else "",
-                ", ".join(f"{end} ({count})" for end, count in one["outcomes"].items()) if k == 0 else "",
-                rule["text"],
-                f"{rule['covers']:.0%}",
-                f"{rule['purity']:.0%}",
+                name_cluster(one.cluster) if k == 0 else "",
+                ", ".join(f"{end} ({count})" for end, count in one.outcomes.items()) if k == 0 else "",
+                rule.text,
+                f"{rule.covers:.0%}",
+                f"{rule.purity:.0%}",
             ]
-            for one in described
-            for k, rule in enumerate(one["rules"])
+            for one in profiles
+            for k, rule in enumerate(one.rules)
         ],
         text=(0, 1, 2),
     )
 
 
-def critical_set(known: dict[str, Any], run: int) -> str:
-    """What is known of the critical set."""
+def tell_choices(found: Clustering) -> str:
+    """Tell the best setting for each number of clusters, which shows how sure the choice is.
 
-    def share(estimate: dict[str, float]) -> list[str]:
-        return [f"{estimate['value']:.2%}", f"{estimate['low']:.2%} to {estimate['high']:.2%}"]
+    Parameters
+    ----------
+    found : Clustering
 
-    rows = table(
-        ["what", "estimate", "90 % interval"],
-        [
-            ["critical share of the space", *share(known["share"])],
-            ["share of the critical set that is missed", *share(known["missed"])],
-            [
-                f"probability that a region of {known['overlooked']['size']:.0%} of the space was overlooked",
-                f"{known['overlooked']['value']:.2%}",
-                "",
-            ],
-            [
-                f"share of the space where a region of {known['unvisited']['size']:.0%} would hold nothing run",
-                f"{known['unvisited']['value']:.2%}",
-                "",
-            ],
-        ],
-    )
-    return (
-        f"<p>A scenario is critical where {escape(known['is'])}: {known['scenarios']} of the {run} that were run.</p>"
-        f"{rows}<p>All but the last figure come from a Gaussian process of the scores, corrected by how well it"
-        " foretells each scenario that was run from all others.</p>"
-    )
+    Returns
+    -------
+    str
+        Empty where fewer than two numbers can be compared.
+    """
 
+    def chosen(one: Candidate) -> bool:
+        return (one.gamma, one.eps) == (found.gamma, found.eps)
 
-def choices(candidates: Sequence[dict[str, Any]], gamma: float, eps: float) -> str:
-    """Best setting that was found for each number of clusters, so that one sees how sure the choice is."""
-    best: dict[int, dict[str, Any]] = {}
-    for one in candidates:
-        chosen = (one["gamma"], one["eps"]) == (gamma, eps)
+    best: dict[int, Candidate] = {}
+    for one in found.candidates:
         # Without stability a score is not comparable.
-        comparable = math.isfinite(one["score"]) and not math.isnan(one["stability"])
-        if comparable and (chosen or one["score"] > best.get(one["clusters"], {"score": -9.0})["score"]):
-            best[one["clusters"]] = one
+        comparable = math.isfinite(one.score) and not math.isnan(one.stability)
+        if comparable and (chosen(one) or one.clusters not in best or one.score > best[one.clusters].score):
+            best[one.clusters] = one
     if len(best) < 2:
         return ""
-    return table(
+    return make_table(
         ["clusters", "gamma", "eps", "noise", "DBCV", "silhouette", "stability", "score"],
         [
             [
-                f"{number}{' (chosen)' if (one['gamma'], one['eps']) == (gamma, eps) else ''}", f"{one['gamma']:.4g}",
-                f"{one['eps']:.4g}", f"{one['noise']:.1%}", f"{one['dbcv']:.2f}", f"{one['silhouette']:.2f}",
-                f"{one['stability']:.2f}", f"{one['score']:.2f}",
+                f"{number}{' (chosen)' if chosen(one) else ''}", f"{one.gamma:.4g}", f"{one.eps:.4g}",
+                f"{one.noise:.1%}", f"{one.dbcv:.2f}", f"{one.silhouette:.2f}", f"{one.stability:.2f}",
+                f"{one.score:.2f}",
             ]
             for number, one in sorted(best.items())
         ],
     )  # fmt: skip
 
 
-def shapes(found: Sequence[dict[str, Any]]) -> str:
-    """How convex each cluster is, and how its archetypes were found for that."""
-    how = {
-        "hull": "corners of the hull",
-        "pcha": "archetypal analysis in the parameter space",
-        "parts": "corners of the hulls of {parts} near-convex parts",
-        "kernel": "archetypal analysis in kernel space",
-    }
-    return table(
+def tell_shapes(shapes: Sequence[ClusterShape]) -> str:
+    """Tell how convex each cluster is, and how its archetypes were found.
+
+    Parameters
+    ----------
+    shapes : sequence of ClusterShape
+
+    Returns
+    -------
+    str
+    """
+    return make_table(
         ["cluster", "convexity of the parameters", "in kernel space", "archetypes"],
         [
             [
-                figures.look(one["cluster"])[2], f"{one['convexity']:.2f}", f"{one['convexity in kernel space']:.2f}",
-                how[one["archetypes by"]].format(**one),
+                name_cluster(one.cluster), f"{one.convexity:.2f}", f"{one.kernel_convexity:.2f}",
+                _ARCHETYPES[one.method].format(parts=one.parts),
             ]
-            for one in found
+            for one in shapes
         ],
         text=(0, -1),
     )  # fmt: skip
 
 
-def coverage(found: dict[str, dict[str, Any]]) -> str:
-    """What the kept scenarios leave out, beside random ones and k-medoids."""
-    return table(
+def tell_coverage(coverage: Mapping[str, Coverage]) -> str:
+    """Tell what the kept scenarios leave out, beside random ones and k-medoids.
+
+    Parameters
+    ----------
+    coverage : mapping of str to Coverage
+        By aspect.
+
+    Returns
+    -------
+    str
+    """
+
+    def times(share: float) -> str:
+        return _UNKNOWN if math.isnan(share) else f"{100 * share:.0f} of 100"
+
+    def distance(value: float) -> str:
+        return _UNKNOWN if math.isnan(value) else f"{value:.4g}"
+
+    return make_table(
         [
             "compared by", "largest distance", "of all", "better than random", "k-medoids", "mean distance", "of all",
             "better than random", "k-medoids",
         ],
         [
             [
-                name, f"{c['largest']:.4g}", f"{c['largest_relative']:.1%}", _times(c["better_largest"]),
-                _known(c["medoids_largest"], ".4g"), f"{c['mean']:.4g}", f"{c['mean_relative']:.1%}",
-                _times(c["better_mean"]), _known(c["medoids_mean"], ".4g"),
+                name, distance(one.largest), f"{one.largest_relative:.1%}", times(one.better_largest),
+                distance(one.medoids_largest), distance(one.mean), f"{one.mean_relative:.1%}", times(one.better_mean),
+                distance(one.medoids_mean),
             ]
-            for name, c in found.items()
-            if c
+            for name, one in coverage.items()
         ],
     )  # fmt: skip
 
 
-def critical_coverage(found: dict[str, dict[str, Any]]) -> str:
-    """What the kept scenarios leave out of the critical set."""
+def tell_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
+    """Tell what the kept scenarios leave out of the critical set.
+
+    Parameters
+    ----------
+    critical : mapping of str to CriticalCoverage
+        By aspect.
+
+    Returns
+    -------
+    str
+    """
 
     def share(value: float | None) -> str:
-        return "–" if value is None else f"{value:.0%}"
+        return _UNKNOWN if value is None else f"{value:.0%}"
 
-    return table(
+    return make_table(
         [
             "compared by", "alike up to", "critical ones like a kept one", "random", "k-medoids", "on the boundary",
             "a critical one of the space is unlike all kept", "90 % interval",
         ],
         [
             [
-                name, f"{c['within']:.3g}", share(c["critical"]), share(c["random"]), share(c["medoids"]),
-                share(c["boundary"]), share(c["unlike"] and c["unlike"]["value"]),
-                f"{c['unlike']['low']:.0%} to {c['unlike']['high']:.0%}" if c["unlike"] else "–",
+                name, f"{one.within:.3g}", share(one.critical), share(one.random), share(one.medoids),
+                share(one.boundary), share(one.unlike.value if one.unlike else None),
+                f"{one.unlike.low:.0%} to {one.unlike.high:.0%}" if one.unlike else _UNKNOWN,
             ]
-            for name, c in found.items()
+            for name, one in critical.items()
         ],
     )  # fmt: skip
-
-
-def _known(value: float | None, form: str) -> str:
-    # What an earlier version did not measure is not known.
-    return "–" if value is None else format(value, form)
-
-
-def _times(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:.0f} of 100"

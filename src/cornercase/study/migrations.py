@@ -12,6 +12,9 @@ import sqlite3
 from collections.abc import Callable
 from typing import Any, Final
 
+import numpy as np
+
+from cornercase._common.typing import IntArray
 from cornercase.study.codec import pack_arrays, unpack_arrays
 
 SCHEMA_VERSION: Final = 2
@@ -92,7 +95,11 @@ def _from_1(connection: sqlite3.Connection) -> None:
     )
     for name, info in infos.items():
         arrays = unpack_arrays(before[name])
-        whole = _whole_reduction(info) if name == "reduction" else _whole_analysis(info, arrays)
+        if name == "reduction":
+            whole = _whole_reduction(info, len(unpack_arrays(before[info["by"]])["ids"]))
+        else:
+            whole = _whole_analysis(info, arrays)
+            arrays["landmarks"] = _landmarks(whole, arrays)
         connection.execute("INSERT INTO analyses VALUES (?, ?)", (name, json.dumps(whole)))
         connection.executemany(
             "INSERT INTO arrays VALUES (?, ?, ?)",
@@ -114,11 +121,21 @@ def _whole_analysis(info: dict[str, Any], arrays: dict[str, Any]) -> dict[str, A
     return added | info | {"candidates": candidates}
 
 
-def _whole_reduction(info: dict[str, Any]) -> dict[str, Any]:
+def _landmarks(info: dict[str, Any], arrays: dict[str, Any]) -> IntArray:
+    """Landmarks of a clustering, which version 1 only counts: they are drawn as it did."""
+    fitted = np.flatnonzero(np.isin(arrays["ids"], info["fitted"]))
+    if not info["landmarks"]:
+        return np.zeros(0, dtype=np.int64)
+    order = np.argsort(arrays["distances"][np.ix_(fitted, fitted)].sum(axis=1), kind="stable")
+    drawn = np.sort(np.random.default_rng(0).choice(order, info["landmarks"], replace=False))
+    return np.asarray(fitted[drawn], dtype=np.int64)
+
+
+def _whole_reduction(info: dict[str, Any], run: int) -> dict[str, Any]:
     """Facts of a reduction, with what the first releases did not know of it."""
     added = dict.fromkeys(("better_largest", "better_mean", "medoids_largest", "medoids_mean"))
     coverage = {name: added | one if one else one for name, one in info["coverage"].items()}
-    return {"shapes": [], "critical": {}} | info | {"coverage": coverage}
+    return {"run": run, "shapes": [], "critical": {}} | info | {"coverage": coverage}
 
 
 _STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1}

@@ -1,0 +1,130 @@
+"""From scenarios that were run to kinds of scenario."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering.analysis import Analysis, read_analysis, save_analysis
+from cornercase.clustering.aspects import aspects_of, require_aspect, series_of
+from cornercase.clustering.clusters import Clustering, ClusteringMethod
+from cornercase.clustering.estimator import ScenarioClustering
+from cornercase.clustering.outcomes import tell_outcome
+from cornercase.clustering.profiles import describe_clusters
+from cornercase.dtw import distance_matrix
+from cornercase.study import Study, open_study
+
+
+def analyze(
+    study: Study | Path | str,
+    by: str | Sequence[str] | None = None,
+    *,
+    gamma: float | Literal["auto"] = "auto",
+    eps: float | Literal["auto"] = "auto",
+    min_samples: int | Literal["auto"] = "auto",
+    method: ClusteringMethod = "dbscan",
+    keep: bool = False,
+    progress: bool = False,
+) -> dict[str, Analysis]:
+    """Cluster the scenarios of a study by behaviour and by criticality, and store the result in it.
+
+    For each aspect, the scenarios are compared by Dynamic Time Warping, and `ScenarioClustering` clusters them by
+    these distances.
+
+    Parameters
+    ----------
+    study : Study or path
+        Open for writing, or the file.
+    by : str or sequence of str, optional
+        Aspects: ``"ego-trajectory"`` and metrics of the study; all by default.
+    gamma, eps : float or "auto", default "auto"
+        Kernel width and radius of the neighbourhood, without unit.
+    min_samples : int or "auto", default "auto"
+        Least number of scenarios in a dense neighbourhood.
+    method : {"dbscan", "hdbscan"}, default "dbscan"
+        Algorithm that finds the clusters.
+    keep : bool, default False
+        Keep the clusters that the study has, and let the scenarios that were run since join them, as of
+        `ScenarioClustering.predict`.
+    progress : bool, default False
+        Show a progress bar.
+
+    Returns
+    -------
+    dict of str to Analysis
+        By aspect.
+
+    Raises
+    ------
+    InputError
+        Fewer than two scenarios were run, the study holds no such metric, or a setting is out of range.
+
+    See Also
+    --------
+    ScenarioClustering : The clustering of any distances.
+    cornercase.reduce : Keeps a few scenarios of each cluster.
+
+    References
+    ----------
+    B. Schütt, S. Otten, E. Sax, "Clustering-based criticality analysis for testing of automated driving systems",
+    2023, section "Scenario Clustering".
+    """
+    model = ScenarioClustering(gamma, eps, min_samples, method=method)
+    model.require_settings()
+    with open_study(study) as opened:
+        aspects = aspects_of(opened) if by is None else (by,) if isinstance(by, str) else tuple(dict.fromkeys(by))
+        for one in aspects:
+            require_aspect(opened, one)
+        return _analyzed(opened, aspects, model, keep, progress)
+
+
+def _analyzed(
+    study: Study, aspects: Sequence[str], model: ScenarioClustering, keep: bool, progress: bool
+) -> dict[str, Analysis]:
+    ids = np.array([row.id for row in study.done()], dtype=np.int64)
+    if len(ids) < 2:
+        raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
+    outcomes = [tell_outcome(study.recording(i), study.meta.ego, study.meta.other) for i in ids.tolist()]
+    study.save_outcomes(dict(zip(ids.tolist(), outcomes, strict=True)))
+    results = {}
+    for aspect in aspects:
+        begun = time.monotonic()
+        distances = distance_matrix(series_of(study, aspect), progress=progress)
+        measured = time.monotonic()
+        if keep and aspect in study.analyses():
+            found, fitted = _joined(read_analysis(study, aspect), ids, distances)
+        else:
+            found, fitted = model.fit(distances).result_, ids
+        results[aspect] = Analysis(aspect, ids, found, fitted, describe_clusters(study, found.labels, outcomes))
+        save_analysis(study, results[aspect], distances)
+        study.add_elapsed("compare", measured - begun)
+        study.add_elapsed("cluster", time.monotonic() - measured)
+    return results
+
+
+def _joined(before: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clustering, IntArray]:
+    """Clusters that a study has, joined by the scenarios that were run since, and those that they were found from."""
+    # A scenario that failed may have been run again since; so the earlier ones need not be the first.
+    earlier = np.isin(ids, before.fitted)
+    known = before.clustering
+    model = ScenarioClustering(known.gamma, known.eps, known.min_samples, method=known.method)
+    model.fit(distances[np.ix_(earlier, earlier)])
+    labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), model.n_components))
+    labels[earlier], embedding[earlier] = model.labels_, model.embedding_
+    to_earlier = distances[np.ix_(~earlier, earlier)]
+    labels[~earlier], embedding[~earlier] = model.predict(to_earlier), model.transform(to_earlier)
+    found = replace(
+        model.result_,
+        labels=labels,
+        embedding=embedding,
+        candidates=known.candidates,
+        landmarks=np.flatnonzero(earlier)[model.landmarks_],
+    )
+    return found, ids[earlier]

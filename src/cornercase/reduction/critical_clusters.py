@@ -1,0 +1,36 @@
+"""The clusters that are critical."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase.clustering import Analysis
+from cornercase.exploration import Objective
+from cornercase.study import Study
+
+
+def find_critical_clusters(study: Study, analysis: Analysis) -> list[int]:
+    """Find the clusters in which most scenarios are critical.
+
+    Parameters
+    ----------
+    study : Study
+    analysis : Analysis
+
+    Returns
+    -------
+    list of int
+        Clusters whose median score of the first metric is critical. Where that holds for all clusters, or no threshold
+        says what is critical, the one cluster with the most critical median.
+    """
+    meta = study.meta
+    objective, labels = Objective.of_study(meta), analysis.labels
+    metric = objective.metrics[0]
+    scores = dict(zip((row.id for row in study.done()), study.scores(metric.name).tolist(), strict=True))
+    oriented = metric.oriented(np.array([scores[i] for i in analysis.ids.tolist()]))
+    clusters = list(range(analysis.clustering.n_clusters))
+    medians = {label: float(np.median(oriented[labels == label])) for label in clusters}
+    critical = clusters
+    if meta.critical is not None and not objective.weights and not objective.pareto:
+        critical = [label for label in clusters if medians[label] <= objective.flip(meta.critical)]
+    return [min(clusters, key=medians.__getitem__)] if critical == clusters and clusters else critical

@@ -1,0 +1,68 @@
+"""Random choices of scenarios, to compare other choices with.
+
+A choice that is made with regard to some random draws must not be graded against the same ones. So there are two
+streams of random numbers: one for choosing, one for grading.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray, IntArray
+
+DRAWS: Final = 100
+"""Number of random choices, unless another one is given."""
+
+# Keys of NumPy's `SeedSequence`: sequences of different keys are independent, also of different seeds.
+_KEYS: Final[dict[str, tuple[int, ...]]] = {"choosing": (), "grading": (1,)}
+
+
+def draw_choices(
+    count: int, size: int, *, stream: Literal["choosing", "grading"], draws: int = DRAWS, seed: int = 0
+) -> IntArray:
+    """Draw random choices of scenarios.
+
+    Parameters
+    ----------
+    count : int
+        Number of scenarios to choose from.
+    size : int
+        Number of scenarios in a choice.
+    stream : {"choosing", "grading"}
+        What the draws are for; the two share no random numbers, whatever the seeds.
+    draws : int, default 100
+        Number of choices.
+    seed : int, default 0
+
+    Returns
+    -------
+    ndarray of int64, shape (draws, size)
+        Indices, none twice in a choice.
+
+    Raises
+    ------
+    InputError
+        `draws` is not positive.
+    """
+    if draws < 1:
+        raise InputError(f"`draws` {draws}: give at least 1.")
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_KEYS[stream]))
+    return np.array([rng.choice(count, size=size, replace=False) for _ in range(draws)], dtype=np.int64)
+
+
+def nearest_of(distances: FloatArray, choices: IntArray) -> FloatArray:
+    """Distances from every scenario to the nearest one of each choice.
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n)
+    choices : ndarray of int64, shape (draws, size)
+
+    Returns
+    -------
+    ndarray of float64, shape (draws, n)
+    """
+    return np.array([distances[:, one].min(axis=1) for one in choices])

@@ -1,0 +1,124 @@
+"""What the kept scenarios of a study leave out, by each aspect that it was analysed by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.clustering import Analysis, read_analyses, read_distances
+from cornercase.evidence import CriticalSet
+from cornercase.exploration import Objective
+from cornercase.reduction.coverage import Coverage, measure_coverage
+from cornercase.reduction.critical_coverage import CriticalCoverage, distance_alike, measure_critical_coverage
+from cornercase.study import Row, Study
+
+
+@dataclass(frozen=True, eq=False)
+class Ran:
+    """Everything that was run and analysed in a study.
+
+    Attributes
+    ----------
+    study : Study
+    rows : dict of int to Row
+        Scenarios that were run, by id.
+    scores : dict of str to dict of int to float
+        By metric and id.
+    analyses : dict of str to Analysis
+    distances : dict of str to ndarray of float64, shape (n, n)
+        Both by aspect.
+    """
+
+    study: Study
+    rows: dict[int, Row]
+    scores: dict[str, dict[int, float]]
+    analyses: dict[str, Analysis]
+    distances: dict[str, FloatArray]
+
+    def points(self, analysis: Analysis) -> FloatArray:
+        """Return the points of analysed scenarios in the unit cube, shape (n, d)."""
+        return np.array([self.rows[i].point for i in analysis.ids.tolist()])
+
+
+def read_ran(study: Study) -> Ran:
+    """Read everything that was run and analysed.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    Ran
+    """
+    rows = {row.id: row for row in study.done()}
+    scores = {name: dict(zip(rows, study.scores(name).tolist(), strict=True)) for name in study.meta.metrics}
+    analyses = read_analyses(study)
+    return Ran(study, rows, scores, analyses, {name: read_distances(study, name) for name in analyses})
+
+
+def grade(ran: Ran, kept: Sequence[int]) -> dict[str, Coverage]:
+    """Measure how well kept scenarios represent all that were run.
+
+    Parameters
+    ----------
+    ran : Ran
+    kept : sequence of int
+        Ids.
+
+    Returns
+    -------
+    dict of str to Coverage
+        By aspect; without those that no kept scenario was analysed by.
+    """
+    found = {}
+    for name, one in ran.analyses.items():
+        index = one.rows_of(list(kept))
+        if len(index):
+            found[name] = measure_coverage(ran.distances[name], index, ids=one.ids)
+    return found
+
+
+def grade_critical(ran: Ran, kept: Sequence[int], within: float) -> dict[str, CriticalCoverage]:
+    """Measure how well kept scenarios represent the critical ones.
+
+    Parameters
+    ----------
+    ran : Ran
+    kept : sequence of int
+        Ids.
+    within : float
+        Share of the median distance within clusters up to which two scenarios are alike.
+
+    Returns
+    -------
+    dict of str to CriticalCoverage
+        By aspect; empty where no threshold says what is critical.
+    """
+    meta, space = ran.study.meta, ran.study.space
+    objective = Objective.of_study(meta)
+    if meta.critical is None or objective.pareto or not kept:
+        return {}
+    oriented = dict(zip(ran.rows, objective.oriented_of(ran.study).tolist(), strict=True))
+    threshold = objective.flip(meta.critical)
+    found: dict[str, CriticalCoverage] = {}
+    known: dict[tuple[int, ...], CriticalSet] = {}
+    for name, one in ran.analyses.items():
+        ids, distances = tuple(one.ids.tolist()), ran.distances[name]
+        index = one.rows_of(list(kept))
+        if not len(index):
+            continue
+        points, scores = ran.points(one), np.array([oriented[i] for i in ids])
+        # Aspects of the same scenarios have one critical set.
+        if ids not in known:
+            with suppress(ValueError):
+                known[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
+        alike = distance_alike(distances, one.labels, within)
+        found[name] = measure_critical_coverage(
+            space, points, scores, threshold, distances, index, alike, seed=meta.seed, critical_set=known.get(ids)
+        )
+    return found

@@ -1,0 +1,85 @@
+"""Scenarios that are kept, while they are chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+
+# Scenarios are alike within this share of the largest distance.
+ALIKE: Final = 1e-3
+
+Role = Literal["archetype", "prototype", "gap"]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A scenario that is kept.
+
+    Attributes
+    ----------
+    index : int
+        Which scenario.
+    cluster : int
+        Cluster that it represents; -1 for noise.
+    role : {"archetype", "prototype", "gap"}
+        Why it is kept. A gap is a scenario that was unlike those that were kept before it.
+    """
+
+    index: int
+    cluster: int
+    role: Role
+
+
+class Selection:
+    """Scenarios kept so far; one that is like a kept one is not taken.
+
+    Parameters
+    ----------
+    distances : sequence of ndarray of float64, each (n, n)
+        Of all clusterings.
+    size : int, optional
+        Most to keep.
+
+    Attributes
+    ----------
+    apart : ndarray of float64, shape (n, n)
+        Largest distance in any clustering, as a share of that clustering's largest distance.
+    gap : ndarray of float64, shape (n,)
+        By the same measure, from each scenario to the nearest kept one; infinite while none is kept.
+    kept : list of Kept
+        In the order in which they were chosen.
+    """
+
+    def __init__(self, distances: Sequence[FloatArray], size: int | None) -> None:
+        self.apart = np.max([matrix / max(matrix.max(), 1e-300) for matrix in distances], axis=0)
+        self.gap = np.full(len(self.apart), np.inf)
+        self.kept: list[Kept] = []
+        self._size = size
+
+    @property
+    def indices(self) -> list[int]:
+        """Indices of the kept scenarios."""
+        return [one.index for one in self.kept]
+
+    def copy(self) -> Selection:
+        """Return a selection of the same scenarios that goes on by itself."""
+        other = copy(self)
+        other.gap, other.kept = self.gap.copy(), self.kept[:]
+        return other
+
+    def keep(self, one: Kept) -> None:
+        """Keep a scenario, unless it is like a kept one or there are enough.
+
+        Parameters
+        ----------
+        one : Kept
+        """
+        if self.gap[one.index] > ALIKE and (self._size is None or len(self.kept) < self._size):
+            self.kept.append(one)
+            np.minimum(self.gap, self.apart[one.index], out=self.gap)

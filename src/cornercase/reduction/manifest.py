@@ -1,0 +1,134 @@
+"""The reduced set as plain values: in ``manifest.json``, and in the study."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from cornercase.evidence import Estimate
+from cornercase.reduction.cluster_shapes import ClusterShape
+from cornercase.reduction.coverage import Coverage
+from cornercase.reduction.critical_coverage import CriticalCoverage
+from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
+from cornercase.study import Study
+
+
+def make_manifest(study: Study, reduced: ReducedSet) -> dict[str, Any]:
+    """Put a reduced set, and where it comes from, into plain values.
+
+    Parameters
+    ----------
+    study : Study
+    reduced : ReducedSet
+
+    Returns
+    -------
+    dict of str to object
+        What ``manifest.json`` holds.
+    """
+    meta = study.meta
+    return {
+        "scenario": meta.scenario,
+        "fingerprint": meta.fingerprint,
+        "study": study.path.name,
+        "simulator": meta.simulator,
+        "settings": dict(meta.settings),
+        "by": reduced.by,
+        "run": reduced.run,
+        "kept": len(reduced.kept),
+        "scenarios": [_of_kept(one) for one in reduced.kept],
+        "shapes": [_of_shape(one) for one in reduced.shapes],
+        "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
+        "critical": {name: asdict(one) for name, one in reduced.critical.items()},
+    }
+
+
+def save_reduction(study: Study, reduced: ReducedSet) -> None:
+    """Store a reduced set in a study, in place of the one that was there.
+
+    Parameters
+    ----------
+    study : Study
+        Open for writing.
+    reduced : ReducedSet
+    """
+    info = {
+        "by": reduced.by,
+        "run": reduced.run,
+        "kept": [_of_kept(one) for one in reduced.kept],
+        "shapes": [_of_shape(one) for one in reduced.shapes],
+        "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
+        "critical": {name: asdict(one) for name, one in reduced.critical.items()},
+        "hulls": {str(cluster): [list(facet) for facet in facets] for cluster, facets in reduced.hulls.items()},
+    }
+    study.save_analysis("reduction", {}, info)
+
+
+def read_reduction(study: Study) -> ReducedSet | None:
+    """Read back the reduced set of a study.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    ReducedSet or None
+        None before the study was reduced.
+    """
+    info = study.reduction()
+    if info is None:
+        return None
+    return ReducedSet(
+        by=info["by"],
+        run=info["run"],
+        kept=tuple(KeptScenario(**one) for one in info["kept"]),
+        shapes=tuple(_shape(one) for one in info["shapes"]),
+        coverage={name: _coverage(one) for name, one in info["coverage"].items() if one},
+        critical={name: _critical(one) for name, one in info["critical"].items()},
+        hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
+    )
+
+
+def _of_kept(one: KeptScenario) -> dict[str, Any]:
+    return {
+        "id": one.id,
+        "file": one.file,
+        "cluster": one.cluster,
+        "role": one.role,
+        "why": one.why,
+        "values": dict(one.values),
+        "scores": dict(one.scores),
+    }
+
+
+def _of_shape(one: ClusterShape) -> dict[str, Any]:
+    return {
+        "cluster": one.cluster,
+        "convexity": one.convexity,
+        "convexity in kernel space": one.kernel_convexity,
+        "archetypes by": one.method,
+        "parts": one.parts,
+    }
+
+
+def _shape(plain: Mapping[str, Any]) -> ClusterShape:
+    return ClusterShape(
+        cluster=plain["cluster"],
+        convexity=plain["convexity"],
+        kernel_convexity=plain["convexity in kernel space"],
+        method=plain["archetypes by"],
+        parts=plain["parts"],
+    )
+
+
+def _coverage(plain: Mapping[str, Any]) -> Coverage:
+    known: dict[str, Any] = {key: math.nan if value is None else value for key, value in plain.items()}
+    return Coverage(**known)
+
+
+def _critical(plain: Mapping[str, Any]) -> CriticalCoverage:
+    unlike = plain["unlike"]
+    return CriticalCoverage(**{**plain, "unlike": None if unlike is None else Estimate(**unlike)})

@@ -1,0 +1,78 @@
+"""Scenarios in the middle of others: the medoid of a cluster, and k medoids of all."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray, IntArray
+
+
+def find_prototype(distances: FloatArray, members: npt.ArrayLike) -> int:
+    """Find the medoid: the member with the smallest sum of distances to the others, at a tie the first.
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n)
+    members : array_like of int, shape (m,)
+        Indices of the scenarios of one cluster, at least one.
+
+    Returns
+    -------
+    int
+        Index of the scenario, one of `members`.
+
+    Raises
+    ------
+    InputError
+        There are no members.
+    """
+    indices = np.asarray(members, dtype=np.int64)
+    if not len(indices):
+        raise InputError("A cluster without scenarios has no prototype; leave it out.")
+    indices = np.sort(indices)
+    return int(indices[distances[np.ix_(indices, indices)].sum(axis=1).argmin()])
+
+
+def choose_medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
+    """Choose k scenarios with a small mean distance from all to the nearest one.
+
+    Starts with the scenarios that lower it most, one after the other [1]_. Then each medoid moves to the middle of the
+    scenarios that are nearest to it, until nothing changes [2]_.
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n)
+    k : int
+        1 to n.
+    rounds : int, default 50
+        At most.
+
+    Returns
+    -------
+    ndarray of int64, shape (k,)
+        Indices, rising.
+
+    References
+    ----------
+    .. [1] L. Kaufman, P. J. Rousseeuw, "Finding Groups in Data", 1990: the algorithm BUILD.
+    .. [2] H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", Expert Systems with
+       Applications 36, 2009.
+    """
+    chosen = [int(distances.sum(axis=1).argmin())]
+    gap = distances[chosen[0]].copy()
+    while len(chosen) < k:
+        gain = np.maximum(gap[:, None] - distances, 0.0).sum(axis=0)
+        gain[chosen] = -1.0
+        chosen.append(int(gain.argmax()))
+        gap = np.minimum(gap, distances[chosen[-1]])
+    found = np.array(chosen, dtype=np.int64)
+    for _ in range(rounds):
+        nearest = distances[:, found].argmin(axis=1)
+        nearest[found] = np.arange(k)
+        middles = [find_prototype(distances, np.flatnonzero(nearest == j)) for j in range(k)]
+        if np.array_equal(middles, found):
+            break
+        found = np.array(middles, dtype=np.int64)
+    return np.sort(found)

@@ -1,0 +1,217 @@
+"""From clusters to the few concrete scenarios that matter, as files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+from cornercase._common.errors import InputError
+from cornercase._common.files import written_whole
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering import Analysis, read_analysis
+from cornercase.reduction.cluster_selection import PER_KEPT, choose_by_cluster
+from cornercase.reduction.cluster_shapes import (
+    ArchetypeMethod,
+    ShapedCluster,
+    find_shapes,
+    require_archetype_method,
+)
+from cornercase.reduction.critical_clusters import find_critical_clusters
+from cornercase.reduction.critical_coverage import WITHIN, require_within
+from cornercase.reduction.grading import Ran, grade, grade_critical, read_ran
+from cornercase.reduction.hulls import find_hull
+from cornercase.reduction.kept import Kept
+from cornercase.reduction.manifest import make_manifest, save_reduction
+from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
+from cornercase.reduction.selection import choose_scenarios
+from cornercase.scenario import Scenario, write_concrete
+from cornercase.study import IMPORTED, Study, open_study
+
+_WHY: Final = {
+    "hull": "on the hull of cluster {cluster} in the parameter space",
+    "pcha": "at an extreme of cluster {cluster} in the parameter space, by archetypal analysis",
+    "parts": "on the hull of a near-convex part of cluster {cluster} in the parameter space",
+    "kernel": "at an extreme of cluster {cluster} in kernel space, by archetypal analysis",
+    "prototype": "the scenario most like all others of cluster {cluster}",
+    "gap": "for what is unlike all others that are kept",
+}
+
+
+def reduce(
+    study: Study | Path | str,
+    folder: Path | str,
+    *,
+    by: str | None = None,
+    size: int | None = None,
+    share: float | None = None,
+    cover: float | None = None,
+    archetypes: int | Literal["auto"] | None = None,
+    archetypes_by: ArchetypeMethod = "auto",
+    within: float = WITHIN,
+) -> ReducedSet:
+    """Keep the few concrete scenarios that matter, and write them as OpenSCENARIO files.
+
+    By default a tenth of all is kept. `size`, `share`, `cover` and `archetypes` say otherwise; at most one of them can
+    be given.
+
+    Parameters
+    ----------
+    study : Study or path
+        Open for writing, or the file; analysed.
+    folder : path
+        Folder to write. Each file in it runs by itself and gives the same recording; ``manifest.json`` says why each is
+        there. Of a study of imported recordings only the manifest is written.
+    by : str, optional
+        Aspect whose clusters count; by default the searched metric.
+    size : int, optional
+        Number of scenarios to keep.
+    share : float, optional
+        Share of all scenarios to keep, above 0 and up to 1.
+    cover : float, optional
+        Keep as few as leave no scenario farther from a kept one than this share of the largest distance.
+    archetypes : int or "auto", optional
+        Keep nothing but the prototype of each cluster and so many archetypes at most, as of
+        `cornercase.reduction.cluster_selection.choose_by_cluster`.
+    archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
+        How archetypes are found, as of `cornercase.reduction.cluster_shapes.find_shapes`.
+    within : float, default 0.5
+        Share of the median distance within clusters up to which two scenarios are alike; for the coverage of the
+        critical scenarios.
+
+    Returns
+    -------
+    ReducedSet
+
+    Raises
+    ------
+    InputError
+        The study was not analysed, an argument is out of range, the scenario file is not the one that was explored, or
+        the folder cannot be written.
+
+    See Also
+    --------
+    cornercase.analyze : Finds the clusters.
+    cornercase.reduction.selection.choose_scenarios : Chooses the scenarios.
+    """
+    if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
+        raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
+    if share is not None and not 0.0 < share <= 1.0:
+        raise InputError(f"`share` {share:g}: give a number above 0 and up to 1.")
+    require_archetype_method(archetypes_by)
+    require_within(within)
+    with open_study(study) as opened:
+        analysis = read_analysis(opened, by or opened.meta.metrics[0])
+        # Looked at before anything is written or takes time.
+        scenario = _require_same_scenario(opened)
+        ran = read_ran(opened)
+        points = ran.points(analysis)
+        shaped = find_shapes(points, analysis.labels, analysis.clustering.embedding, archetypes_by)
+        if archetypes is not None:
+            kept = choose_by_cluster(
+                points, ran.distances[analysis.by], analysis.labels, archetypes=archetypes, shaped=shaped
+            )
+        else:
+            if share is not None:
+                size = max(1, round(share * len(ran.rows)))
+            elif size is None and cover is None:
+                size = max(1, round(len(points) / PER_KEPT))
+            kept = choose_scenarios(
+                points,
+                _compared(ran, analysis),
+                analysis.labels,
+                find_critical_clusters(opened, analysis),
+                size=size,
+                cover=cover,
+                shaped=shaped,
+            )
+        reduced = _described(ran, analysis, kept, shaped, within)
+        _write(opened, scenario, reduced, Path(folder))
+        save_reduction(opened, reduced)
+    return reduced
+
+
+def _require_same_scenario(study: Study) -> Scenario | None:
+    """Read the scenario file that was explored, and refuse another one; none of imported recordings."""
+    meta = study.meta
+    if meta.simulator == IMPORTED:
+        return None
+    scenario = Scenario.read(meta.scenario)
+    if scenario.fingerprint() != meta.fingerprint:
+        raise InputError(
+            f"{meta.scenario}: it, its road or its catalogs have changed since {study.path} was explored; bring back"
+            " the files of then, or `explore` those of now into another study."
+        )
+    return scenario
+
+
+def _compared(ran: Ran, analysis: Analysis) -> list[FloatArray]:
+    """Distances by the aspect that counts, then by the others that the same scenarios were analysed by."""
+    others = [
+        ran.distances[name]
+        for name, one in ran.analyses.items()
+        if name != analysis.by and len(one.ids) == len(analysis.ids)
+    ]
+    return [ran.distances[analysis.by], *others]
+
+
+def _described(
+    ran: Ran, analysis: Analysis, kept: Sequence[Kept], shaped: Sequence[ShapedCluster], within: float
+) -> ReducedSet:
+    """Say of the kept scenarios what they are, and what they leave out."""
+    ids = analysis.ids.tolist()
+    kept_ids = [ids[one.index] for one in kept]
+    methods = {one.shape.cluster: one.shape.method for one in shaped}
+    points = ran.points(analysis)
+    return ReducedSet(
+        by=analysis.by,
+        run=len(ran.rows),
+        kept=tuple(
+            _kept_scenario(ran, one, ids[one.index], methods[one.cluster] if one.role == "archetype" else one.role)
+            for one in kept
+        ),
+        shapes=tuple(one.shape for one in shaped),
+        coverage=grade(ran, kept_ids),
+        critical=grade_critical(ran, kept_ids, within),
+        hulls={one.shape.cluster: _facets(points, one.parts, ids) for one in shaped},
+    )
+
+
+def _kept_scenario(ran: Ran, one: Kept, scenario: int, reason: str) -> KeptScenario:
+    meta = ran.study.meta
+    # An imported recording is run again where it came from; the manifest says which one it was.
+    imported = meta.simulator == IMPORTED
+    return KeptScenario(
+        id=scenario,
+        file=meta.files[scenario - 1] if imported else f"{Path(meta.scenario).stem}-{scenario:05}.xosc",
+        cluster=one.cluster,
+        role=one.role,
+        why=_WHY[reason].format(cluster=one.cluster),
+        values=dict(ran.rows[scenario].values),
+        scores={name: scores[scenario] for name, scores in ran.scores.items()},
+    )
+
+
+def _facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+    """Facets of the hulls of a cluster's parts, by the ids of the scenarios at their corners."""
+    return tuple(
+        tuple(ids[part[i]] for i in facet) for part in parts for facet in find_hull(points[part]).simplices.tolist()
+    )
+
+
+def _write(study: Study, scenario: Scenario | None, reduced: ReducedSet, folder: Path) -> None:
+    """Write the kept scenarios, and last the manifest."""
+    stem = Path(study.meta.scenario).stem
+    drivers = study.meta.settings.get("drivers", {})
+    for one in reduced.kept if scenario is not None else ():
+        assert scenario is not None
+        write_concrete(
+            scenario,
+            one.values,
+            folder / one.file,
+            drivers={entity: driver for entity, driver in drivers.items() if isinstance(driver, str)},
+            description=f"Scenario {one.id} of the logical scenario {stem}: {one.why}",
+        )
+    with written_whole(folder / "manifest.json") as temporary:
+        temporary.write_text(json.dumps(make_manifest(study, reduced), indent=2) + "\n", encoding="utf-8", newline="\n")

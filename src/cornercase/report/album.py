@@ -1,0 +1,70 @@
+"""The figures of a report: in the page, and as PNG in a folder beside it."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from cornercase._common.files import portable_name, written_whole
+from cornercase.report.template import fill_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Album:
+    """Figures of one report.
+
+    Parameters
+    ----------
+    page : Path
+        Of the page; the folder is called after it, with ``-figures`` at the end.
+    """
+
+    def __init__(self, page: Path) -> None:
+        self._folder = page.with_name(f"{page.stem}-figures")
+
+    def add(self, figure: Figure, name: str, caption: str) -> str:
+        """Write a figure, and give the HTML that shows it.
+
+        Parameters
+        ----------
+        figure : Figure
+        name : str
+            Of the file, without ending.
+        caption : str
+
+        Returns
+        -------
+        str
+
+        Raises
+        ------
+        InputError
+            It cannot be written.
+        """
+        data = draw_png(figure)
+        with written_whole(self._folder / f"{portable_name(name)}.png") as temporary:
+            temporary.write_bytes(data)
+        return fill_figure(caption, base64.b64encode(data).decode())
+
+
+def draw_png(figure: Figure) -> bytes:
+    """Draw a figure as PNG; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : Figure
+
+    Returns
+    -------
+    bytes
+    """
+    buffer = io.BytesIO()
+    FigureCanvasAgg(figure)
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25)
+    return buffer.getvalue()

@@ -1,0 +1,148 @@
+"""Everything that a report shows of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering import EGO_TRAJECTORY, Analysis, read_distances
+from cornercase.exploration import Objective
+from cornercase.metrics import METRICS, Metric
+from cornercase.recordings import Recording
+from cornercase.reduction import Gaps, measure_gaps
+from cornercase.report.summary import Summary, summarize
+from cornercase.scenario import Parameter
+from cornercase.study import Row, Study
+
+
+@dataclass(frozen=True, eq=False)
+class ReportData:
+    """Everything that a report shows of a study.
+
+    Attributes
+    ----------
+    study : str
+        Name of the study's file.
+    summary : Summary
+    rows, failed : tuple of Row
+        The n scenarios that were run, and those that could not be run.
+    metrics : tuple of Metric
+    scores : mapping of str to ndarray of float64, shape (n,)
+        By metric.
+    recordings : mapping of int to Recording
+        By id.
+    courses : mapping of str to mapping of int to ndarray of float64, shape (T,)
+        Capped courses by metric and id.
+    values : ndarray of float64, shape (n, d)
+        Parameters; of choices their number.
+    influential : tuple of int
+        Parameters by their influence on the first metric: the two strongest in their own order, then the others.
+    critical : ndarray of bool, shape (n,)
+        Critical scenarios; none where no threshold says what is critical.
+    gaps : mapping of str to Gaps
+        By aspect, what the kept scenarios leave out; empty before the study was reduced.
+    """
+
+    study: str
+    summary: Summary
+    rows: tuple[Row, ...]
+    failed: tuple[Row, ...]
+    metrics: tuple[Metric, ...]
+    scores: Mapping[str, FloatArray]
+    recordings: Mapping[int, Recording]
+    courses: Mapping[str, Mapping[int, FloatArray]]
+    values: FloatArray
+    influential: tuple[int, ...]
+    critical: BoolArray
+    gaps: Mapping[str, Gaps]
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """Parameters of the space."""
+        return self.summary.meta.space.parameters
+
+    def metric_of(self, aspect: str) -> Metric:
+        """Return the metric whose course stands for an aspect: its own, or the first for the ego's trajectory."""
+        names = [metric.name for metric in self.metrics]
+        return self.metrics[0 if aspect == EGO_TRAJECTORY else names.index(aspect)]
+
+    def rows_of(self, ids: Sequence[int]) -> IntArray:
+        """Return the rows of scenarios that were run, by their ids; shape (m,)."""
+        place = {row.id: k for k, row in enumerate(self.rows)}
+        return np.array([place[scenario] for scenario in ids], dtype=np.int64)
+
+    def collides(self, scenario: int) -> bool:
+        """Whether the ego and the other entity collide in a scenario, by its id."""
+        pair = {self.summary.meta.ego, self.summary.meta.other}
+        return any(set(collision.entities) == pair for collision in self.recordings[scenario].collisions)
+
+
+def read_report_data(study: Study) -> ReportData:
+    """Read everything that a report shows.
+
+    Parameters
+    ----------
+    study : Study
+        In which a scenario was run.
+
+    Returns
+    -------
+    ReportData
+    """
+    summary, rows = summarize(study), study.done()
+    metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
+    scores = {metric.name: study.scores(metric.name) for metric in metrics}
+    values = np.array([[_number(one, row) for one in study.space.parameters] for row in rows], dtype=np.float64)
+    return ReportData(
+        study=study.path.name,
+        summary=summary,
+        rows=tuple(rows),
+        failed=tuple(study.failed()),
+        metrics=metrics,
+        scores=scores,
+        recordings={row.id: study.recording(row.id) for row in rows},
+        courses={
+            metric.name: {row.id: metric.capped(study.course(row.id, metric.name)) for row in rows}
+            for metric in metrics
+        },
+        values=values,
+        influential=_influential(values, scores[metrics[0].name]),
+        critical=_critical(study, len(rows)),
+        gaps={} if summary.reduced is None else _gaps(study, summary.analyses, summary.reduced.ids),
+    )
+
+
+def _number(parameter: Parameter, row: Row) -> float:
+    value = parameter.read(row.values)
+    return float(parameter.choices.index(str(value)) if parameter.choices else value)
+
+
+def _influential(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
+    """Parameters by the share of the score's variance that ten bins of each explain."""
+    shares = []
+    for column in values.T:
+        bins = np.searchsorted(np.quantile(column, np.linspace(0, 1, 11)[1:-1]), column)
+        means = np.array([scores[bins == b].mean() for b in np.unique(bins)])
+        counts = np.array([(bins == b).sum() for b in np.unique(bins)])
+        shares.append(float((counts * (means - scores.mean()) ** 2).sum()))
+    order = sorted(range(len(shares)), key=lambda j: (-shares[j], j))
+    return (*sorted(order[:2]), *order[2:])
+
+
+def _critical(study: Study, count: int) -> BoolArray:
+    objective = Objective.of_study(study.meta)
+    if study.meta.critical is None or objective.pareto:
+        return np.zeros(count, dtype=np.bool_)
+    return np.asarray(objective.oriented_of(study) <= objective.flip(study.meta.critical))
+
+
+def _gaps(study: Study, analyses: Mapping[str, Analysis], kept: list[int]) -> dict[str, Gaps]:
+    found = {}
+    for name, one in analyses.items():
+        index = one.rows_of(kept)
+        if len(index):
+            found[name] = measure_gaps(read_distances(study, name), index)
+    return found

@@ -1,0 +1,90 @@
+"""Colours, markers and names that all figures share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from cornercase.metrics import Metric
+from cornercase.report.words import name_cluster
+from cornercase.scenario import Parameter
+
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
+
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+"""Okabe and Ito's colours, which the colour-blind can tell apart; markers show the same."""
+GREY: Final = "#999999"
+_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "*", "X")
+_LONGEST: Final = 16
+
+
+def look_of(cluster: int) -> tuple[str, str, str]:
+    """Give the colour, the marker and the name of a cluster.
+
+    Parameters
+    ----------
+    cluster : int
+        -1 is noise.
+
+    Returns
+    -------
+    colour, marker, name : str
+    """
+    if cluster < 0:
+        return GREY, "x", name_cluster(cluster)
+    return COLOURS[cluster % len(COLOURS)], _MARKERS[cluster % len(_MARKERS)], name_cluster(cluster)
+
+
+def name_axis(parameter: Parameter) -> str:
+    """Name a parameter, with the unit where it is known.
+
+    Parameters
+    ----------
+    parameter : Parameter
+
+    Returns
+    -------
+    str
+    """
+    return f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
+
+
+def name_score(metric: Metric) -> str:
+    """Name the score of a metric, with its unit and what is critical.
+
+    Parameters
+    ----------
+    metric : Metric
+
+    Returns
+    -------
+    str
+    """
+    return f"{metric.name} score [{metric.unit}], {'low' if metric.lower_is_critical else 'high'} is critical"
+
+
+def set_axis(axis: Axis, parameter: Parameter) -> None:
+    """Write the name of a parameter at an axis, and its choices where it has some.
+
+    Parameters
+    ----------
+    axis : matplotlib.axis.Axis
+    parameter : Parameter
+    """
+    axis.set_label_text(name_axis(parameter))
+    if parameter.choices:
+        axis.set_ticks(range(len(parameter.choices)), [shorten(choice) for choice in parameter.choices])
+
+
+def shorten(text: str) -> str:
+    """Cut a text that is too long for a tick.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+    """
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

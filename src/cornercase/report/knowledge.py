@@ -1,0 +1,125 @@
+"""What is known of the Pareto front, of the critical scenarios, and of the influence of each parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.evidence import REGION, CriticalSet, Estimate, Sensitivity, estimate_sensitivity
+from cornercase.exploration import Objective, on_front
+from cornercase.study import Study
+
+
+@dataclass(frozen=True)
+class CriticalKnowledge:
+    """What is known of the critical scenarios of a study.
+
+    Attributes
+    ----------
+    threshold : float
+        Score from which a scenario is critical, in the unit of what is searched.
+    lower_is_critical : bool
+        Whether a score up to the threshold is critical, or one from it on.
+    unit : str
+        Empty for none.
+    scenarios : int
+        Number of critical scenarios that were run.
+    known : CriticalSetKnowledge or None
+        None where too few scenarios were run to say something of the others.
+    """
+
+    threshold: float
+    lower_is_critical: bool
+    unit: str
+    scenarios: int
+    known: CriticalSetKnowledge | None
+
+
+@dataclass(frozen=True)
+class CriticalSetKnowledge:
+    """What is known of all critical scenarios of a space, those that were not run too.
+
+    Attributes
+    ----------
+    share, missed : Estimate
+        Critical share of the space, and share of the critical set that was not found.
+    overlooked, unvisited : float
+        Probability that a critical region of size `region` holds nothing that was run; share of the space around which
+        a region of this size holds nothing that was run.
+    region : float
+        Share of the space.
+    """
+
+    share: Estimate
+    missed: Estimate
+    overlooked: float
+    unvisited: float
+    region: float
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the scenarios that were run say of all others.
+
+    Attributes
+    ----------
+    front : mapping of int to mapping of str to float, or None
+        By id, the scores of the scenarios on the Pareto front by metric; None where no front was searched.
+    critical : CriticalKnowledge or None
+        None where a front was searched, or no threshold says what is critical.
+    sensitivity : Sensitivity or None
+        None where a front was searched, or too few scenarios were run.
+    """
+
+    front: Mapping[int, Mapping[str, float]] | None = None
+    critical: CriticalKnowledge | None = None
+    sensitivity: Sensitivity | None = None
+
+
+def find_knowledge(study: Study) -> Knowledge:
+    """Find what the scenarios that were run say of all others.
+
+    Parameters
+    ----------
+    study : Study
+        Nothing is known before a scenario was run.
+
+    Returns
+    -------
+    Knowledge
+    """
+    rows, meta = study.done(), study.meta
+    if not rows:
+        return Knowledge()
+    objective = Objective.of_study(meta)
+    oriented = objective.oriented_of(study)
+    if objective.pareto:
+        scores = {metric.name: study.scores(metric.name) for metric in objective.metrics}
+        front = np.flatnonzero(on_front(oriented)).tolist()
+        return Knowledge({rows[k].id: {name: float(each[k]) for name, each in scores.items()} for k in front})
+    sensitivity = None
+    with suppress(ValueError):
+        sensitivity = estimate_sensitivity(study.space, study.points(), oriented, meta.seed)
+    return Knowledge(None, _of_critical(study, objective, oriented), sensitivity)
+
+
+def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> CriticalKnowledge | None:
+    meta = study.meta
+    if meta.critical is None:
+        return None
+    threshold = objective.flip(meta.critical)
+    known = None
+    with suppress(ValueError):
+        found = CriticalSet(study.space, study.points(), oriented, threshold, meta.seed)
+        known = CriticalSetKnowledge(found.share, found.missed, found.overlooked(), found.unvisited(), REGION)
+    return CriticalKnowledge(
+        threshold=float(meta.critical),
+        lower_is_critical=bool(objective.weights) or objective.metrics[0].lower_is_critical,
+        unit=objective.unit,
+        scenarios=int((oriented <= threshold).sum()),
+        known=known,
+    )

@@ -1,0 +1,1 @@
+"""The sections of the page, each the HTML of what it shows."""

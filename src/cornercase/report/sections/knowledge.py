@@ -1,0 +1,86 @@
+"""What the scenarios that were run say of all others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+
+from cornercase.evidence import Estimate, Sensitivity
+from cornercase.report.album import Album
+from cornercase.report.data import ReportData
+from cornercase.report.figures.scores import draw_front, draw_sensitivities
+from cornercase.report.knowledge import CriticalKnowledge
+from cornercase.report.tables import make_table
+from cornercase.report.words import name_criterion
+
+
+def show_knowledge(data: ReportData, album: Album) -> Iterator[str]:
+    """Show the Pareto front, or what is known of the critical set and of the influence of each parameter.
+
+    Parameters
+    ----------
+    data : ReportData
+    album : Album
+        Takes the figures.
+
+    Yields
+    ------
+    str
+        HTML.
+    """
+    known, searched = data.summary.knowledge, data.summary.searched
+    if known.front is not None:
+        yield "<h2>The Pareto front</h2>"
+        yield album.add(
+            draw_front([data.scores[one.name] for one in data.metrics], data.metrics, data.rows_of(list(known.front))),
+            "front",
+            f"Each scenario that was run, by its scores. Of {len(known.front)} no other is as critical in every metric"
+            " and more critical in one.",
+        )
+    if known.critical is not None and known.critical.known is not None:
+        yield "<h2>What is known of the critical set</h2>"
+        yield from _tell_critical(known.critical, name_criterion(known.critical, searched), data.summary.run)
+    if known.sensitivity is not None:
+        yield "<h2>What matters</h2>"
+        yield _show_sensitivity(known.sensitivity, searched, album)
+
+
+def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterator[str]:
+    found = known.known
+    assert found is not None
+
+    def share(estimate: Estimate) -> list[str]:
+        return [f"{estimate.value:.2%}", f"{estimate.low:.2%} to {estimate.high:.2%}"]
+
+    yield f"<p>A scenario is critical where {escape(criterion)}: {known.scenarios} of the {run} that were run.</p>"
+    yield make_table(
+        ["what", "estimate", "90 % interval"],
+        [
+            ["critical share of the space", *share(found.share)],
+            ["share of the critical set that is missed", *share(found.missed)],
+            [
+                f"probability that a region of {found.region:.0%} of the space was overlooked",
+                f"{found.overlooked:.2%}",
+                "",
+            ],
+            [
+                f"share of the space where a region of {found.region:.0%} would hold nothing run",
+                f"{found.unvisited:.2%}",
+                "",
+            ],
+        ],
+    )
+    yield (
+        "<p>All but the last figure come from a Gaussian process of the scores, corrected by how well it predicts each"
+        " scenario that was run from all others.</p>"
+    )
+
+
+def _show_sensitivity(found: Sensitivity, searched: str, album: Album) -> str:
+    little = f" Of little influence: {', '.join(found.little)}." if found.little else ""
+    return album.add(
+        draw_sensitivities(found.names, found.first, found.total),
+        "sensitivity",
+        f"How much of the variance of {searched} comes from each parameter, by a Gaussian process that predicts"
+        f" {max(found.foretold, 0.0):.0%} of the variance of scenarios that it was not told.{little}",
+    )

@@ -1,0 +1,207 @@
+"""What a study holds, in the words and plain values that `show` prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Final
+
+from cornercase.clustering import Analysis
+from cornercase.evidence import Estimate
+from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, ReducedSet
+from cornercase.report.knowledge import CriticalKnowledge, Knowledge
+from cornercase.report.summary import MetricSummary, Summary
+from cornercase.scenario import Parameter
+
+NOISE_NAME: Final = "noise"
+
+_COVERAGE: Final = {
+    "largest": "largest distance to a kept one",
+    "mean": "mean distance",
+    "better_largest": "random subsets with a larger largest one",
+    "better_mean": "random subsets with a larger mean",
+    "medoids_largest": "largest one of k-medoids",
+    "medoids_mean": "mean of k-medoids",
+}
+_CRITICAL: Final = {
+    "within": "alike up to a distance of",
+    "critical": "like a kept one",
+    "random": "like one of a random subset",
+    "medoids": "like one of k-medoids",
+    "boundary": "on the boundary, like a kept one",
+    "unlike": "one of the space is unlike all kept",
+}
+
+
+def name_cluster(cluster: int) -> str:
+    """Name a cluster for people.
+
+    Parameters
+    ----------
+    cluster : int
+        -1 is noise.
+
+    Returns
+    -------
+    str
+    """
+    return NOISE_NAME if cluster < 0 else f"cluster {cluster}"
+
+
+def name_criterion(known: CriticalKnowledge, searched: str) -> str:
+    """Say when a scenario is critical.
+
+    Parameters
+    ----------
+    known : CriticalKnowledge
+    searched : str
+        What is searched.
+
+    Returns
+    -------
+    str
+        ``"wttc <= 1 s"``.
+    """
+    return f"{searched} {'<=' if known.lower_is_critical else '>='} {known.threshold:g} {known.unit}".rstrip()
+
+
+def name_range(parameter: Parameter) -> str:
+    """Say between which values a parameter varies.
+
+    Parameters
+    ----------
+    parameter : Parameter
+
+    Returns
+    -------
+    str
+        ``"20 to 80 m"``, or the choices.
+    """
+    if parameter.choices:
+        return ", ".join(parameter.choices)
+    return f"{parameter.low:g} to {parameter.high:g} {parameter.unit}".strip()
+
+
+def put_in_words(summary: Summary) -> dict[str, Any]:
+    """Put a summary into words and plain values.
+
+    Parameters
+    ----------
+    summary : Summary
+
+    Returns
+    -------
+    dict of str to object
+        What ``cornercase show --json`` prints.
+    """
+    meta = summary.meta
+    told: dict[str, Any] = {
+        "scenario": meta.scenario,
+        "ego": meta.ego,
+        "other": meta.other,
+        "optimizer": meta.optimizer,
+        "seed": meta.seed,
+        "simulator": meta.simulator,
+        "parameters": {one.name: name_range(one) for one in meta.space.parameters},
+        "run": summary.run,
+        "failed": summary.failed,
+        "pending": summary.pending,
+        "collisions": summary.collisions,
+        "metrics": {name: _metric(one, meta.repeats) for name, one in summary.metrics.items()},
+        "clusters": {name: _clusters(one) for name, one in summary.analyses.items()},
+        "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
+        "searched": summary.searched,
+    }
+    told |= _knowledge(summary.knowledge, summary.searched)
+    told["agreement"] = {
+        f"{one} and {two}": {
+            "adjusted rand": agreement.rand,
+            "adjusted mutual information": agreement.mutual,
+            "scenarios that differ": len(agreement.differ),
+        }
+        for (one, two), agreement in summary.agreements.items()
+    }
+    return told | (_reduced(summary.reduced) if summary.reduced is not None else {})
+
+
+def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
+    told: dict[str, Any] = {
+        "unit": one.unit,
+        "critical is": "low" if one.lower_is_critical else "high",
+        "most critical": one.most_critical,
+        "median": one.median,
+        "at": dict(one.at),
+    }
+    if one.spread is not None:
+        told |= {
+            "runs of each": repeats,
+            "spread of the runs, median": one.spread[0],
+            "spread of the runs, largest": one.spread[1],
+        }
+    return told
+
+
+def _clusters(one: Analysis) -> dict[str, Any]:
+    return {"sizes": one.sizes, "noise": int((one.labels < 0).sum())} | {
+        name_cluster(profile.cluster): {
+            "scenarios": profile.size,
+            "outcomes": profile.outcomes,
+            "median": {metric: median for metric, (_, median, _) in profile.scores.items()},
+            "where": [f"{rule.text} ({rule.covers:.0%} of it, {rule.purity:.0%} pure)" for rule in profile.rules],
+        }
+        for profile in one.profiles
+        if profile.cluster >= 0
+    }
+
+
+def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
+    told: dict[str, Any] = {}
+    if known.front is not None:
+        told["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in known.front.items()}
+    if known.critical is not None:
+        told["critical"] = {
+            "is": name_criterion(known.critical, searched),
+            "scenarios": known.critical.scenarios,
+        }
+        if (of_set := known.critical.known) is not None:
+            told["critical"] |= {
+                "share": asdict(of_set.share),
+                "missed": asdict(of_set.missed),
+                "overlooked": {"value": of_set.overlooked, "size": of_set.region},
+                "unvisited": {"value": of_set.unvisited, "size": of_set.region},
+            }
+    if known.sensitivity is not None:
+        told["sensitivity"] = known.sensitivity.to_json()
+    return told
+
+
+def _reduced(reduced: ReducedSet) -> dict[str, Any]:
+    coverage = {name: _labelled(one, _COVERAGE) for name, one in reduced.coverage.items()}
+    for name, one in reduced.critical.items():
+        coverage.setdefault(name, {})["critical scenarios"] = _labelled(one, _CRITICAL)
+    return {
+        "kept": len(reduced.kept),
+        "shapes": {name_cluster(one.cluster): _shape(one) for one in reduced.shapes},
+        "coverage": coverage,
+    }
+
+
+def _shape(one: ClusterShape) -> dict[str, Any]:
+    return {
+        "convexity": one.convexity,
+        "convexity in kernel space": one.kernel_convexity,
+        "archetypes by": one.method,
+        "parts": one.parts,
+    }
+
+
+def _labelled(found: Coverage | CriticalCoverage, labels: Mapping[str, str]) -> dict[str, Any]:
+    """Figures by their label; without those that are not known."""
+    told: dict[str, Any] = {}
+    for key, label in labels.items():
+        value = getattr(found, key)
+        # An early version did not measure all of them.
+        if value is not None and not (isinstance(value, float) and math.isnan(value)):
+            told[label] = asdict(value) if isinstance(value, Estimate) else value
+    return told

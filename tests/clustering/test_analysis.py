@@ -1,0 +1,100 @@
+"""What `analyze` finds, stored in a study and read back."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist, squareform
+
+from cornercase._common.errors import InputError
+from cornercase.clustering import analyze, read_analyses, read_analysis, read_distances
+from cornercase.study import Study
+from synthetic import explorer, opened
+
+
+@pytest.fixture
+def path(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
+    return tmp_path / "s.db"
+
+
+def same(one, two):
+    if isinstance(one, np.ndarray):
+        np.testing.assert_array_equal(one, two)
+        assert one.dtype == two.dtype
+    elif isinstance(one, tuple) and one and hasattr(one[0], "__dataclass_fields__"):
+        assert repr([asdict(each) for each in one]) == repr([asdict(each) for each in two])
+    elif hasattr(one, "__dataclass_fields__"):
+        assert type(one) is type(two)
+        for field in fields(one):
+            same(getattr(one, field.name), getattr(two, field.name))
+    else:
+        assert one == two
+
+
+def test_an_analysis_is_read_back_as_it_was_written(path):
+    found = analyze(path)
+    with Study.open(path, readonly=True) as study:
+        again = read_analyses(study)
+        distances = read_distances(study, "distance")
+        rows = [row.id for row in study.done()]
+    assert list(found) == list(again) == ["ego-trajectory", "distance", "wttc"]
+    for name, one in found.items():
+        same(one, again[name])
+        assert one.by == name
+        assert one.ids.tolist() == rows == one.fitted.tolist()
+        assert sum(one.sizes) + (one.labels < 0).sum() == len(rows)
+        assert [profile.cluster for profile in one.profiles if profile.cluster >= 0] == list(range(len(one.sizes)))
+    assert f"by distance: {len(rows)} scenarios" in repr(found["distance"])
+    assert distances.shape == (len(rows), len(rows))
+
+
+def test_the_distances_are_those_of_the_aspect(path):
+    with Study.open(path) as study:
+        analyze(study, "distance")
+        # The course of the synthetic scenarios is constant, at five instants.
+        levels = np.array([[study.course(row.id, "distance")[0]] for row in study.done()])
+        expected = squareform(pdist(5 * np.minimum(levels, 100.0)))
+        np.testing.assert_allclose(read_distances(study, "distance"), expected)
+
+
+def test_landmarks_are_read_back_and_are_still_those_after_others_joined(path, monkeypatch):
+    monkeypatch.setattr("cornercase.clustering.estimator.MOST_EXACT", 20)
+    monkeypatch.setattr("cornercase.clustering.estimator.LANDMARKS", 15)
+    with opened(path) as study:
+        before = analyze(study, "distance")["distance"]
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
+        after = analyze(study, "distance", keep=True)["distance"]
+        same(after, read_analysis(study, "distance"))
+    assert len(before.clustering.landmarks) == 15
+    assert len(after.ids) > len(before.ids)
+    assert after.fitted.tolist() == before.ids.tolist()
+    spanning = [one.ids[one.clustering.landmarks].tolist() for one in (before, after)]
+    assert spanning[0] == spanning[1]
+
+
+def test_the_study_tells_how_each_scenario_ended(path):
+    analyze(path, "distance")
+    with Study.open(path, readonly=True) as study:
+        ends = study.outcomes()
+        assert list(ends) == [row.id for row in study.done()]
+        assert set(ends.values()) == {"ways do not cross", "B first"}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"by": "distanc"}, "`by` distanc: .* did you mean 'distance'"),
+        ({"by": ["distance", "pet"]}, "`by` pet: "),
+        ({"gamma": -1.0}, "`gamma` -1.0: give a number above 0"),
+        ({"method": "dbscn"}, "`method` dbscn: did you mean 'dbscan'"),
+    ],
+)
+def test_refuses_before_it_begins(path, options, words):
+    with pytest.raises(InputError, match=words):
+        analyze(path, **options)
+    with Study.open(path, readonly=True) as study:
+        assert study.analyses() == []
