@@ -1,6 +1,7 @@
 from ._common.errors import InputError as InputError
 from ._common.errors import SimulationError as SimulationError
 from ._common.version import __version__ as __version__
+from .clustering import Analysis as Analysis
 from .clustering import ScenarioClustering as ScenarioClustering
 from .clustering import analyze as analyze
 from .drivers import DRIVERS as DRIVERS
@@ -10,7 +11,10 @@ from .metrics import METRICS as METRICS
 from .optimizers import OPTIMIZERS as OPTIMIZERS
 from .recordings import Recording as Recording
 from .recordings import read_recording as read_recording
+from .reduction import ReducedSet as ReducedSet
 from .reduction import reduce as reduce
+from .report import Summary as Summary
+from .report import summarize as summarize
 from .report import write_report as write_report
 from .scenario import ConcreteScenario as ConcreteScenario
 from .scenario import LogicalScenario as LogicalScenario

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from command_line import cornercase
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase.reduction import write as reduction
+from cornercase.reduction import reduce
 from cornercase.scenario import Constraint, Declaration, LogicalScenario, Parameter, ParameterSpace
 from cornercase.study import Study
 
@@ -120,10 +120,10 @@ def test_explore_show_and_reduce_judge_the_same_space(constrained, tmp_path, mon
     # The reduced set is that of the space that was searched.
     assert cornercase("analyze", study, "--by", "wttc").returncode == 0
     kept = [Path(shutil.copy(study, tmp_path / f"{name}.db")) for name in "ab"]
-    manifests = []
+    reduced = []
     for name, space in zip(kept, (None, searched), strict=True):
         with Study.open(name) as opened:
             opened.space = opened.space if space is None else space
-            manifests.append(reduction.reduce_study(opened, tmp_path / name.stem))
-    assert manifests[0]["critical"] == manifests[1]["critical"]
-    assert [one["id"] for one in manifests[0]["scenarios"]] == [one["id"] for one in manifests[1]["scenarios"]]
+            reduced.append(reduce(opened, tmp_path / name.stem))
+    assert reduced[0].critical == reduced[1].critical
+    assert reduced[0].ids == reduced[1].ids
