@@ -40,6 +40,10 @@ class ConcreteScenario:
         known : Scenario, optional
             Given instead where it is the same file with the same content, so that nothing of it is read again.
 
+        Returns
+        -------
+        Scenario
+
         Raises
         ------
         InputError
@@ -99,6 +103,10 @@ class LogicalScenario:
         continuous : bool, default False
             Search ranges that have steps as intervals.
 
+        Returns
+        -------
+        LogicalScenario
+
         Raises
         ------
         InputError
@@ -129,5 +137,15 @@ class LogicalScenario:
         return cls(file.path, varied, file.fingerprint(), file)
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:
-        """Return the concrete scenario of the given values."""
+        """Return the concrete scenario of given values.
+
+        Parameters
+        ----------
+        values : mapping of str to float or str
+            By parameter; what is not given is as in the file.
+
+        Returns
+        -------
+        ConcreteScenario
+        """
         return ConcreteScenario(self.path, dict(values), self.source)

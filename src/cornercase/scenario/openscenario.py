@@ -84,7 +84,17 @@ class Scenario:
         return self._files.root(self.path)
 
     def xml(self, path: Path) -> etree._Element:
-        """Root of a file that belongs to the scenario, as of `read_xml`; not to be changed."""
+        """Return the root of a file that belongs to the scenario, as `read_xml` does.
+
+        Parameters
+        ----------
+        path : Path
+
+        Returns
+        -------
+        lxml element
+            Not to be changed.
+        """
         return self._files.root(path)
 
     def _require_scenario(self, root: etree._Element) -> None:
@@ -118,18 +128,51 @@ class Scenario:
         return {name: driver for name, driver in asked.items() if driver is not None}
 
     def require_entity(self, name: str, role: str) -> None:
-        """Raise an `InputError` when there is no entity called `name`, which is to be the `role`."""
+        """Refuse a name that no entity has.
+
+        Parameters
+        ----------
+        name : str
+        role : str
+            What the entity is to be, for the message.
+
+        Raises
+        ------
+        InputError
+            There is no entity called `name`.
+        """
         if name not in self.entities:
             raise InputError(f"{self.path}: has no entity '{name}' to be the {role}; {suggestion(name, self.entities)}")
 
     def require_parameters(self, names: tuple[str, ...] | list[str]) -> None:
-        """Raise an `InputError` when a parameter is varied that the file does not declare."""
+        """Refuse parameters that the file does not declare.
+
+        Parameters
+        ----------
+        names : tuple or list of str
+
+        Raises
+        ------
+        InputError
+            A parameter is not declared.
+        """
         for name in names:
             if name not in self.parameters:
                 raise InputError(f"{self.path}: declares no parameter '{name}'; {suggestion(name, self.parameters)}")
 
     def beside(self, reference: str, what: str) -> Path:
-        """Path of a file or folder that the scenario refers to.
+        """Return the path of a file or folder that the scenario refers to.
+
+        Parameters
+        ----------
+        reference : str
+            As it stands in the file, relative to the file.
+        what : str
+            What it is, for the message.
+
+        Returns
+        -------
+        Path
 
         Raises
         ------
@@ -141,7 +184,15 @@ class Scenario:
         return self.path.parent / reference.replace("\\", "/")
 
     def catalog_entry(self, catalog: str, entry: str) -> etree._Element:
-        """Element that a catalog holds under the name `entry`.
+        """Return the element that a catalog holds under a name.
+
+        Parameters
+        ----------
+        catalog, entry : str
+
+        Returns
+        -------
+        lxml element
 
         Raises
         ------
@@ -167,7 +218,13 @@ class Scenario:
         return found
 
     def catalog_files(self) -> list[Path]:
-        """All files in the catalog locations, in the order of the locations and then of their names."""
+        """Return all files in the catalog locations.
+
+        Returns
+        -------
+        list of Path
+            In the order of the locations and then of their names.
+        """
         return list(self._catalog_files)
 
     @cached_property
@@ -180,23 +237,55 @@ class Scenario:
         return files
 
     def logic_file(self) -> str:
-        """Return the road file as it is named, possibly by a parameter; empty when there is none."""
+        """Return the road file as the scenario names it.
+
+        Returns
+        -------
+        str
+            Possibly a parameter, ``"$Road"``; empty where there is none.
+        """
         file = self._document.find("RoadNetwork/LogicFile")
         return "" if file is None else file.get("filepath", "")
 
     def road_file(self, values: Mapping[str, Value] | None = None) -> Path | None:
-        """Return the road file; where a parameter names it, that of its value, which is the default if not given."""
+        """Return the path of the road file.
+
+        Parameters
+        ----------
+        values : mapping of str to float or str, optional
+            Where a parameter names the road file, its value is taken from here, else from its declaration.
+
+        Returns
+        -------
+        Path or None
+            None where there is none.
+        """
         reference = self._parameter_text(self.logic_file(), values or {})
         return self.beside(reference, "road file") if reference else None
 
     def fingerprint(self) -> str:
-        """SHA-256 over the scenario and all files that it is known to read, as they were when they were read."""
+        """Return a digest of the scenario and all files that it is known to read, as they were when they were read.
+
+        Returns
+        -------
+        str
+            SHA-256.
+        """
         if self._fingerprint is None:
             self._fingerprint = self._digest()
         return self._fingerprint
 
     def is_same(self, other: Scenario) -> bool:
-        """Whether another scenario is of the same path, and its files have the same content."""
+        """Tell whether another scenario has the same path, and its files the same content.
+
+        Parameters
+        ----------
+        other : Scenario
+
+        Returns
+        -------
+        bool
+        """
         return self is other or (self.path == other.path and self.fingerprint() == other.fingerprint())
 
     def _digest(self) -> str:
@@ -321,7 +410,17 @@ def _set_driver(scenario_object: etree._Element, driver: str) -> None:
 
 
 def copy_beside(source: Path, target: Path) -> None:
-    """Copy a file that a scenario needs, unless it is there already."""
+    """Copy a file that a scenario needs, unless it is there already.
+
+    Parameters
+    ----------
+    source, target : Path
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
     if not source.is_file():
         raise InputError(f"{source}: is needed by the scenario but is not there.")
     if target.exists() and target.read_bytes() == source.read_bytes():

@@ -74,14 +74,38 @@ class Parameter:
         return tuple(dict(self.sets[0])) if self.sets else (self.name,)
 
     def assigned(self, u: float) -> dict[str, Value]:
-        """Parameters of the scenario, and their values, at a place of the unit interval."""
+        """Return the scenario's parameters, and their values, at a place of the unit interval.
+
+        Parameters
+        ----------
+        u : float
+
+        Returns
+        -------
+        dict of str to float or str
+        """
         if not self.sets:
             return {self.name: self.value(u)}
         (k,) = self.numbers(np.array([u])).tolist()
         return dict(self.sets[k])
 
     def read(self, values: Mapping[str, Value]) -> Value:
-        """Value among those of a concrete scenario; for values set together, the choice that they are."""
+        """Find the value among those of a concrete scenario.
+
+        Parameters
+        ----------
+        values : mapping of str to float or str
+
+        Returns
+        -------
+        float or str
+            For values that are set together, the choice that they are.
+
+        Raises
+        ------
+        InputError
+            No choice sets these values.
+        """
         if not self.sets:
             return values[self.name]
         for choice, members in zip(self.choices, self.sets, strict=True):
@@ -90,7 +114,16 @@ class Parameter:
         raise InputError(f"No value set of {self.name} has these values.")
 
     def value(self, u: float) -> Value:
-        """Value at a place of the unit interval."""
+        """Return the value at a place of the unit interval.
+
+        Parameters
+        ----------
+        u : float
+
+        Returns
+        -------
+        float or str
+        """
         if self.size is None:
             x = self.low + u * (self.high - self.low)
             return float(x if self.distribution is None else self.distribution.quantile(u))
@@ -98,7 +131,22 @@ class Parameter:
         return self.choices[k] if self.choices else _clean(self.low + k * float(self.step or 0.0))
 
     def unit_place(self, value: Value) -> float:
-        """Place on the unit interval of a value: the middle of its step or choice."""
+        """Return the place of a value on the unit interval, the inverse of `value`.
+
+        Parameters
+        ----------
+        value : float or str
+
+        Returns
+        -------
+        float
+            The middle of its step or choice; what is out of bounds is moved to the nearest bound.
+
+        Raises
+        ------
+        InputError
+            It is none of the choices.
+        """
         size = self.size
         if self.choices:
             if str(value) not in self.choices:
@@ -113,14 +161,34 @@ class Parameter:
         return float(np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0))
 
     def numbers(self, u: FloatArray) -> IntArray:
-        """Which step or choice, from 0 on, lies at each place of the unit interval, shape (n,)."""
+        """Find which step or choice lies at each place of the unit interval.
+
+        Parameters
+        ----------
+        u : ndarray of float64, shape (n,)
+
+        Returns
+        -------
+        ndarray of int64, shape (n,)
+            From 0 on.
+        """
         if self._edges is not None:
             return np.asarray(np.searchsorted(self._edges[1:-1], u, side="right"), dtype=np.int64)
         size = self.size or 1
         return np.asarray(np.minimum(np.floor(u * size), size - 1), dtype=np.int64)
 
     def middles(self, numbers: IntArray) -> FloatArray:
-        """Middle of the share that a step or choice has of the unit interval, shape (n,)."""
+        """Return the middle of the share that each step or choice has of the unit interval.
+
+        Parameters
+        ----------
+        numbers : ndarray of int64, shape (n,)
+            From 0 on.
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+        """
         if self._edges is not None:
             return np.asarray(0.5 * (self._edges[numbers] + self._edges[numbers + 1]))
         return np.asarray((numbers + 0.5) / (self.size or 1))

@@ -27,10 +27,14 @@ _NUMERIC = {"double", "integer", "int", "unsignedInt", "unsignedShort"}
 class VariesError(Exception):
     """An attribute that shapes the storyboard differs between the scenarios of a batch.
 
+    Parameters
+    ----------
+    names : set of str
+        The varied parameters that it depends on; the batch has to be split by their values.
+
     Attributes
     ----------
     names : set of str
-        The varied parameters it depends on; the batch has to be split by their values.
     """
 
     def __init__(self, names: set[str]) -> None:
@@ -50,6 +54,8 @@ class Scope:
     values : mapping of str to float, bool, str or ndarray of shape (N,)
     origins : mapping of str to set of str
         For each parameter, the parameters of the logical scenario that its value depends on.
+    catalogs : callable, optional
+        Gives the entry of a catalog, by the names of both.
     """
 
     def __init__(
@@ -76,7 +82,29 @@ class Scope:
         concretes: Sequence[Mapping[str, Value]],
         catalogs: Catalogs | None = None,
     ) -> Scope:
-        """Scope of a scenario file's parameter declarations, for the given concrete scenarios."""
+        """Make the scope of a scenario file's parameter declarations.
+
+        Parameters
+        ----------
+        source : str
+            Name of the file, for messages.
+        root : lxml element
+        concretes : sequence of mapping of str to float or str, length N
+            Values that differ from the declared ones, for each concrete scenario.
+        catalogs : callable, optional
+            Gives the entry of a catalog, by the names of both.
+
+        Returns
+        -------
+        Scope
+
+        Raises
+        ------
+        InputError
+            A value is given for a parameter that is not declared, or cannot be evaluated.
+        VariesError
+            A parameter that is no number has several values.
+        """
         return cls.of_declarations(source, read_declarations(root, source), concretes, catalogs)
 
     @classmethod
@@ -87,7 +115,29 @@ class Scope:
         concretes: Sequence[Mapping[str, Value]],
         catalogs: Catalogs | None = None,
     ) -> Scope:
-        """Scope of declared parameters, for the given concrete scenarios."""
+        """Make the scope of declared parameters.
+
+        Parameters
+        ----------
+        source : str
+            Name of the file, for messages.
+        declarations : sequence of Declaration
+        concretes : sequence of mapping of str to float or str, length N
+            Values that differ from the declared ones, for each concrete scenario.
+        catalogs : callable, optional
+            Gives the entry of a catalog, by the names of both.
+
+        Returns
+        -------
+        Scope
+
+        Raises
+        ------
+        InputError
+            A value is given for a parameter that is not declared, or cannot be evaluated.
+        VariesError
+            A parameter that is no number has several values.
+        """
         scope = cls(source, len(concretes), {}, {}, catalogs)
         names = {name for values in concretes for name in values}
         for declaration in declarations:
@@ -111,7 +161,24 @@ class Scope:
         return scope
 
     def within(self, element: etree._Element, assignments: etree._Element | None = None) -> Scope:
-        """Scope of a catalog entry or maneuver: its own declarations, overwritten by assignments from here."""
+        """Make the scope of a catalog entry or maneuver.
+
+        Parameters
+        ----------
+        element : lxml element
+            Its own declarations come first.
+        assignments : lxml element, optional
+            Overwrite them; their values are read in this scope.
+
+        Returns
+        -------
+        Scope
+
+        Raises
+        ------
+        InputError
+            A value cannot be evaluated.
+        """
         inner = Scope(self.source, self.scenarios, self.values, self._origins, self._catalogs)
         inner._depth, inner._undefined = self._depth, self._undefined
         for declaration in read_declarations(element, self.source):
@@ -125,7 +192,26 @@ class Scope:
         return inner
 
     def declared(self, root: etree._Element, path: str, kind: str) -> dict[str, Any]:
-        """Values of declarations such as variables', as arrays of numbers or of texts, each (N,)."""
+        """Read the values of declarations such as those of variables.
+
+        Parameters
+        ----------
+        root : lxml element
+        path : str
+            To the declarations.
+        kind : str
+            Attribute that holds the type.
+
+        Returns
+        -------
+        dict of str to ndarray of float64 or str, shape (N,)
+            By name.
+
+        Raises
+        ------
+        InputError
+            A value is missing or cannot be evaluated.
+        """
         values: dict[str, Any] = {}
         for declaration in root.iterfind(path):
             numeric = declaration.get(kind, "string") in _NUMERIC
@@ -138,11 +224,41 @@ class Scope:
         return values
 
     def violations(self, root: etree._Element) -> dict[str, BoolArray]:
-        """Where parameters break the constraints of their declarations, each (N,); without those that never do."""
+        """Find where parameters break the constraints of their declarations in a file.
+
+        Parameters
+        ----------
+        root : lxml element
+
+        Returns
+        -------
+        dict of str to ndarray of bool, shape (N,)
+            By parameter, without those that never do.
+
+        Raises
+        ------
+        InputError
+            A bound cannot be evaluated.
+        """
         return self.broken(read_declarations(root, self.source))
 
     def broken(self, declarations: Sequence[Declaration]) -> dict[str, BoolArray]:
-        """Where parameters break the constraints of declarations, as `violations`."""
+        """Find where parameters break the constraints of declarations.
+
+        Parameters
+        ----------
+        declarations : sequence of Declaration
+
+        Returns
+        -------
+        dict of str to ndarray of bool, shape (N,)
+            By parameter, without those that never do.
+
+        Raises
+        ------
+        InputError
+            A bound cannot be evaluated.
+        """
         return violations(declarations, self.scenarios, self.values.__getitem__, self._bound)
 
     def _bound(self, text: str) -> Any:
@@ -152,7 +268,18 @@ class Scope:
         return evaluate(text, self.values) if text.startswith("$") else text
 
     def referred(self, holder: etree._Element, tag: str) -> tuple[etree._Element, Scope]:
-        """Element of a kind that stands in `holder` or in a catalog that it refers to, and the scope to read it in.
+        """Find an element that stands in a holder, or in a catalog that the holder refers to.
+
+        Parameters
+        ----------
+        holder : lxml element
+        tag : str
+
+        Returns
+        -------
+        lxml element
+        Scope
+            To read it in.
 
         Raises
         ------
@@ -171,12 +298,24 @@ class Scope:
         return self.from_catalog(reference, tag)
 
     def from_catalog(self, reference: etree._Element, *tags: str) -> tuple[etree._Element, Scope]:
-        """Entry that a ``CatalogReference`` names, and the scope to read it in.
+        """Find the entry that a ``CatalogReference`` names.
+
+        Parameters
+        ----------
+        reference : lxml element
+        *tags : str
+            Kinds of entry that are allowed; by default all.
+
+        Returns
+        -------
+        lxml element
+        Scope
+            To read it in.
 
         Raises
         ------
         InputError
-            There is no such entry, or it is not of a kind in `tags`.
+            There is no such entry, or it is of another kind.
         """
         assert self._catalogs is not None
         if self._depth > _DEEPEST:
@@ -195,11 +334,39 @@ class Scope:
         return element, inner
 
     def origins(self, text: str) -> set[str]:
-        """Parameters of the logical scenario that an attribute's text depends on."""
+        """Return the parameters of the logical scenario that an attribute depends on.
+
+        Parameters
+        ----------
+        text : str
+            Of the attribute.
+
+        Returns
+        -------
+        set of str
+        """
         return {origin for name in names_in(text) for origin in self._origins.get(name, set())}
 
     def number(self, element: etree._Element, attribute: str, default: float | None = None) -> FloatArray:
-        """Attribute as a number for each scenario, shape (N,)."""
+        """Read an attribute as a number for each scenario.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : float, optional
+            Where the attribute is missing; by default it must not be.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            Not finite where an expression has no value; `without_value` then tells so.
+
+        Raises
+        ------
+        InputError
+            It is missing, no number, or has no finite value in any scenario.
+        """
         text = element.get(attribute)
         if text is None:
             if default is None:
@@ -216,18 +383,62 @@ class Scope:
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.scenarios,)).copy()
 
     def without_value(self) -> BoolArray:
-        """Scenarios in which a number that was read is not finite, shape (N,)."""
+        """Tell in which scenarios a number that was read is not finite.
+
+        Returns
+        -------
+        ndarray of bool, shape (N,)
+        """
         return self._undefined.copy()
 
     def one_number(self, element: etree._Element, attribute: str, default: float | None = None) -> float:
-        """Attribute as one number; raises `VariesError` where it is not the same for all scenarios."""
+        """Read an attribute as one number.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : float, optional
+            Where the attribute is missing; by default it must not be.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        InputError
+            It is missing or no number.
+        VariesError
+            It is not the same for all scenarios.
+        """
         values = self.number(element, attribute, default)
         if (values != values[0]).any():
             raise VariesError(self.origins(element.get(attribute, "")))
         return float(values[0])
 
     def text(self, element: etree._Element, attribute: str, default: str | None = None) -> str:
-        """Attribute as one text; raises `VariesError` where it is not the same for all scenarios."""
+        """Read an attribute as one text.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : str, optional
+            Where the attribute is missing; by default it must not be.
+
+        Returns
+        -------
+        str
+            Numbers and booleans as they would be written.
+
+        Raises
+        ------
+        InputError
+            It is missing.
+        VariesError
+            It is not the same for all scenarios.
+        """
         text = element.get(attribute)
         if text is None:
             if default is None:
@@ -245,7 +456,26 @@ class Scope:
         return str(value)
 
     def flag(self, element: etree._Element, attribute: str, default: bool) -> bool:
-        """Attribute as a boolean, the same for all scenarios."""
+        """Read an attribute as a boolean.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : bool
+            Where the attribute is missing.
+
+        Returns
+        -------
+        bool
+
+        Raises
+        ------
+        InputError
+            It is neither true nor false.
+        VariesError
+            It is not the same for all scenarios.
+        """
         text = self.text(element, attribute, "true" if default else "false")
         if text not in ("true", "false", "1", "0"):
             raise self._error(element, attribute, f"is '{text}', not true or false")

@@ -32,6 +32,11 @@ class ParameterSpace:
     declarations : sequence of Declaration
         Parameters of the scenario as its file declares them, where some of them have constraints: the space is what
         fulfils these. By default it is the whole box.
+
+    Raises
+    ------
+    InputError
+        There are no parameters, or two have one name.
     """
 
     def __init__(self, parameters: Sequence[Parameter], declarations: Sequence[Declaration] = ()) -> None:
@@ -124,6 +129,14 @@ class ParameterSpace:
     def from_file(cls, path: Path | str) -> ParameterSpace:
         """Space of an OpenSCENARIO ParameterValueDistribution file.
 
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        ParameterSpace
+
         Raises
         ------
         InputError
@@ -133,11 +146,40 @@ class ParameterSpace:
 
     @staticmethod
     def scenario_file(path: Path | str) -> Path:
-        """Scenario that a ParameterValueDistribution file belongs to."""
+        """Return the scenario that a ParameterValueDistribution file belongs to.
+
+        Parameters
+        ----------
+        path : path
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        InputError
+            The file cannot be used, or names no scenario.
+        """
         return scenario_file_of(path)
 
     def with_ranges(self, ranges: Sequence[str]) -> ParameterSpace:
-        """Space with parameters added, or replaced where the name is the same."""
+        """Space with parameters added, or replaced where the name is the same.
+
+        Parameters
+        ----------
+        ranges : sequence of str
+            ``NAME=LOW:HIGH[:STEP]``.
+
+        Returns
+        -------
+        ParameterSpace
+
+        Raises
+        ------
+        InputError
+            A text is malformed, a bound is not finite, or LOW is not below HIGH.
+        """
         new = read_ranges(ranges)
         kept = [without(parameter, {one.name for one in new}) for parameter in self.parameters]
         merged = {parameter.name: parameter for parameter in kept if parameter is not None}
@@ -147,7 +189,12 @@ class ParameterSpace:
         return ParameterSpace(list(merged.values()), self.declarations)
 
     def continuous(self) -> ParameterSpace:
-        """Space in which ranges with steps are intervals."""
+        """Space in which ranges with steps are intervals.
+
+        Returns
+        -------
+        ParameterSpace
+        """
         parameters = [replace(one, step=None) if not one.choices else one for one in self.parameters]
         return ParameterSpace(parameters, self.declarations)
 
@@ -182,13 +229,34 @@ class ParameterSpace:
         return ParameterSpace(self.parameters, declarations)
 
     def admits(self, points: FloatArray) -> BoolArray:
-        """Whether points stand for scenarios that may be, shape (n,)."""
+        """Tell which points stand for scenarios that fulfil the constraints.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, d)
+            In the unit cube.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
         if not self.declarations or len(points) == 0:
             return np.ones(len(points), dtype=np.bool_)
         return admitted(self.declarations, self.values(points))
 
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
-        """Values at points of the unit cube, shape (n, d)."""
+        """Return the values of points.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, d)
+            In the unit cube; what lies outside is moved to its border.
+
+        Returns
+        -------
+        list of dict of str to float or str, length n
+            By parameter of the scenario.
+        """
         return [
             {
                 name: value
@@ -199,13 +267,34 @@ class ParameterSpace:
         ]
 
     def points(self, values: Sequence[Mapping[str, Value]]) -> FloatArray:
-        """Points of the unit cube of values, shape (n, d)."""
+        """Return the points of values, the inverse of `values`.
+
+        Parameters
+        ----------
+        values : sequence of mapping of str to float or str, length n
+
+        Returns
+        -------
+        ndarray of float64, shape (n, d)
+            In the unit cube.
+
+        Raises
+        ------
+        InputError
+            A value is none of its parameter's choices.
+        """
         return np.array(
             [[parameter.unit_place(parameter.read(one)) for parameter in self.parameters] for one in values]
         ).reshape(-1, self.dimension)
 
     def middle(self) -> FloatArray:
-        """Point in the middle of the space that it admits, shape (1, d)."""
+        """Return a point in the middle of the space, within its constraints.
+
+        Returns
+        -------
+        ndarray of float64, shape (1, d)
+            The middle of the box where it fulfils the constraints, else a random point that does.
+        """
         points = np.concatenate(
             [np.full((1, self.dimension), 0.5), np.random.default_rng(0).random((_SAMPLED, self.dimension))]
         )
@@ -213,7 +302,17 @@ class ParameterSpace:
         return points[self.admits(points)][:1]
 
     def snap(self, points: FloatArray) -> FloatArray:
-        """Points of what is really run, shape (n, d): the middle of each step or choice."""
+        """Move points to what is really run: the middle of each step or choice.
+
+        Parameters
+        ----------
+        points : array_like of float, shape (n, d)
+
+        Returns
+        -------
+        ndarray of float64, shape (n, d)
+            In the unit cube.
+        """
         snapped = np.clip(np.asarray(points, dtype=np.float64), 0.0, 1.0).copy()
         for j, parameter in enumerate(self.parameters):
             if parameter.size is not None:
@@ -221,12 +320,17 @@ class ParameterSpace:
         return snapped
 
     def lattice(self, steps: Sequence[int] | None = None) -> FloatArray:
-        """Points of a full factorial design, shape (n, d); the last parameter varies fastest.
+        """Return the points of a full factorial design.
 
         Parameters
         ----------
         steps : sequence of int, length d, optional
             How many values of each parameter, evenly apart; by default all, which needs a finite space.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, d)
+            In the unit cube; the last parameter varies fastest.
         """
         axes = []
         for j, parameter in enumerate(self.parameters):
@@ -238,7 +342,12 @@ class ParameterSpace:
         return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.dimension))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values from which `from_json` makes the same space."""
+        """Return plain values from which `from_json` makes the same space.
+
+        Returns
+        -------
+        dict
+        """
         return {
             "parameters": [
                 {
@@ -258,7 +367,16 @@ class ParameterSpace:
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> ParameterSpace:
-        """Space from `to_json`."""
+        """Make a space of what `to_json` gave.
+
+        Parameters
+        ----------
+        plain : mapping
+
+        Returns
+        -------
+        ParameterSpace
+        """
         parameters = [
             Parameter(
                 p["name"],
