@@ -9,7 +9,7 @@ import pytest
 
 import foreign_recordings as foreign
 from command_line import SPACE, X, cornercase
-from cornercase.study import Study
+from cornercase.study import ImportResult, Study, import_recordings
 
 EXPLORED = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc"]
 
@@ -87,6 +87,17 @@ def test_files_of_all_kinds_and_one_that_cannot_be_read(tmp_path):
         errors = [str(row.error) for row in study.failed()]
     assert "Other" in errors[0]
     assert "cut in the middle of record 41" in errors[2]
+
+
+def test_the_function_says_what_it_made(exported, tmp_path):
+    result = import_recordings(
+        exported / "runs", tmp_path / "s.db", ego="Ego", other="Pedestrian", metrics=["wttc"], critical=0.7
+    )
+    assert result == ImportResult(tmp_path / "s.db", 40, 0)
+    assert "40 recordings in" in repr(result)
+    assert "0 could not be read" in repr(result)
+    with Study.open(tmp_path / "s.db", readonly=True) as study:
+        assert study.meta.critical == 0.7
 
 
 @pytest.mark.parametrize(

@@ -219,6 +219,16 @@ def test_a_row_of_the_table_is_a_scenario(study):
     assert str(table["a"].dtype) == "float64"
 
 
+def test_a_table_reads_no_distances(study):
+    arrays = {"ids": np.array([1]), "labels": np.array([0]), "distances": np.zeros((1, 1))}
+    study.save_analysis("wttc", arrays, {})
+    with study._database.writing() as connection:
+        connection.execute("UPDATE arrays SET data = x'00' WHERE name = 'distances'")
+    assert study.table()["cluster by wttc"].tolist() == [0, pd.NA, pd.NA]
+    with pytest.raises(InputError, match="cannot be read"):
+        study.analysis("wttc")
+
+
 def test_a_parameter_that_is_called_like_a_metric_has_a_column_of_its_own(tmp_path):
     space = ParameterSpace.from_ranges(["distance=0:1", "state=0:1"])
     points = np.array([[0.25, 0.75]])

@@ -307,10 +307,10 @@ def import_(
     """
     from cornercase.study import import_recordings
 
-    count = import_recordings(
+    result = import_recordings(
         folder, output, ego=ego, other=other, metrics=metric, table=table, critical=critical, progress=True
     )
-    out.print(f"{count} scenarios in {output}")
+    out.print(f"{result.done} scenarios in {output}")
 
 
 @app.command()

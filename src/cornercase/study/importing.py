@@ -7,7 +7,7 @@ import hashlib
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -30,9 +30,31 @@ _FILE: Final = "file"
 _MOST_CHOICES: Final = 50
 
 
+@dataclass(frozen=True)
+class ImportResult:
+    """What was made of recordings in files.
+
+    Attributes
+    ----------
+    study : Path
+        The study.
+    done : int
+        Recordings that could be read and measured.
+    failed : int
+        Those that could not; the study tells why.
+    """
+
+    study: Path
+    done: int
+    failed: int
+
+    def __repr__(self) -> str:
+        return f"<ImportResult: {self.done} recordings in {str(self.study)!r}, {self.failed} could not be read>"
+
+
 def import_recordings(
     folder: Path | str,
-    path: Path | str,
+    study: Path | str,
     *,
     ego: str,
     other: str,
@@ -40,14 +62,14 @@ def import_recordings(
     table: Path | str | None = None,
     critical: float | None = None,
     progress: bool = False,
-) -> int:
+) -> ImportResult:
     """Make a study of recordings in files, or go on with one that was begun.
 
     Parameters
     ----------
     folder : path
         With the recordings, of any kind that `cornercase.recordings.read_recording` reads.
-    path : path
+    study : path
         Study to write.
     ego, other : str
         Names in the recordings.
@@ -59,21 +81,20 @@ def import_recordings(
     critical : float, optional
         Score from which a scenario is critical; the metric's own by default.
     progress : bool, default False
+        Show a bar.
 
     Returns
     -------
-    int
-        How many could be read; the study tells why the others could not.
+    ImportResult
 
     Raises
     ------
     InputError
         The table cannot be used, or the study is of something else.
     """
-    folder = Path(folder)
+    folder, path = Path(folder), Path(study)
     table = folder / TABLE if table is None else Path(table)
     files, values = _read_table(folder, table)
-    space = _space(values)
     built = [METRICS.create(name) for name in dict.fromkeys(metrics)]
     if not built:
         raise InputError("`metrics`: there is none; name one at least.")
@@ -81,7 +102,7 @@ def import_recordings(
     meta = StudyMeta(
         scenario=str(folder.resolve()),
         fingerprint=_fingerprint(table, folder, files),
-        space=space,
+        space=_space(values),
         ego=ego,
         other=other,
         metrics=tuple(metric.name for metric in built),
@@ -93,18 +114,17 @@ def import_recordings(
         batch=len(files),
         files=tuple(files),
     )
-    path = Path(path)
-    with Study.open(path) if path.exists() else Study.create(path, meta) as study:
+    with Study.open(path) if path.exists() else Study.create(path, meta) as opened:
         # The table may lie elsewhere now; the fingerprint tells whether it is the same.
-        study.continue_with(replace(meta, settings=study.meta.settings))
-        rows = study.rows() or study.propose(1, space.points(values), values)
+        opened.continue_with(replace(meta, settings=opened.meta.settings))
+        rows = opened.rows() or opened.propose(1, meta.space.points(values), values)
         pending = [row for row in rows if row.state == "pending"]
         shown = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)
         begun = time.monotonic()
         for row in shown:
-            _measure(study, row, folder / files[row.id - 1], built)
-        study.add_elapsed("measure", time.monotonic() - begun)
-        return len(study.done())
+            _measure(opened, row, folder / files[row.id - 1], built)
+        opened.add_elapsed("measure", time.monotonic() - begun)
+        return ImportResult(path, len(opened.done()), len(opened.failed()))
 
 
 def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> None:
