@@ -199,11 +199,11 @@ def show(
     """
     from cornercase.report import put_in_words, summarize
 
-    told = put_in_words(summarize(study))
+    words = put_in_words(summarize(study))
     if as_json:
-        sys.stdout.write(json.dumps(told, indent=2) + "\n")
+        sys.stdout.write(json.dumps(words, indent=2) + "\n")
         return
-    for key, value in told.items():
+    for key, value in words.items():
         _show(key, value)
 
 

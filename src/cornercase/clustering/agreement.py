@@ -44,6 +44,7 @@ def compare_labels(ids: IntArray, one: IntArray, two: IntArray) -> Agreement:
     Returns
     -------
     Agreement
+        How far they agree.
     """
     from sklearn.metrics import adjusted_mutual_info_score, adjusted_rand_score
 
@@ -57,7 +58,18 @@ def compare_labels(ids: IntArray, one: IntArray, two: IntArray) -> Agreement:
 
 
 def compare_clusterings(study: Study) -> dict[tuple[str, str], Agreement]:
-    """Compare all pairs of a study's clusterings that hold the same scenarios."""
+    """Compare all pairs of a study's clusterings that hold the same scenarios.
+
+    Parameters
+    ----------
+    study : Study
+        Analysed before.
+
+    Returns
+    -------
+    dict of (str, str) to Agreement
+        By the two aspects.
+    """
     found = {name: study.analysis(name, "ids", "labels")[0] for name in study.analyses()}
     return {
         (a, b): compare_labels(found[a]["ids"], found[a]["labels"], found[b]["labels"])

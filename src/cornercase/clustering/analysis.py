@@ -61,6 +61,7 @@ class Analysis:
         Returns
         -------
         ndarray of int64, shape (k,)
+            Rows, in the order of the ids.
         """
         place = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
         return np.array([place[int(one)] for one in scenarios if int(one) in place], dtype=np.int64)
@@ -81,6 +82,7 @@ def save_analysis(study: Study, analysis: Analysis, distances: FloatArray) -> No
     study : Study
         Open for writing.
     analysis : Analysis
+        What was found.
     distances : ndarray of float64, shape (n, n)
         Distances that the scenarios were clustered by.
     """
@@ -115,12 +117,14 @@ def read_analysis(study: Study, by: str) -> Analysis:
     Parameters
     ----------
     study : Study
+        Analysed before.
     by : str
         Aspect.
 
     Returns
     -------
     Analysis
+        As `analyze` gave it.
 
     Raises
     ------
@@ -160,6 +164,7 @@ def read_analyses(study: Study) -> dict[str, Analysis]:
     Parameters
     ----------
     study : Study
+        Analysed before.
 
     Returns
     -------
@@ -175,6 +180,7 @@ def read_distances(study: Study, by: str) -> FloatArray:
     Parameters
     ----------
     study : Study
+        Analysed before.
     by : str
         Aspect.
 

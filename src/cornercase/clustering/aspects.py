@@ -19,6 +19,7 @@ def aspects_of(study: Study) -> tuple[str, ...]:
     Parameters
     ----------
     study : Study
+        Its metrics can be aspects.
 
     Returns
     -------
@@ -34,7 +35,9 @@ def require_aspect(study: Study, aspect: str) -> None:
     Parameters
     ----------
     study : Study
+        Its metrics can be aspects.
     aspect : str
+        Name of the aspect.
 
     Raises
     ------
@@ -52,6 +55,7 @@ def series_of(study: Study, aspect: str) -> list[FloatArray]:
     Parameters
     ----------
     study : Study
+        Its metrics can be aspects.
     aspect : str
         ``"ego-trajectory"``: centre of the ego's box, each (T_i, 2) in m. A metric: its capped course, each (T_i,) in
         the metric's unit.
@@ -59,6 +63,7 @@ def series_of(study: Study, aspect: str) -> list[FloatArray]:
     Returns
     -------
     list of ndarray of float64
+        In the order of the scenarios.
 
     Raises
     ------
@@ -79,6 +84,7 @@ def unit_of(aspect: str) -> str:
     Parameters
     ----------
     aspect : str
+        Name of the aspect.
 
     Returns
     -------

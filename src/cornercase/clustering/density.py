@@ -17,6 +17,7 @@ def find_dense_regions(embedding: FloatArray, eps: float, min_samples: int, meth
     Parameters
     ----------
     embedding : ndarray of float64, shape (n, n_components)
+        Coordinates of the points.
     eps : float
         Radius of the neighbourhood; with HDBSCAN the distance below which clusters are not divided.
     min_samples : int
@@ -50,6 +51,7 @@ def join_nearest(placed: FloatArray, known: Clustering) -> IntArray:
     placed : ndarray of float64, shape (m, n_components)
         The new points, in the kernel space of `known`.
     known : Clustering
+        Clusters that are there already.
 
     Returns
     -------

@@ -208,6 +208,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         Returns
         -------
         ndarray of float64, shape (m, n_components)
+            Coordinates in kernel space.
 
         Raises
         ------
@@ -239,6 +240,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         Returns
         -------
         ndarray of int64, shape (m,)
+            Cluster of each; -1 is noise.
 
         Raises
         ------
@@ -287,15 +289,20 @@ def cluster(
     distances : array_like, shape (n, n)
         Symmetric, zero on the diagonal, finite, in any unit.
     gamma, eps : float or "auto"
+        Kernel width, and radius of the neighbourhood in the embedding.
     min_samples : int or "auto"
+        Least number of scenarios in a dense neighbourhood.
     n_components : int
+        Dimensions of the embedding.
     method : {"dbscan", "hdbscan"}
+        Algorithm that finds the clusters.
     landmarks : int, "auto" or None
-        All as of `ScenarioClustering`.
+        Number of scenarios that span the kernel space. All settings as of `ScenarioClustering`.
 
     Returns
     -------
     Clustering
+        The clusters, and the settings that they were found with.
 
     Raises
     ------

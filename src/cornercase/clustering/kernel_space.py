@@ -17,6 +17,7 @@ class KernelSpace:
     Parameters
     ----------
     gamma : float
+        The larger, the narrower is the kernel.
     n_components : int
         Axes beyond the rank of the kernel are 0.
 
@@ -76,6 +77,7 @@ class KernelSpace:
         Returns
         -------
         ndarray of float64, shape (m, n_components)
+            Coordinates in kernel space.
         """
         placed = np.zeros((len(distances), self._n_components))
         if self._pca is not None and len(distances):

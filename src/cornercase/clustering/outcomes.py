@@ -12,7 +12,9 @@ def tell_outcome(recording: Recording, ego: str, other: str) -> str:
     Parameters
     ----------
     recording : Recording
+        What came out of the scenario.
     ego, other : str
+        Names of the two entities.
 
     Returns
     -------

@@ -42,6 +42,7 @@ def describe_clusters(study: Study, labels: IntArray, outcomes: Sequence[str]) -
     Parameters
     ----------
     study : Study
+        Holds their parameters and scores.
     labels : ndarray of int64, shape (n,)
         Cluster of each scenario that ended.
     outcomes : sequence of str, length n
@@ -50,6 +51,7 @@ def describe_clusters(study: Study, labels: IntArray, outcomes: Sequence[str]) -
     Returns
     -------
     tuple of Profile
+        One for each cluster.
     """
     values = [row.values for row in study.done()]
     scores = {name: study.scores(name) for name in study.meta.metrics}

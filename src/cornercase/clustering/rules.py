@@ -43,9 +43,11 @@ def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], mem
     Parameters
     ----------
     space : ParameterSpace
+        Names, units and choices of the parameters.
     values : sequence of mapping of str to float or str, length n
         Parameters of each scenario.
     members : ndarray of bool, shape (n,)
+        Mask of the scenarios whose parts are searched.
 
     Returns
     -------

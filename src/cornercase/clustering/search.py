@@ -50,19 +50,25 @@ def search_settings(
 ) -> Clustering:
     """Cluster with the settings that are given, and with the best of those that are left open.
 
+    `cornercase.clustering.ScenarioClustering` says what is best.
+
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
         Symmetric, zero on the diagonal, finite.
     gamma, eps : float or "auto"
+        Kernel width, and radius of the neighbourhood in the embedding.
     min_samples : int or "auto"
+        Least number of scenarios in a dense neighbourhood.
     n_components : int
+        Dimensions of the embedding.
     method : {"dbscan", "hdbscan"}
-        All as of `cornercase.clustering.ScenarioClustering`, which says what is best.
+        Algorithm that finds the clusters.
 
     Returns
     -------
     Clustering
+        The clusters with the best settings.
     """
     n = len(distances)
     needed = min_samples if min_samples != "auto" else max(3, math.ceil(math.log(n))) if n >= _FEWEST else 1
@@ -113,6 +119,7 @@ def canonical_order(distances: FloatArray) -> IntArray:
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
 
     Returns
     -------

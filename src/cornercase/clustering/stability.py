@@ -26,6 +26,7 @@ class Stability:
     order : ndarray of int64, shape (n,)
         Scenarios in an order that depends on nothing but the distances.
     min_samples, n_components : int
+        Settings of the clustering.
     method : {"dbscan", "hdbscan"}
     most : int
         Largest number of scenarios in a part.
@@ -62,10 +63,12 @@ class Stability:
         gamma, eps : float
             Settings that `labels` were found with.
         labels : ndarray of int64, shape (n,)
+            Cluster of each scenario; -1 is noise.
 
         Returns
         -------
         float
+            -1 to 1; 1 where the clusters are the same.
         """
         found = []
         for k, part in enumerate(self._parts):

@@ -17,6 +17,7 @@ class Validity:
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
     some : ndarray of int64, shape (m,)
         Scenarios on which they are computed.
     """
@@ -27,7 +28,18 @@ class Validity:
         self._known: dict[bytes, tuple[float, float]] = {}
 
     def of(self, labels: IntArray) -> tuple[float, float]:
-        """Validity and silhouette of labels, shape (n,); noise counts as 0 in both."""
+        """Return validity and silhouette of some clusters.
+
+        Parameters
+        ----------
+        labels : ndarray of int64, shape (n,)
+            Cluster of each scenario; -1 is noise, which counts as 0 in both.
+
+        Returns
+        -------
+        dbcv, silhouette : float
+            -1 to 1; both are -1 where a cluster has fewer than three scenarios.
+        """
         labels = labels[self._some]
         key = labels.tobytes()
         if key not in self._known:
@@ -50,6 +62,7 @@ def density_validity(distances: FloatArray, labels: IntArray, *, dimensions: flo
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
     labels : ndarray of int64, shape (n,)
         Two clusters or more, each of three or more; -1 is noise.
     dimensions : float

@@ -50,6 +50,7 @@ def find_archetypes(points: FloatArray, k: int | None = None, *, most: int = MOS
     Parameters
     ----------
     points : ndarray of float64, shape (n, d)
+        Parameters in the unit cube.
     k : int, optional
         How many. By default where the curve of the explained variance bends: the first number after which one more
         adds less than 0.02.
@@ -59,6 +60,7 @@ def find_archetypes(points: FloatArray, k: int | None = None, *, most: int = MOS
     Returns
     -------
     Archetypes
+        The scenarios that are nearest to them.
 
     Raises
     ------
@@ -105,10 +107,12 @@ def find_kernel_archetypes(distances: FloatArray, k: int) -> Archetypes:
     distances : ndarray of float64, shape (n, n)
         Of the scenarios of one cluster.
     k : int
+        Number of archetypes.
 
     Returns
     -------
     Archetypes
+        The scenarios that are nearest to them.
 
     Raises
     ------

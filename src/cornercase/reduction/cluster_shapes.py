@@ -64,6 +64,7 @@ class ShapedCluster:
         points : ndarray of float64, shape (n, d)
             Parameters in the unit cube.
         distances : ndarray of float64, shape (n, n)
+            Between all scenarios, in any unit.
         most : int
             Largest number; a part has its share of them, by its number of scenarios.
 
@@ -140,6 +141,7 @@ def require_archetype_method(method: str) -> None:
     Parameters
     ----------
     method : str
+        Its name.
 
     Raises
     ------
@@ -156,7 +158,9 @@ def divide_fairly(count: int, weights: Sequence[float]) -> list[int]:
     Parameters
     ----------
     count : int
+        Number to divide.
     weights : sequence of float
+        One for each part.
 
     Returns
     -------

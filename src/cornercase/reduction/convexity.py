@@ -65,7 +65,9 @@ def find_convex_parts(points: FloatArray, members: BoolArray) -> list[IntArray]:
     Parameters
     ----------
     points : ndarray of float64, shape (n, d)
+        Parameters in the unit cube.
     members : ndarray of bool, shape (n,)
+        Mask of the scenarios of the cluster.
 
     Returns
     -------

@@ -75,6 +75,7 @@ def measure_gaps(distances: FloatArray, kept: npt.ArrayLike, *, draws: int = DRA
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
     kept : array_like of int, shape (m,)
         Indices of the kept scenarios, at least one; the same index twice counts once.
     draws : int, default 100
@@ -85,6 +86,7 @@ def measure_gaps(distances: FloatArray, kept: npt.ArrayLike, *, draws: int = DRA
     Returns
     -------
     Gaps
+        Distances by scenario.
     """
     chosen = np.unique(np.asarray(kept, dtype=np.int64))
     random = draw_choices(len(distances), len(chosen), stream="grading", draws=draws, seed=seed)
@@ -121,6 +123,7 @@ def measure_coverage(
     Returns
     -------
     Coverage
+        Figures over all scenarios.
 
     Raises
     ------

@@ -15,7 +15,9 @@ def find_critical_clusters(study: Study, analysis: Analysis) -> list[int]:
     Parameters
     ----------
     study : Study
+        Holds the scores, and the threshold.
     analysis : Analysis
+        What was found.
 
     Returns
     -------

@@ -71,6 +71,7 @@ def measure_critical_coverage(
     Parameters
     ----------
     space : ParameterSpace
+        That the scenarios are of.
     points : ndarray of float64, shape (n, d)
         Scenarios that were run, in the unit cube.
     scores : ndarray of float64, shape (n,)
@@ -78,7 +79,9 @@ def measure_critical_coverage(
     threshold : float
         Oriented score up to which a scenario is critical.
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
     kept : ndarray of int64, shape (m,)
+        Indices of the kept scenarios.
     within : float
         Distance up to which scenarios are alike, as of `distance_alike`.
     seed : int, default 0
@@ -89,6 +92,7 @@ def measure_critical_coverage(
     Returns
     -------
     CriticalCoverage
+        Figures over the critical scenarios.
 
     Raises
     ------
@@ -135,6 +139,7 @@ def distance_alike(distances: FloatArray, labels: IntArray, share: float = WITHI
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
     labels : ndarray of int64, shape (n,)
         -1 is noise.
     share : float, default 0.5
@@ -162,6 +167,7 @@ def require_within(share: float) -> None:
     Parameters
     ----------
     share : float
+        Of the median distance between two scenarios of one cluster.
 
     Raises
     ------

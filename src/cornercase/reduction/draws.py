@@ -36,6 +36,7 @@ def draw_choices(
     draws : int, default 100
         Number of choices.
     seed : int, default 0
+        Of the random numbers.
 
     Returns
     -------
@@ -59,10 +60,13 @@ def nearest_of(distances: FloatArray, choices: IntArray) -> FloatArray:
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
     choices : ndarray of int64, shape (draws, size)
+        Indices of the scenarios of each choice.
 
     Returns
     -------
     ndarray of float64, shape (draws, n)
+        In the unit of the distances.
     """
     return np.array([distances[:, one].min(axis=1) for one in choices])

@@ -34,9 +34,11 @@ class GapSums:
     Parameters
     ----------
     distances : sequence of ndarray of float64, each (n, n)
+        Between all scenarios, in any unit.
     critical : ndarray of bool, shape (n,)
         Scenarios of critical clusters.
     composition : Composition
+        Shares and weights of the set.
     size : int
         Number of scenarios to keep.
     """
@@ -55,17 +57,22 @@ class GapSums:
             self._costs.append((matrix / usual) ** composition.power * (weights * heavy))
 
     def left(self, kept: Sequence[int]) -> list[FloatArray]:
-        """Return what each scenario adds to the sum, for each clustering shape (n,).
+        """Return what each scenario adds to the sum.
 
         Parameters
         ----------
         kept : sequence of int
             Indices.
+
+        Returns
+        -------
+        list of ndarray of float64, each (n,)
+            By clustering.
         """
         return [costs[list(kept)].min(axis=0) for costs in self._costs]
 
     def gains(self, left: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
-        """Return by how much each candidate would lower the sum, shape (m,).
+        """Return by how much each candidate would lower the sum.
 
         Parameters
         ----------
@@ -73,6 +80,11 @@ class GapSums:
             As of `left`.
         candidates : ndarray of int64, shape (m,)
             Indices.
+
+        Returns
+        -------
+        ndarray of float64, shape (m,)
+            By candidate.
         """
         gains = np.zeros(len(candidates))
         for first in range(0, len(candidates), BLOCK):
@@ -95,6 +107,11 @@ class GapSums:
             Number to keep in all.
         selection : Selection
             Says what is alike.
+
+        Returns
+        -------
+        list of int
+            Indices of those that are added.
         """
         found: list[int] = []
         left = self.left(kept)
@@ -125,6 +142,11 @@ class GapSums:
             Number of the first ones that stay.
         apart : ndarray of float64, shape (n, n)
             As of `Selection`.
+
+        Returns
+        -------
+        list of int
+            Indices, the fixed ones first.
         """
         kept = kept[:]
         everyone = np.arange(len(apart))

@@ -40,7 +40,18 @@ class Ran:
     distances: dict[str, FloatArray]
 
     def points(self, analysis: Analysis) -> FloatArray:
-        """Return the points of analysed scenarios in the unit cube, shape (n, d)."""
+        """Return the parameters of analysed scenarios.
+
+        Parameters
+        ----------
+        analysis : Analysis
+            Says which scenarios, and their order.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, d)
+            In the unit cube.
+        """
         return np.array([self.rows[i].point for i in analysis.ids.tolist()])
 
 
@@ -50,10 +61,12 @@ def read_ran(study: Study) -> Ran:
     Parameters
     ----------
     study : Study
+        Analysed before.
 
     Returns
     -------
     Ran
+        Everything at once.
     """
     rows = {row.id: row for row in study.done()}
     scores = {name: dict(zip(rows, study.scores(name).tolist(), strict=True)) for name in study.meta.metrics}
@@ -67,6 +80,7 @@ def grade(ran: Ran, kept: Sequence[int]) -> dict[str, Coverage]:
     Parameters
     ----------
     ran : Ran
+        What was run and analysed.
     kept : sequence of int
         Ids.
 
@@ -89,6 +103,7 @@ def grade_critical(ran: Ran, kept: Sequence[int], within: float) -> dict[str, Cr
     Parameters
     ----------
     ran : Ran
+        What was run and analysed.
     kept : sequence of int
         Ids.
     within : float

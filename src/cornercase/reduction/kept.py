@@ -68,7 +68,13 @@ class Selection:
         return [one.index for one in self.kept]
 
     def copy(self) -> Selection:
-        """Return a selection of the same scenarios that goes on by itself."""
+        """Copy the selection, to go on with both in different ways.
+
+        Returns
+        -------
+        Selection
+            With the same scenarios.
+        """
         other = copy(self)
         other.gap, other.kept = self.gap.copy(), self.kept[:]
         return other
@@ -79,6 +85,7 @@ class Selection:
         Parameters
         ----------
         one : Kept
+            The scenario.
         """
         if self.gap[one.index] > ALIKE and (self._size is None or len(self.kept) < self._size):
             self.kept.append(one)

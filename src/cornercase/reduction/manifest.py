@@ -21,7 +21,9 @@ def make_manifest(study: Study, reduced: ReducedSet) -> dict[str, Any]:
     Parameters
     ----------
     study : Study
+        Holds the scenarios.
     reduced : ReducedSet
+        The reduced set.
 
     Returns
     -------
@@ -53,6 +55,7 @@ def save_reduction(study: Study, reduced: ReducedSet) -> None:
     study : Study
         Open for writing.
     reduced : ReducedSet
+        The reduced set.
     """
     info = {
         "by": reduced.by,
@@ -72,6 +75,7 @@ def read_reduction(study: Study) -> ReducedSet | None:
     Parameters
     ----------
     study : Study
+        Holds the scenarios.
 
     Returns
     -------

@@ -15,6 +15,7 @@ def find_prototype(distances: FloatArray, members: npt.ArrayLike) -> int:
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
     members : array_like of int, shape (m,)
         Indices of the scenarios of one cluster, at least one.
 
@@ -44,6 +45,7 @@ def choose_medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
+        Between all scenarios, in any unit.
     k : int
         1 to n.
     rounds : int, default 50

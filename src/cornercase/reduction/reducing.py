@@ -83,6 +83,7 @@ def reduce(
     Returns
     -------
     ReducedSet
+        What is kept and why, and what that leaves out.
 
     Raises
     ------

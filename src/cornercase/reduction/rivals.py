@@ -21,7 +21,9 @@ class Rivals:
     Parameters
     ----------
     distances : sequence of ndarray of float64, each (n, n)
+        Between all scenarios, in any unit.
     labels : ndarray of int64, shape (n,)
+        Cluster of each scenario; -1 is noise.
     critical : sequence of int
         Critical clusters.
     size : int
@@ -51,6 +53,11 @@ class Rivals:
         ----------
         kept : list of int
             Indices.
+
+        Returns
+        -------
+        float
+            The sum of all shortfalls: of the share of random choices, and of the distances relative to k-medoids.
         """
         short = 0.0
         for matrix, random in zip(self._distances, self._random, strict=True):

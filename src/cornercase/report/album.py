@@ -34,13 +34,16 @@ class Album:
         Parameters
         ----------
         figure : Figure
+            The figure.
         name : str
             Of the file, without ending.
         caption : str
+            Plain text below it.
 
         Returns
         -------
         str
+            HTML with the figure in it.
 
         Raises
         ------
@@ -59,10 +62,12 @@ def draw_png(figure: Figure) -> bytes:
     Parameters
     ----------
     figure : Figure
+        The figure.
 
     Returns
     -------
     bytes
+        Content of the file.
     """
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)

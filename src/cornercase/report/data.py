@@ -65,17 +65,50 @@ class ReportData:
         return self.summary.meta.space.parameters
 
     def metric_of(self, aspect: str) -> Metric:
-        """Return the metric whose course stands for an aspect: its own, or the first for the ego's trajectory."""
+        """Return the metric whose courses are shown for an aspect.
+
+        Parameters
+        ----------
+        aspect : str
+            ``"ego-trajectory"`` or a metric.
+
+        Returns
+        -------
+        Metric
+            The first one for the ego's trajectory.
+        """
         names = [metric.name for metric in self.metrics]
         return self.metrics[0 if aspect == EGO_TRAJECTORY else names.index(aspect)]
 
     def rows_of(self, ids: Sequence[int]) -> IntArray:
-        """Return the rows of scenarios that were run, by their ids; shape (m,)."""
+        """Return the rows of scenarios that were run.
+
+        Parameters
+        ----------
+        ids : sequence of int, length m
+            Ids of the scenarios.
+
+        Returns
+        -------
+        ndarray of int64, shape (m,)
+            Rows, in the order of the ids.
+        """
         place = {row.id: k for k, row in enumerate(self.rows)}
         return np.array([place[scenario] for scenario in ids], dtype=np.int64)
 
     def collides(self, scenario: int) -> bool:
-        """Whether the ego and the other entity collide in a scenario, by its id."""
+        """Say whether the ego and the other entity collide in a scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        bool
+            Whether they do.
+        """
         pair = {self.summary.meta.ego, self.summary.meta.other}
         return any(set(collision.entities) == pair for collision in self.recordings[scenario].collisions)
 
@@ -91,6 +124,7 @@ def read_report_data(study: Study) -> ReportData:
     Returns
     -------
     ReportData
+        Everything at once.
     """
     summary, rows = summarize(study), study.done()
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)

@@ -91,6 +91,7 @@ def find_knowledge(study: Study) -> Knowledge:
     Returns
     -------
     Knowledge
+        As far as there is enough to say something.
     """
     rows, meta = study.done(), study.meta
     if not rows:

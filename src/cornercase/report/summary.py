@@ -107,10 +107,12 @@ def summarize(study: Study | Path | str) -> Summary:
     Parameters
     ----------
     study : Study or path
+        Open, or the file; it is only read.
 
     Returns
     -------
     Summary
+        Typed values; ``print`` shows them in a line.
 
     Raises
     ------

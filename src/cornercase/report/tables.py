@@ -27,13 +27,16 @@ def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequenc
     Parameters
     ----------
     head : sequence of str, length c
+        Names of the columns.
     rows : sequence of sequence of str, each of length c
+        Cells, row by row.
     text : sequence of int, default (0,)
         Columns that are aligned at the left; -1 is the last.
 
     Returns
     -------
     str
+        HTML.
     """
     left = {k % len(head) for k in text}
 
@@ -52,10 +55,12 @@ def format_value(value: Value) -> str:
     Parameters
     ----------
     value : float or str
+        The value.
 
     Returns
     -------
     str
+        With up to six digits.
     """
     return value if isinstance(value, str) else f"{value:.6g}"
 
@@ -66,10 +71,12 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
     Parameters
     ----------
     profiles : sequence of Profile
+        Of each cluster.
 
     Returns
     -------
     str
+        HTML.
     """
     return make_table(
         ["cluster", "how it ends", "where", "of the cluster", "purity"],
@@ -94,6 +101,7 @@ def tell_choices(found: Clustering) -> str:
     Parameters
     ----------
     found : Clustering
+        The clusters, and all settings that were tried.
 
     Returns
     -------
@@ -131,10 +139,12 @@ def tell_shapes(shapes: Sequence[ClusterShape]) -> str:
     Parameters
     ----------
     shapes : sequence of ClusterShape
+        Of each cluster.
 
     Returns
     -------
     str
+        HTML.
     """
     return make_table(
         ["cluster", "convexity of the parameters", "in kernel space", "archetypes"],
@@ -160,6 +170,7 @@ def tell_coverage(coverage: Mapping[str, Coverage]) -> str:
     Returns
     -------
     str
+        HTML.
     """
 
     def times(share: float) -> str:
@@ -195,6 +206,7 @@ def tell_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
     Returns
     -------
     str
+        HTML.
     """
 
     def share(value: float | None) -> str:

@@ -39,6 +39,7 @@ def fill_page(title: str, body: str) -> str:
     Returns
     -------
     str
+        HTML.
     """
     return _PAGE.format(title=escape(title), style=_STYLE, body=body)
 
@@ -56,6 +57,7 @@ def fill_figure(caption: str, data: str) -> str:
     Returns
     -------
     str
+        HTML.
     """
     return _FIGURE.format(caption=escape(caption), data=data)
 
@@ -71,6 +73,7 @@ def fill_numbers(numbers: Mapping[str, object]) -> str:
     Returns
     -------
     str
+        HTML.
     """
     boxes = "".join(f"<div><b>{escape(str(value))}</b>{escape(name)}</div>" for name, value in numbers.items())
     return f"<div class='numbers'>{boxes}</div>"

@@ -45,6 +45,7 @@ def name_cluster(cluster: int) -> str:
     Returns
     -------
     str
+        ``"cluster 0"`` or ``"noise"``.
     """
     return NOISE_NAME if cluster < 0 else f"cluster {cluster}"
 
@@ -55,6 +56,7 @@ def name_criterion(known: CriticalKnowledge, searched: str) -> str:
     Parameters
     ----------
     known : CriticalKnowledge
+        What is known of the critical scenarios.
     searched : str
         What is searched.
 
@@ -72,6 +74,7 @@ def name_range(parameter: Parameter) -> str:
     Parameters
     ----------
     parameter : Parameter
+        The parameter.
 
     Returns
     -------
@@ -89,6 +92,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
     Parameters
     ----------
     summary : Summary
+        The summary.
 
     Returns
     -------
@@ -96,7 +100,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         What ``cornercase show --json`` prints.
     """
     meta = summary.meta
-    told: dict[str, Any] = {
+    plain: dict[str, Any] = {
         "scenario": meta.scenario,
         "ego": meta.ego,
         "other": meta.other,
@@ -113,8 +117,8 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
         "searched": summary.searched,
     }
-    told |= _knowledge(summary.knowledge, summary.searched)
-    told["agreement"] = {
+    plain |= _knowledge(summary.knowledge, summary.searched)
+    plain["agreement"] = {
         f"{one} and {two}": {
             "adjusted rand": agreement.rand,
             "adjusted mutual information": agreement.mutual,
@@ -122,11 +126,11 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         }
         for (one, two), agreement in summary.agreements.items()
     }
-    return told | (_reduced(summary.reduced) if summary.reduced is not None else {})
+    return plain | (_reduced(summary.reduced) if summary.reduced is not None else {})
 
 
 def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
-    told: dict[str, Any] = {
+    plain: dict[str, Any] = {
         "unit": one.unit,
         "critical is": "low" if one.lower_is_critical else "high",
         "most critical": one.most_critical,
@@ -134,12 +138,12 @@ def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
         "at": dict(one.at),
     }
     if one.spread is not None:
-        told |= {
+        plain |= {
             "runs of each": repeats,
             "spread of the runs, median": one.spread[0],
             "spread of the runs, largest": one.spread[1],
         }
-    return told
+    return plain
 
 
 def _clusters(one: Analysis) -> dict[str, Any]:
@@ -156,24 +160,24 @@ def _clusters(one: Analysis) -> dict[str, Any]:
 
 
 def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
-    told: dict[str, Any] = {}
+    plain: dict[str, Any] = {}
     if known.front is not None:
-        told["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in known.front.items()}
+        plain["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in known.front.items()}
     if known.critical is not None:
-        told["critical"] = {
+        plain["critical"] = {
             "is": name_criterion(known.critical, searched),
             "scenarios": known.critical.scenarios,
         }
         if (of_set := known.critical.known) is not None:
-            told["critical"] |= {
+            plain["critical"] |= {
                 "share": asdict(of_set.share),
                 "missed": asdict(of_set.missed),
                 "overlooked": {"value": of_set.overlooked, "size": of_set.region},
                 "unvisited": {"value": of_set.unvisited, "size": of_set.region},
             }
     if known.sensitivity is not None:
-        told["sensitivity"] = known.sensitivity.to_json()
-    return told
+        plain["sensitivity"] = known.sensitivity.to_json()
+    return plain
 
 
 def _reduced(reduced: ReducedSet) -> dict[str, Any]:
@@ -198,10 +202,10 @@ def _shape(one: ClusterShape) -> dict[str, Any]:
 
 def _labelled(found: Coverage | CriticalCoverage, labels: Mapping[str, str]) -> dict[str, Any]:
     """Figures by their label; without those that are not known."""
-    told: dict[str, Any] = {}
+    plain: dict[str, Any] = {}
     for key, label in labels.items():
         value = getattr(found, key)
         # An early version did not measure all of them.
         if value is not None and not (isinstance(value, float) and math.isnan(value)):
-            told[label] = asdict(value) if isinstance(value, Estimate) else value
-    return told
+            plain[label] = asdict(value) if isinstance(value, Estimate) else value
+    return plain

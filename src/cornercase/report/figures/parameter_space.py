@@ -22,13 +22,18 @@ def draw_criticality(values: FloatArray, parameters: Sequence[Parameter], scores
     Parameters
     ----------
     values : ndarray of float64, shape (n, d)
+        Parameters; of choices their number.
     parameters : sequence of Parameter, length d
+        Their names, units and choices.
     scores : ndarray of float64, shape (n,)
+        In the unit of the metric.
     metric : Metric
+        Says what is critical.
 
     Returns
     -------
     Figure
+        One panel for each pair.
     """
     # Numbers first, as they show more than choices; a parameter with one value shows nothing.
     varied = [i for i, one in enumerate(parameters) if one.size != 1] or [0]
@@ -68,15 +73,20 @@ def draw_clusters(
     Parameters
     ----------
     embedding : ndarray of float64, shape (n, 3)
+        Coordinates in kernel space.
     labels : ndarray of int64, shape (n,)
+        Cluster of each scenario; -1 is noise.
     values : ndarray of float64, shape (n, d)
+        Parameters; of choices their number.
     parameters : sequence of Parameter, length d
+        Their names, units and choices.
     chosen : sequence of int
         The two parameters to draw; one where there is no more.
 
     Returns
     -------
     Figure
+        Two panels.
     """
     figure = Figure(figsize=(12.5, 5.0))
     # Wide between the two: the tick labels of three-dimensional axes reach beyond them.
@@ -115,15 +125,20 @@ def draw_hulls(
     Parameters
     ----------
     values : ndarray of float64, shape (n, d)
+        Parameters; of choices their number.
     ids : sequence of int, length n
+        Ids of the scenarios.
     parameters : sequence of Parameter, length d
+        Their names, units and choices.
     reduced : ReducedSet
+        The reduced set.
     chosen : sequence of int
         Up to three parameters to draw.
 
     Returns
     -------
     Figure
+        In three dimensions where there are three parameters.
     """
     row = {scenario: k for k, scenario in enumerate(ids)}
     solid = len(chosen) >= 3

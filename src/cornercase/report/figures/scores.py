@@ -22,11 +22,14 @@ def draw_courses(time: Sequence[FloatArray], values: Sequence[FloatArray], label
     time, values : sequence of ndarray of float64, each (T_i,)
         In s, and as capped courses.
     labels : ndarray of int64, shape (n,)
+        Cluster of each scenario; -1 is noise.
     metric : Metric
+        Says what is critical.
 
     Returns
     -------
     Figure
+        One line and one band for each cluster.
     """
     figure = Figure(figsize=(11.0, 3.8), layout="constrained")
     axis = figure.add_subplot()
@@ -62,6 +65,7 @@ def draw_coverage(curves: Mapping[str, tuple[Gaps, BoolArray]], units: Sequence[
     Returns
     -------
     Figure
+        One panel for each aspect.
     """
     columns = min(3, len(curves))
     rows = -(-len(curves) // columns)
@@ -103,11 +107,14 @@ def draw_sensitivities(names: Sequence[str], first: Sequence[float], total: Sequ
     Parameters
     ----------
     names : sequence of str, length d
+        Of the parameters.
     first, total : sequence of float, length d
+        Shares of the variance, 0 to 1.
 
     Returns
     -------
     Figure
+        Two bars for each parameter.
     """
     figure = Figure(figsize=(8.0, 1.2 + 0.5 * len(names)), layout="constrained")
     axis = figure.add_subplot()
@@ -128,13 +135,16 @@ def draw_front(scores: Sequence[FloatArray], metrics: Sequence[Metric], chosen: 
     Parameters
     ----------
     scores : sequence of ndarray of float64, each (n,)
+        By metric, in its unit.
     metrics : sequence of Metric, length k
+        Those of the scores.
     chosen : ndarray of int64, shape (m,)
         Rows of the scenarios on the front.
 
     Returns
     -------
     Figure
+        One panel for each pair.
     """
     pairs = list(combinations(range(len(metrics)), 2))[:6]
     figure = Figure(figsize=(5.0 * min(3, len(pairs)) + 1.6, 4.2 * -(-len(pairs) // 3)), layout="constrained")

@@ -29,6 +29,7 @@ def look_of(cluster: int) -> tuple[str, str, str]:
     Returns
     -------
     colour, marker, name : str
+        A colour and a marker of matplotlib, and a name for the legend.
     """
     if cluster < 0:
         return GREY, "x", name_cluster(cluster)
@@ -41,10 +42,12 @@ def name_axis(parameter: Parameter) -> str:
     Parameters
     ----------
     parameter : Parameter
+        The parameter.
 
     Returns
     -------
     str
+        ``"ego_start [m]"``.
     """
     return f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
 
@@ -55,10 +58,12 @@ def name_score(metric: Metric) -> str:
     Parameters
     ----------
     metric : Metric
+        Says what is critical.
 
     Returns
     -------
     str
+        ``"wttc score [s], low is critical"``.
     """
     return f"{metric.name} score [{metric.unit}], {'low' if metric.lower_is_critical else 'high'} is critical"
 
@@ -69,7 +74,9 @@ def set_axis(axis: Axis, parameter: Parameter) -> None:
     Parameters
     ----------
     axis : matplotlib.axis.Axis
+        Axis of a figure.
     parameter : Parameter
+        The parameter.
     """
     axis.set_label_text(name_axis(parameter))
     if parameter.choices:
@@ -82,9 +89,11 @@ def shorten(text: str) -> str:
     Parameters
     ----------
     text : str
+        Any text.
 
     Returns
     -------
     str
+        With an ellipsis where it was cut.
     """
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

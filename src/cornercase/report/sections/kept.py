@@ -20,6 +20,7 @@ def show_kept(data: ReportData, album: Album) -> Iterator[str]:
     Parameters
     ----------
     data : ReportData
+        What the report shows.
     album : Album
         Takes the figures.
 

@@ -27,6 +27,7 @@ def show_kinds(data: ReportData, album: Album) -> Iterator[str]:
     Parameters
     ----------
     data : ReportData
+        What the report shows.
     album : Album
         Takes the figures.
 
@@ -45,6 +46,7 @@ def compare_kinds(data: ReportData) -> Iterator[str]:
     Parameters
     ----------
     data : ReportData
+        What the report shows.
 
     Yields
     ------

@@ -22,6 +22,7 @@ def tell_overview(data: ReportData) -> Iterator[str]:
     Parameters
     ----------
     data : ReportData
+        What the report shows.
 
     Yields
     ------
@@ -51,6 +52,7 @@ def show_criticality(data: ReportData, album: Album) -> Iterator[str]:
     Parameters
     ----------
     data : ReportData
+        What the report shows.
     album : Album
         Takes the figures.
 
@@ -84,6 +86,7 @@ def tell_failures(data: ReportData) -> Iterator[str]:
     Parameters
     ----------
     data : ReportData
+        What the report shows.
 
     Yields
     ------
@@ -101,6 +104,7 @@ def tell_provenance(data: ReportData) -> Iterator[str]:
     Parameters
     ----------
     data : ReportData
+        What the report shows.
 
     Yields
     ------
