@@ -53,7 +53,7 @@ class Server:
         self.frame, self.time, self.episode, self.next = 100, 0.0, 1, 200
         self.actors, self.subscribers, self.touching = {}, {}, set()
         self.settings: Any = [False, False, [False], True, 0.01, 10, 0.0, True, 3000.0, 2000.0, True]
-        self.lock, self.log, self.calls = threading.RLock(), None, 0
+        self.lock, self.log, self.calls, self.stepped = threading.RLock(), None, 0, 0
 
     def serve(self):
         for target in (self._listen_calls, self._listen_streams, self._run_by_itself):
@@ -75,12 +75,14 @@ class Server:
         with self.lock:
             self.frame += 1
             self.time += self.step
-            if self.frame == int(self.wrong.get("die-at", -1)):
+            # Counted from where a scenario begins, however long its program takes to start.
+            self.stepped += bool(self.settings[0])
+            if self.stepped == int(self.wrong.get("die-at", -1)):
                 os._exit(1)
             for actor in self.actors.values():
                 actor.move(self.step)
             self._collide()
-            if self.frame != int(self.wrong.get("lose", -1)):
+            if self.stepped != int(self.wrong.get("lose", -1)):
                 self.push()
             if self.log is not None:
                 self.log.frame(self.frame, self.step, self.actors)
