@@ -1,0 +1,105 @@
+"""What a study holds: as typed values, in words, and as a page."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from cornercase._common.errors import InputError
+from cornercase.clustering import analyze
+from cornercase.evidence import Estimate
+from cornercase.report import put_in_words, summarize, write_report
+from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
+from cornercase.report.words import name_cluster, name_criterion, name_range
+from cornercase.scenario import Parameter
+from cornercase.study import Study
+from synthetic import SPACE, about, explorer, opened
+
+
+@pytest.fixture
+def path(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
+    analyze(tmp_path / "s.db", "distance")
+    return tmp_path / "s.db"
+
+
+def test_a_summary_holds_values_and_says_what_it_is(path):
+    summary = summarize(path)
+    with Study.open(path, readonly=True) as study:
+        assert summary.run + summary.failed == len(study.rows())
+        scores = study.scores("distance")
+        worst = study.done()[int(scores.argmin())]
+    one = summary.metrics["distance"]
+    assert (one.most_critical, one.scenario, one.at) == (scores.min(), worst.id, worst.values)
+    assert one.spread is None
+    assert list(summary.analyses) == ["distance"]
+    assert summary.knowledge.front is None
+    assert summary.reduced is None
+    assert f"synthetic: {summary.run} scenarios run, {summary.collisions} collisions" in repr(summary)
+    assert f"{len(summary.analyses['distance'].sizes)} clusters by distance" in repr(summary)
+
+
+def test_words_are_plain_values_in_a_fixed_order(path):
+    words = put_in_words(summarize(path))
+    assert list(words)[:8] == ["scenario", "ego", "other", "optimizer", "seed", "simulator", "parameters", "run"]
+    assert words["parameters"] == {"a": "0 to 1", "b": "0 to 1"}
+    assert words["clusters"]["distance"]["cluster 0"]["scenarios"] == words["clusters"]["distance"]["sizes"][0]
+    assert json.loads(json.dumps(words)) == words
+    assert "kept" not in words
+
+
+def test_a_front_is_told_by_id(tmp_path):
+    meta = replace(about(SPACE, "distance", "wttc"), pareto=True)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
+        summary, ids = summarize(study), [row.id for row in study.done()]
+    front = summary.knowledge.front
+    assert front
+    assert set(front) <= set(ids)
+    assert (summary.knowledge.critical, summary.knowledge.sensitivity) == (None, None)
+    assert list(put_in_words(summary)["front"]) == [f"scenario {scenario}" for scenario in front]
+    page = write_report(tmp_path / "s.db", tmp_path / "r.html")
+    assert f"Of {len(front)} no other is as critical in every metric" in page.read_text(encoding="utf-8")
+
+
+def test_what_is_known_of_the_critical_set_is_told_with_its_threshold():
+    share = Estimate(0.2, 0.1, 0.3)
+    known = CriticalKnowledge(1.5, False, "m/s²", 7, CriticalSetKnowledge(share, share, 0.0, 0.5, 0.01))
+    assert name_criterion(known, "drac") == "drac >= 1.5 m/s²"
+    assert name_criterion(replace(known, lower_is_critical=True, unit=""), "ttc + 2 pet") == "ttc + 2 pet <= 1.5"
+
+
+@pytest.mark.parametrize(
+    ("parameter", "words"),
+    [
+        (Parameter("a", 20.0, 80.0, unit="m"), "20 to 80 m"),
+        (Parameter("a", 0.0, 1.0), "0 to 1"),
+        (Parameter("a", 0, 1, choices=("car", "truck")), "car, truck"),
+    ],
+)
+def test_a_range_is_told_with_its_unit(parameter, words):
+    assert name_range(parameter) == words
+    assert (name_cluster(-1), name_cluster(3)) == ("noise", "cluster 3")
+
+
+def test_a_page_is_written_of_a_study_and_of_a_path(path, tmp_path):
+    pages = []
+    with Study.open(path, readonly=True) as study:
+        pages.append(write_report(study, tmp_path / "one" / "r.html"))
+    pages.append(write_report(str(path), tmp_path / "two" / "r.html"))
+    one, two = (page.read_bytes() for page in pages)
+    assert one == two
+    assert [len(list(page.with_name("r-figures").glob("*.png"))) for page in pages] == [5, 5]
+
+
+def test_nothing_is_said_of_a_study_in_which_nothing_was_run(tmp_path):
+    opened(tmp_path / "s.db").close()
+    summary = summarize(tmp_path / "s.db")
+    assert (summary.run, dict(summary.metrics), dict(summary.analyses)) == (0, {}, {})
+    assert summary.knowledge.sensitivity is None
+    with pytest.raises(InputError, match="no scenario was run yet"):
+        write_report(tmp_path / "s.db", tmp_path / "r.html")
+    assert not (tmp_path / "r.html").exists()
