@@ -11,8 +11,9 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers.base import DrivenPath, Driver, Situation
 from cornercase.drivers.route import Route, plan_route
+from cornercase.drivers.traffic import Boxes, Conflicts, Driven
 from cornercase.drivers.visibility import Perception, in_sight
-from cornercase.drivers.yielding import Boxes, Conflicts, Driven, decide
+from cornercase.drivers.yielding import decide
 
 _VULNERABLE = ("pedestrian", "bicycle")
 

@@ -5,11 +5,23 @@ from __future__ import annotations
 import importlib
 import sys
 from pathlib import Path
-from typing import cast
+from typing import Protocol, cast, runtime_checkable
 
 from cornercase._common.errors import InputError
-from cornercase.drivers.base import Driver
+from cornercase._common.typing import FloatArray
+from cornercase.drivers.base import Driver, Situation
 from cornercase.drivers.registry import DRIVERS
+
+
+@runtime_checkable
+class _Drives(Protocol):
+    """What makes a driver of a class, whether it derives from `Driver` or not."""
+
+    settings: dict[str, object]
+
+    def start(self, scenarios: int, others: int) -> None: ...
+
+    def acceleration(self, situation: Situation) -> FloatArray: ...
 
 
 def load_driver(name: str) -> Driver:
@@ -56,7 +68,7 @@ def load_driver(name: str) -> Driver:
         driver = made()
     except Exception as error:
         raise InputError(f"The driver '{name}' cannot be made without arguments: {_one_line(error)}.") from error
-    if not _drives(driver):
+    if not isinstance(driver, _Drives) or not isinstance(driver.settings, dict):
         raise InputError(
             f"The class '{name}' is no driver: it neither derives from cornercase.drivers.Driver nor has start(),"
             " acceleration() and a dict called settings."
@@ -73,14 +85,6 @@ def named_driver(name: str) -> Driver:
         There is none.
     """
     return load_driver(name) if ":" in name else DRIVERS.create(name)
-
-
-def _drives(made: object) -> bool:
-    """Whether an object is a driver, or has all that one has without deriving from it."""
-    if isinstance(made, Driver):
-        return isinstance(made.settings, dict)
-    methods = (getattr(made, name, None) for name in ("start", "acceleration"))
-    return all(map(callable, methods)) and isinstance(getattr(made, "settings", None), dict)
 
 
 def _one_line(error: Exception) -> str:

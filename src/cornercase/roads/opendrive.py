@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -14,17 +13,16 @@ from scipy.spatial import cKDTree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.roads.lane_path import STEP, LanePath, join
+from cornercase.roads.lane_graph import LaneGraph, Stretch
+from cornercase.roads.lane_path import LanePath, join
 from cornercase.roads.road import Road, read_road
 from cornercase.scenario import read_xml
 
 _LONGEST_PATH: Final = 5000.0
 _LONGEST_BACK: Final = 500.0
-_LONGEST_LOOP: Final = 3000.0
 _JUMP: Final = 0.3
 # So far beside it, in m, an entity still counts as on the road that it was on; esmini's figure.
 _SLACK: Final = 2.0
-_MOST_ROADS: Final = 500
 
 
 class Place(NamedTuple):
@@ -42,19 +40,6 @@ class Place(NamedTuple):
     lane: IntArray
     s: FloatArray
     offset: FloatArray
-
-
-class Stretch(NamedTuple):
-    """A lane of one lane section, travelled along the road's s or against it."""
-
-    road: int
-    section: int
-    lane: int
-    along: bool
-
-    def reversed(self) -> Stretch:
-        """Return the same, travelled the other way."""
-        return self._replace(along=not self.along)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,13 +182,13 @@ class RoadNetwork:
         """Road, s, and whether the route runs along s, after a way in m from the first waypoint, each (N,)."""
         road, lane, s = waypoints[0]
         section = int(self.roads[road].section_at(np.array([s]))[0])
-        walk = self._walk(
+        walk = self._graph.walk(
             Stretch(road, section, lane, self.runs_along(road, lane)), [goal for goal, _, _ in waypoints], _LONGEST_PATH
         )
         roads, begins, starts, directions = [], [], [], []
         length = 0.0
         for k, here in enumerate(walk):
-            start, end = self._span(here)
+            start, end = self._graph.span(here)
             first = (s if k == 0 else start) if here.along else (s if k == 0 else end)
             roads.append(here.road)
             begins.append(length)
@@ -333,10 +318,10 @@ class RoadNetwork:
         key = (here, via)
         if key not in self._paths:
             # The road it starts on may be among those to pass, as it is in most routes.
-            ahead = self._walk(here, [goal for goal, _, _ in via], _LONGEST_PATH)
-            behind = [piece.reversed() for piece in self._walk(here.reversed(), [], _LONGEST_BACK)[1:]][::-1]
-            before = [self._piece(piece) for piece in behind]
-            after = [self._piece(piece) for piece in ahead]
+            ahead = self._graph.walk(here, [goal for goal, _, _ in via], _LONGEST_PATH)
+            behind = [piece.reversed() for piece in self._graph.walk(here.reversed(), [], _LONGEST_BACK)[1:]][::-1]
+            before = [self._graph.piece(piece) for piece in behind]
+            after = [self._graph.piece(piece) for piece in ahead]
             # A lane that opens beside another names it as the one before, but does not go on from its middle.
             kept, start = list[LanePath](), after[0]
             for piece in reversed(before):
@@ -347,134 +332,13 @@ class RoadNetwork:
             self._paths[key] = join([*kept, *after], len(kept))
         return self._paths[key]
 
-    def _walk(self, here: Stretch, goals: list[int], longest: float) -> list[Stretch]:
-        """Stretches from `here` on, through the goals where they can be reached."""
-        found, length, seen = [here], 0.0, {here}
-        for _ in range(_MOST_ROADS):
-            goals = goals[1:] if goals and goals[0] == here.road else goals
-            start, end = self._span(here)
-            length += end - start
-            options = self.exits(here)
-            if not options or length > longest:
-                break
-            ways = [self._way(option, goals[0]) if goals else np.inf for option in options]
-            if np.isfinite(min(ways)):
-                here = options[int(np.argmin(ways))]
-            else:
-                bends = [self._bend(option.road) for option in options]
-                here = options[int(np.argmin(bends))]
-            if here in seen and length > _LONGEST_LOOP:
-                break
-            seen.add(here)
-            found.append(here)
-        return found
-
-    def _span(self, here: Stretch) -> tuple[float, float]:
-        one = self.roads[here.road]
-        start = max(one.sections[here.section][0], 0.0)
-        end = one.sections[here.section + 1][0] if here.section + 1 < len(one.sections) else one.length
-        return start, max(end, start)
-
-    def _piece(self, here: Stretch) -> LanePath:
-        one = self.roads[here.road]
-        start, end = self._span(here)
-        s = np.linspace(start, end, max(2, int(np.ceil((end - start) / STEP)) + 1))
-        x, y, _ = one.at(s, one.center(here.section, here.lane, s))
-        order = slice(None) if here.along else slice(None, None, -1)
-        n = len(s)
-        return LanePath.of_points(
-            x[order], y[order], s[order], np.full(n, here.road), np.full(n, here.lane), np.full(n, here.along)
-        )
-
-    def exits(self, here: Stretch) -> list[Stretch]:
-        """Stretches of lane that follow in the direction of travel."""
-        one = self.roads[here.road]
-        lane = one.sections[here.section][1].get(here.lane)
-        linked = None if lane is None else (lane.successor if here.along else lane.predecessor)
-        following = here.section + (1 if here.along else -1)
-        if 0 <= following < len(one.sections):
-            lanes = one.sections[following][1]
-            number = linked if linked is not None else here.lane
-            return [Stretch(here.road, following, number, here.along)] if number in lanes else []
-        link = one.successor if here.along else one.predecessor
-        if link is None:
-            return []
-        if link.kind == "road":
-            return self._enter(link.element, linked, link.contact)
-        # A connecting road's own links tell more than the junction's: at which end of this road they are, and they
-        # hold for who drives against the traffic, too.
-        end = "end" if here.along else "start"
-        found = list[Stretch]()
-        for name, contact in self._connecting.get((link.element, one.name, end), ()):
-            road = self.roads[self._index[name]]
-            lanes = road.sections[0 if contact == "start" else -1][1]
-            for number, other in lanes.items():
-                if (other.predecessor if contact == "start" else other.successor) == here.lane:
-                    found += self._enter(name, number, contact)
-        if not found:
-            for incoming, connecting, contact, links in self.connections.get(link.element, ()):
-                if incoming == one.name and (here.lane in links or not links):
-                    found += self._enter(connecting, links.get(here.lane, here.lane), contact)
-        return list(dict.fromkeys(found))
-
-    def _enter(self, name: str, lane: int | None, contact: str) -> list[Stretch]:
-        if name not in self._index or lane is None:
-            return []
-        road = self._index[name]
-        sections = self.roads[road].sections
-        section = 0 if contact != "end" else len(sections) - 1
-        return [Stretch(road, section, lane, contact != "end")] if lane in sections[section][1] else []
-
     @cached_property
-    def _connecting(self) -> dict[tuple[str, str, str], list[tuple[str, str]]]:
-        """Roads of a junction that begin or end at the end of a road, with their own end that meets it."""
-        found: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
-        for road in self.roads:
-            if road.junction in ("-1", ""):
-                continue
-            for link, contact in ((road.predecessor, "start"), (road.successor, "end")):
-                if link is not None and link.kind == "road":
-                    key = (road.junction, link.element, link.contact or "end")
-                    found.setdefault(key, []).append((road.name, contact))
-        return found
+    def _graph(self) -> LaneGraph:
+        return LaneGraph(self.roads, self.connections, self._index)
 
     @cached_property
     def _paths(self) -> dict[Any, LanePath]:
         return {}
-
-    def _way(self, start: Stretch, goal: int) -> float:
-        """Length in m of the roads before a goal; lanes do not matter, as a route never changes them."""
-        done, queue = set[tuple[int, bool]](), [(0.0, start.road, start.along)]
-        while queue:
-            way, road, along = heappop(queue)
-            if road == goal:
-                return way
-            if (road, along) in done:
-                continue
-            done.add((road, along))
-            for option in self._road_exits(road, along):
-                if option not in done:
-                    heappush(queue, (way + self.roads[road].length, *option))
-        return float("inf")
-
-    def _road_exits(self, road: int, along: bool) -> list[tuple[int, bool]]:
-        one = self.roads[road]
-        link = one.successor if along else one.predecessor
-        if link is None:
-            return []
-        if link.kind == "road":
-            return [(self._index[link.element], link.contact != "end")] if link.element in self._index else []
-        key = (link.element, one.name, "end" if along else "start")
-        found = [(self._index[name], contact == "start") for name, contact in self._connecting.get(key, ())]
-        for incoming, connecting, contact, _ in self.connections.get(link.element, ()):
-            if incoming == one.name and connecting in self._index:
-                found.append((self._index[connecting], contact == "start"))
-        return list(dict.fromkeys(found))
-
-    def _bend(self, road: int) -> float:
-        ends = np.array([0.0, self.lengths[road]])
-        heading = self.roads[road].reference(ends)[2]
-        return float(abs(heading[1] - heading[0]))
 
     @cached_property
     def _samples(self) -> tuple[cKDTree, IntArray, IntArray, FloatArray, FloatArray, BoolArray]:

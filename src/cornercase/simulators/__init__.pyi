@@ -1,8 +1,8 @@
 from .base import Availability as Availability
 from .base import Simulator as Simulator
-from .builtin.check import Check as Check
-from .builtin.check import check as check
-from .builtin.simulate import simulate as simulate
+from .builtin.checking import Check as Check
+from .builtin.checking import check as check
+from .builtin.simulating import simulate as simulate
 from .builtin.simulator import BuiltinSimulator as BuiltinSimulator
 from .carla.openscenario_1_0 import Conversion as Conversion
 from .carla.openscenario_1_0 import convert as convert

@@ -13,7 +13,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
 from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside
-from cornercase.simulators.builtin.check import schema_errors
+from cornercase.simulators.builtin.checking import schema_errors
 
 _MINOR: Final = 0
 # Attributes that came after 1.0 and say nothing that 1.0 would understand otherwise.
