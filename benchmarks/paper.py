@@ -32,7 +32,7 @@ from cornercase.clustering import EGO_TRAJECTORY, analyze, cluster, read_distanc
 from cornercase.drivers import named_driver
 from cornercase.dtw import distances_to
 from cornercase.evidence import estimate_sensitivity
-from cornercase.exploration import Objective, demonstration, explore_scenario
+from cornercase.exploration import Objective, demonstration, explore_configuration
 from cornercase.metrics import METRICS
 from cornercase.reduction import choose_medoids, find_critical_clusters, reduce
 from cornercase.scenario import ConcreteScenario
@@ -49,7 +49,7 @@ class Experiment:
     def __init__(self, name: str, driver: str | None, budget: int | None, seed: int, folder: Path) -> None:
         path = folder / f"{name}-{driver or 'file'}.db"
         asked = demonstration(name, budget=budget, seed=seed, driver=driver)
-        explore_scenario(replace(asked, optimizer="bayes:filling=0"), path, progress=True)
+        explore_configuration(replace(asked, optimizer="bayes:filling=0"), path, progress=True)
         with Study.open(path) as study:
             self.found = analyze(study)
             self.distances = {name: read_distances(study, name) for name in self.found}

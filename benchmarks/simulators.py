@@ -21,7 +21,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from cornercase.evidence import CriticalSet
-from cornercase.exploration import Objective, demonstration, explore_scenario
+from cornercase.exploration import Objective, demonstration, explore_configuration
 from cornercase.study import Study
 
 
@@ -29,7 +29,7 @@ def explored(name: str, simulator: str, budget: int, workers: int, folder: Path)
     metric = {"x-intersection": "wttc", "t-intersection": "ttc"}[name]
     path = folder / f"{name}-{simulator.partition(':')[0]}.db"
     asked = demonstration(name, budget=budget, simulator=simulator, workers=workers)
-    explore_scenario(replace(asked, metrics=(metric,), optimizer="level-set", critical=0.5), path, progress=True)
+    explore_configuration(replace(asked, metrics=(metric,), optimizer="level-set", critical=0.5), path, progress=True)
     with Study.open(path, readonly=True) as study:
         scores = Objective.of_study(study.meta).oriented_of(study)
         points = np.array([row.point for row in study.done()])

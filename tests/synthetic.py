@@ -14,7 +14,7 @@ import numpy as np
 import psutil
 
 from cornercase._common.errors import SimulationError
-from cornercase.exploration import ScenarioExplorer
+from cornercase.exploration import Configuration, Objective, ScenarioExplorer
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
@@ -70,17 +70,10 @@ def about(space, *metrics, **more):
 
 
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, **options):
-    return ScenarioExplorer(
-        LOGICAL,
-        simulator or Synthetic(),
-        OPTIMIZERS.create(optimizer, space=SPACE, seed=7),
-        [METRICS.create(name) if isinstance(name, str) else name for name in metrics],
-        "Ego",
-        "B",
-        study,
-        budget=budget,
-        **options,
-    )
+    objective = Objective([METRICS.create(name) if isinstance(name, str) else name for name in metrics])
+    configuration = Configuration(LOGICAL, "Ego", "B", (), budget=budget, seed=7, **options)
+    optimizer = OPTIMIZERS.create(optimizer, space=SPACE, seed=7)
+    return ScenarioExplorer(configuration, simulator or Synthetic(), optimizer, study, objective)
 
 
 def opened(path):

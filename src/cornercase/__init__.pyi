@@ -6,9 +6,15 @@ from .clustering import ScenarioClustering as ScenarioClustering
 from .clustering import analyze as analyze
 from .drivers import DRIVERS as DRIVERS
 from .evidence import CriticalSet as CriticalSet
+from .exploration import ExplorationResult as ExplorationResult
 from .exploration import ScenarioExplorer as ScenarioExplorer
+from .exploration import explore as explore
 from .metrics import METRICS as METRICS
+from .metrics import Measurement as Measurement
+from .metrics import Metric as Metric
+from .metrics import measure as measure
 from .optimizers import OPTIMIZERS as OPTIMIZERS
+from .optimizers import Optimizer as Optimizer
 from .recordings import Recording as Recording
 from .recordings import read_recording as read_recording
 from .reduction import ReducedSet as ReducedSet

@@ -9,7 +9,7 @@ from scipy.stats import qmc
 
 from conftest import EXAMPLES, ran
 from cornercase.drivers import named_driver
-from cornercase.exploration import demonstration, explore_scenario
+from cornercase.exploration import demonstration, explore_configuration
 from cornercase.metrics import METRICS
 from cornercase.scenario import read_xml
 from cornercase.simulators import BuiltinSimulator
@@ -68,7 +68,7 @@ def test_speed_of_the_car_has_next_to_no_influence_on_the_x_intersection(x_inter
 @pytest.fixture(scope="module")
 def x_study(tmp_path_factory):
     path = tmp_path_factory.mktemp("x") / "study.db"
-    explore_scenario(demonstration("x-intersection", budget=200, seed=0), path)
+    explore_configuration(demonstration("x-intersection", budget=200, seed=0), path)
     return path
 
 
@@ -101,7 +101,7 @@ def test_accidents_form_a_cluster_of_their_own_by_ego_trajectory(tmp_path):
     from cornercase.clustering import analyze
 
     path = tmp_path / "study.db"
-    explore_scenario(demonstration("t-intersection", budget=100, seed=0), path)
+    explore_configuration(demonstration("t-intersection", budget=100, seed=0), path)
     with Study.open(path) as study:
         labels = analyze(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
         crashed = np.array([bool(study.recording(row.id).collisions) for row in study.done()])

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,19 @@ import pytest
 import synthetic
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.interrupts import noted_interrupts
-from cornercase.exploration import ScenarioExplorer, demonstration, explore_scenario
-from cornercase.metrics import METRICS, Metric
+from cornercase.drivers import named_driver
+from cornercase.exploration import (
+    Configuration,
+    ScenarioExplorer,
+    demonstration,
+    examples,
+    explore,
+    explore_configuration,
+)
+from cornercase.metrics import Metric
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.report import summarize, write_report
-from cornercase.scenario import ParameterSpace
+from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import Study
 from fake_simulators import NoisySimulator
 from synthetic import Synthetic, about, explorer, opened
@@ -88,7 +97,7 @@ def results(path):
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     path = tmp_path_factory.mktemp("studies") / "study.db"
-    explore_scenario(demonstration("x-intersection", budget=40, seed=1), path)
+    explore_configuration(demonstration("x-intersection", budget=40, seed=1), path)
     return path
 
 
@@ -110,39 +119,39 @@ def test_a_killed_exploration_goes_on_as_if_undisturbed(undisturbed, tmp_path):
     process.wait()
     interrupted, _ = results(path)
     assert 13 <= sum(state == "done" for *_, state in interrupted) < 40
-    result = explore_scenario(demonstration("x-intersection", budget=40, seed=1), path)
-    assert result.done == 40
+    result = explore_configuration(demonstration("x-intersection", budget=40, seed=1), path)
+    assert result.ended == 40
     assert results(path) == results(undisturbed)
 
 
 def test_workers_change_nothing(undisturbed, tmp_path):
     from dataclasses import replace
 
-    explore_scenario(replace(demonstration("x-intersection", budget=40, seed=1), workers=2), tmp_path / "s.db")
+    explore_configuration(replace(demonstration("x-intersection", budget=40, seed=1), workers=2), tmp_path / "s.db")
     assert results(tmp_path / "s.db") == results(undisturbed)
 
 
 def test_a_larger_budget_goes_on(tmp_path):
     path = tmp_path / "s.db"
-    explore_scenario(demonstration("x-intersection", budget=10), path)
-    assert explore_scenario(demonstration("x-intersection", budget=20), path).done == 20
+    explore_configuration(demonstration("x-intersection", budget=10), path)
+    assert explore_configuration(demonstration("x-intersection", budget=20), path).ended == 20
 
 
 def test_patience_ends_it(tmp_path):
     from dataclasses import replace
 
     exploration = replace(demonstration("x-intersection", budget=400), optimizer="sobol", patience=2, batch=3)
-    result = explore_scenario(exploration, tmp_path / "s.db")
-    assert result.done < 400
+    result = explore_configuration(exploration, tmp_path / "s.db")
+    assert result.ended < 400
     assert "nothing new" in result.reason
 
 
 def test_a_study_of_something_else_is_refused_and_kept(undisturbed):
     before = results(undisturbed)
     with pytest.raises(InputError, match="another seed"):
-        explore_scenario(demonstration("x-intersection", budget=40, seed=2), undisturbed)
+        explore_configuration(demonstration("x-intersection", budget=40, seed=2), undisturbed)
     with pytest.raises(InputError, match="another scenario"):
-        explore_scenario(demonstration("t-intersection", budget=40, seed=1), undisturbed)
+        explore_configuration(demonstration("t-intersection", budget=40, seed=1), undisturbed)
     assert results(undisturbed) == before
 
 
@@ -183,7 +192,7 @@ def contents(path):
 def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
     with opened(tmp_path / "whole.db") as study:
         result = explorer(study, metrics=("distance", "wttc")).run()
-    assert (result.done, result.reason, result.interrupted) == (47, "the budget of 47 scenarios is used up", False)
+    assert (result.ended, result.reason, result.interrupted) == (47, "the budget of 47 scenarios is used up", False)
     with Study.open(tmp_path / "whole.db", readonly=True) as study:
         # Seven are left for the last round.
         assert [row.round for row in study.rows()] == [1 + k // 10 for k in range(47)]
@@ -206,9 +215,9 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
 def test_interrupted_it_keeps_what_ended_and_says_so(tmp_path):
     with opened(tmp_path / "s.db") as study:
         result = explorer(study, Synthetic(interrupts=14), "sobol").run()
-        assert (result.done, result.interrupted) == (14, True)
+        assert (result.ended, result.interrupted) == (14, True)
         assert [row.state for row in study.rows()].count("pending") == 6
-        assert explorer(study, optimizer="sobol").run().done == 47
+        assert explorer(study, optimizer="sobol").run().ended == 47
 
 
 def test_a_simulator_that_ends_early_fails_the_rest_of_its_round(tmp_path):
@@ -217,7 +226,7 @@ def test_a_simulator_that_ends_early_fails_the_rest_of_its_round(tmp_path):
             yield from super().run(concretes[:4])
 
     with opened(tmp_path / "s.db") as study:
-        assert explorer(study, Short(), "sobol", budget=20).run().done == 20
+        assert explorer(study, Short(), "sobol", budget=20).run().ended == 20
         assert all("without a result" in row.error for row in study.rows() if (row.id - 1) % 10 >= 4)
 
 
@@ -277,7 +286,7 @@ def test_patience_counts_rounds_without_news(tmp_path, rounds, told):
         one = explorer(study, budget=1000, batch=1, patience=2)
         one._optimizer = scripted(rounds)
         result = one.run()
-    assert result.done == told
+    assert result.ended == told
     assert ("nothing new" in result.reason) == (told < len(rounds))
 
 
@@ -287,13 +296,13 @@ def test_scores_at_the_cap_are_no_news(tmp_path):
             return np.zeros(len(recording.time))
 
     with opened(tmp_path / "s.db") as study:
-        assert explorer(study, metrics=(Nothing(),), optimizer="sobol", budget=400, patience=3).run().done == 40
+        assert explorer(study, metrics=(Nothing(),), optimizer="sobol", budget=400, patience=3).run().ended == 40
 
 
 def test_time_is_a_criterion_and_is_noted(tmp_path):
     with opened(tmp_path / "s.db") as study:
         result = explorer(study, max_seconds=0.0).run()
-        assert (result.done, result.reason) == (0, "0 s have passed")
+        assert (result.ended, result.reason) == (0, "0 s have passed")
         explorer(study, optimizer="sobol", budget=20).run()
         assert set(study.elapsed()) == {"optimize", "simulate", "measure"}
 
@@ -313,9 +322,7 @@ def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
     meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
     optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
     with Study.create(tmp_path / "s.db", meta) as study:
-        ScenarioExplorer(
-            one.logical, simulator, optimizer, [METRICS.create("distance")], "Ego", "C", study, budget=6, repeats=3
-        ).run()
+        ScenarioExplorer(replace(one, metrics=("distance",), budget=6, repeats=3), simulator, optimizer, study).run()
         runs = [[k for k in simulator.given[i : i + 3] if k is not None] for i in range(0, 18, 3)]
         expected = [sorted(run)[(len(run) - 1) // 2] for run in runs]
         assert min(map(len, runs)) == 2
@@ -346,18 +353,16 @@ def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):
     meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
     optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
     with Study.create(tmp_path / "s.db", meta) as study:
-        ScenarioExplorer(
-            one.logical, Failing(), optimizer, [METRICS.create("distance")], "Ego", "C", study, budget=2, repeats=3
-        ).run()
+        ScenarioExplorer(replace(one, metrics=("distance",), budget=2, repeats=3), Failing(), optimizer, study).run()
         assert [row.state for row in study.rows()] == ["failed", "done"]
         assert study.failed()[0].error == "run 0"
 
 
 def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
     one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2)
-    explore_scenario(one, tmp_path / "s.db")
+    explore_configuration(one, tmp_path / "s.db")
     with pytest.raises(InputError, match="another number of repeats"):
-        explore_scenario(replace(one, repeats=3), tmp_path / "s.db")
+        explore_configuration(replace(one, repeats=3), tmp_path / "s.db")
     with Study.open(tmp_path / "s.db") as study:
         # The builtin simulator gives the same each time.
         spread = study.spread("ttc")
@@ -371,15 +376,15 @@ def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path,
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cornercase.exploration.configuration.ScenarioExplorer", interrupted)
-    result = explore_scenario(one, tmp_path / "s.db")
-    assert (result.done, result.interrupted) == (0, True)
+    monkeypatch.setattr("cornercase.exploration.exploring.ScenarioExplorer", interrupted)
+    result = explore_configuration(one, tmp_path / "s.db")
+    assert (result.ended, result.interrupted) == (0, True)
     monkeypatch.undo()
-    assert explore_scenario(one, tmp_path / "s.db").done == 2
+    assert explore_configuration(one, tmp_path / "s.db").ended == 2
     # Before there is a study there is nothing to go on with.
-    monkeypatch.setattr("cornercase.exploration.configuration.Study.create", interrupted)
+    monkeypatch.setattr("cornercase.exploration.exploring.Study.create", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        explore_scenario(one, tmp_path / "other.db")
+        explore_configuration(one, tmp_path / "other.db")
 
 
 def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
@@ -394,3 +399,34 @@ def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
         compare()
     with pytest.raises(TypeError, match="of its own"), noted_interrupts():
         raise TypeError("of its own")
+
+
+T = examples() / "t_intersection"
+
+
+def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_path):
+    search = partial(explore, ego="Ego", other="C", metrics=["distance"], optimizer="sobol", seed=1)
+    file, space = T / "t_intersection.xosc", T / "t_intersection.space.xosc"
+    found = search(file, tmp_path / "a.db", space=space, budget=3)
+    assert (found.study, found.done, found.failed, found.ended) == (tmp_path / "a.db", 3, 0, 3)
+    assert "3 scenarios done" in repr(found)
+    assert "budget of 3" in repr(found)
+    logical = LogicalScenario.read(file, space)
+    normal = named_driver("normal")
+    search(logical, str(tmp_path / "b.db"), budget=2)
+    # With a larger budget it goes on.
+    assert search(logical, tmp_path / "b.db", budget=3).ended == 3
+    driven = search(logical, tmp_path / "c.db", budget=2, drivers={"Ego": normal})
+    with Study.open(driven.study, readonly=True) as study:
+        assert study.meta.settings["drivers"] == {"Ego": normal.settings}
+    with Study.open(tmp_path / "a.db", readonly=True) as one, Study.open(tmp_path / "b.db", readonly=True) as two:
+        np.testing.assert_array_equal(one.scores("distance"), two.scores("distance"))
+    with pytest.raises(InputError, match="belong to a scenario file"):
+        search(logical, tmp_path / "d.db", space=space)
+
+
+@pytest.mark.parametrize("given", [{"budget": 0}, {"batch": 0}, {"seed": -1}, {"repeats": 0}, {"patience": 0}])
+def test_numbers_out_of_range_are_refused(given):
+    (name,) = given
+    with pytest.raises(InputError, match=f"`{name}`"):
+        Configuration(demonstration("t-intersection").logical, "Ego", "C", ("distance",), **given)

@@ -54,7 +54,7 @@ def test_lower_is_always_more_critical():
     [
         ({"tcc": 1.0}, False, "did you mean 'ttc'"),
         ({"ttc": -1.0}, False, "above 0"),
-        ({"ttc": 1.0}, True, "no --weight"),
+        ({"ttc": 1.0}, True, "no `weights`"),
     ],
 )
 def test_what_cannot_be_searched_is_refused(weights, pareto, words):
@@ -151,18 +151,14 @@ def test_options_of_a_search_stand_behind_a_colon():
 
 
 def test_an_explorer_stops_when_enough_is_known(tmp_path):
-    from cornercase.exploration.stopping import Criterion
-
-    limit = {"critical": 1.0, "seed": 7}
+    limit = {"critical": 1.0}
     with opened(tmp_path / "s.db") as study:
-        result = explorer(
-            study, optimizer="sobol", budget=400, stop_when=[Criterion.parse("missed<0.1")], **limit
-        ).run()
-    assert 40 <= result.done < 400
+        result = explorer(study, optimizer="sobol", budget=400, stop_when=("missed<0.1",), **limit).run()
+    assert 40 <= result.ended < 400
     assert "of the critical set is missed" in result.reason
     with opened(tmp_path / "t.db") as study:
-        never = [Criterion.parse("missed<0.1"), Criterion.parse("unvisited(0.0001)<0.001")]
-        assert explorer(study, optimizer="sobol", budget=100, stop_when=never, **limit).run().done == 100
+        never = ("missed<0.1", "unvisited(0.0001)<0.001")
+        assert explorer(study, optimizer="sobol", budget=100, stop_when=never, **limit).run().ended == 100
     with opened(tmp_path / "u.db") as study, pytest.raises(InputError, match="what is critical"):
         explorer(study, stop_when=never)
 

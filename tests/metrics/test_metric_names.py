@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from cornercase._common.errors import InputError
 from cornercase.cli import app
-from cornercase.metrics import METRICS, Clearance, Metric
+from cornercase.metrics import METRICS, Clearance, Metric, measure
 from oracle import actor, recorded
 
 
@@ -103,3 +103,23 @@ def test_oriented_scores_are_lower_where_more_critical():
     for metric in map(METRICS.create, METRICS.names()):
         assert metric.oriented(scores).argmin() == (0 if metric.lower_is_critical else 1)
         np.testing.assert_array_equal(metric.oriented(metric.oriented(scores)), scores)
+
+
+def test_a_recording_is_measured_from_python_as_on_the_command_line(tmp_path):
+    recording = recorded([actor(v=20), actor(x=34, v=10)], [0.0, 0.1, 0.2])
+    recording.to_csv(tmp_path / "r.csv")
+    found = measure(tmp_path / "r.csv", "0", "1", ["ttc", "drac", "pet"])
+    given = CliRunner().invoke(
+        app,
+        ["measure", str(tmp_path / "r.csv"), "--ego", "0", "--other", "1", "-o", str(tmp_path / "c.csv")]
+        + [text for name in found.scores for text in ("--metric", name)],
+    )
+    printed = [line.split() for line in given.output.splitlines()]
+    assert [line.split() for line in repr(found).splitlines()] == printed[: len(found.scores) + 1]
+    table = found.table()
+    assert list(table.columns) == ["ttc", "drac", "pet"]
+    assert table.index.name == "time"
+    np.testing.assert_array_equal(table["ttc"], METRICS.create("ttc").course(recording, "0", "1"))
+    assert set(measure(recording, "0", "1").scores) == set(METRICS.names())
+    with pytest.raises(InputError, match="'2'"):
+        measure(recording, "0", "2", ["ttc"])

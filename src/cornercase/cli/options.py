@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
 from cornercase._common.version import __version__
+
+if TYPE_CHECKING:
+    from cornercase.exploration import ExplorationResult
 
 app = typer.Typer(
     name="cornercase",
@@ -70,10 +73,9 @@ def _main(
         raise typer.Exit
 
 
-def explored(run: Any, exploration: Any, study: Path) -> None:
-    """Explore, and say how it ended."""
-    result = run(exploration, study, progress=True)
+def tell_ending(result: ExplorationResult) -> None:
+    """Say how an exploration ended."""
     if result.interrupted:
-        out.print(f"Interrupted; the same command goes on from the {result.done} scenarios in {study}.")
+        out.print(f"Interrupted; the same command goes on from the {result.ended} scenarios in {result.study}.")
         raise typer.Exit(130)
-    out.print(f"{result.done} scenarios in {study}; ended because {result.reason}.")
+    out.print(f"{result.ended} scenarios in {result.study}; ended because {result.reason}.")

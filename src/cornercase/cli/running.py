@@ -32,8 +32,8 @@ from cornercase.cli.options import (
     Workers,
     app,
     err,
-    explored,
     out,
+    tell_ending,
 )
 
 
@@ -108,40 +108,39 @@ def explore(
           --space examples/x_intersection/x_intersection.space.xosc \\
           --ego Ego --other Pedestrian --metric wttc --budget 100 -o study.db
     """
-    from cornercase.exploration import Exploration, explore_scenario
+    from cornercase import exploration
     from cornercase.scenario import LogicalScenario
 
     logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
     _notice(logical.scenario, simulator)
-    explored(
-        explore_scenario,
-        Exploration(
-            logical,
-            ego=ego,
-            other=other,
-            metrics=tuple(metric),
-            optimizer=optimizer,
-            critical=critical,
-            weights=parsing.weights(weight or ()),
-            pareto=pareto,
-            stop_when=tuple(stop_when or ()),
-            budget=budget,
-            batch=batch,
-            seed=seed,
-            patience=patience,
-            max_seconds=max_seconds,
-            simulator=simulator,
-            workers=workers,
-            timeout=timeout,
-            retries=retries,
-            repeats=repeats,
-            time_step=time_step,
-            duration=duration,
-            on_collision=on_collision,
-            drivers=parsing.pairs(driver or (), "--driver"),
-        ),
+    result = exploration.explore(
+        logical,
         output,
+        ego=ego,
+        other=other,
+        metrics=metric,
+        optimizer=optimizer,
+        critical=critical,
+        weights=parsing.weights(weight or ()),
+        pareto=pareto,
+        stop_when=stop_when or (),
+        budget=budget,
+        batch=batch,
+        patience=patience,
+        max_seconds=max_seconds,
+        seed=seed,
+        simulator=simulator,
+        workers=workers,
+        timeout=timeout,
+        retries=retries,
+        repeats=repeats,
+        time_step=time_step,
+        duration=duration,
+        on_collision=on_collision,
+        drivers=parsing.pairs(driver or (), "--driver"),
+        progress=True,
     )
+    tell_ending(result)
 
 
 @app.command()
@@ -267,19 +266,16 @@ def measure(
     Example:
       cornercase measure recording.csv --ego Ego --other Pedestrian --metric wttc -o courses.csv
     """
-    from cornercase.metrics import METRICS
-    from cornercase.recordings import read_recording, write_courses
+    from cornercase.metrics import measure as measure_recording
+    from cornercase.recordings import write_courses
 
-    read = read_recording(recording)
-    metrics = [METRICS.create(name) for name in metric or METRICS.names()]
-    courses = {one.name: one.course(read, ego, other) for one in metrics}
-    write_courses(output, read.time, courses)
+    found = measure_recording(recording, ego, other, metric)
+    write_courses(output, found.time, found.courses)
     table = Table("metric", "score", "unit", "critical is", box=None)
-    for one in metrics:
-        critical = "low" if one.lower_is_critical else "high"
-        table.add_row(one.name, f"{one.score(courses[one.name]):.4g}", one.unit, critical)
+    for row in found.rows():
+        table.add_row(*row)
     out.print(table)
-    out.print(f"{read.time.size} instants written to {output}")
+    out.print(f"{found.time.size} instants written to {output}")
 
 
 @app.command(name="import")

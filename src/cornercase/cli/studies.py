@@ -21,8 +21,8 @@ from cornercase.cli.options import (
     StudyFile,
     Workers,
     app,
-    explored,
     out,
+    tell_ending,
 )
 
 
@@ -170,14 +170,14 @@ def demo(
       cornercase demo x-intersection --budget 100 -o demo
     """
     from cornercase import clustering, reduction
-    from cornercase.exploration import demonstration, explore_scenario
+    from cornercase.exploration import demonstration, explore_configuration
     from cornercase.report import write_report
     from cornercase.study import Study
 
     folder = output or Path("demo") / name
-    exploration = demonstration(name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers)
+    configuration = demonstration(name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers)
     study = folder / "study.db"
-    explored(explore_scenario, exploration, study)
+    tell_ending(explore_configuration(configuration, study, progress=True))
     with Study.open(study) as opened:
         clustering.analyze(opened, progress=True)
         reduction.reduce(opened, folder / "reduced")

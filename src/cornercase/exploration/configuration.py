@@ -1,59 +1,67 @@
-"""From a logical scenario to a report, as the command line does it."""
+"""Everything that an exploration depends on."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 from cornercase._common.errors import InputError
-from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
+from cornercase.drivers import Driver
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
 from cornercase.metrics import METRICS
-from cornercase.optimizers import create_optimizer, optimizer_needs
+from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
-from cornercase.simulators import Simulator, start_simulator
-from cornercase.study import Study, StudyMeta
+from cornercase.study import StudyMeta
 
 
 @dataclass(frozen=True)
-class Exploration:
+class Configuration:
     """Everything that an exploration depends on.
 
     Attributes
     ----------
     logical : LogicalScenario
     ego, other : str
+        Names of the entity under test and of the one that it is measured against.
     metrics : tuple of str
-        The first is searched.
+        All are stored; the first is searched where there are no weights.
     optimizer : str
     critical : float or None
-        Score from which a scenario is critical; None for the metric's own.
+        Threshold: score from which a scenario is critical; None for the metric's own.
     weights : mapping of str to float
-        For a weighted sum of the metrics, instead of the first.
+        By metric, for their weighted sum to be searched instead of the first.
     pareto : bool
         Whether to search the Pareto front of all metrics.
     stop_when : tuple of str
-        What has to be known to stop, as ``"missed<0.01"``.
-    budget, batch, seed : int
+        What has to be known of the critical set to stop, as ``"missed<0.01"``; of several all.
+    budget, batch : int
+        Scenarios in all and per round.
     patience : int or None
+        Rounds without anything new after which to stop: none of them had a score at least as critical as the best
+        before. A score at the metric's cap is not critical and never new after the first.
     max_seconds : float or None
+        Time in s after which no round is begun.
+    seed : int
     simulator : str
     workers : int
+        Simulators side by side.
     timeout : float or None
-        s after which a scenario is given up.
+        Time in s after which a scenario is given up.
     retries : int
         How often a scenario is run again after the simulator died or hung.
     repeats : int
-        How often each scenario is run, as of `ScenarioExplorer`.
+        How often each scenario is run, for a simulator that does not give the same twice; the median counts.
     time_step, duration : float
         s.
     on_collision : {"continue", "stop"}
-    drivers : mapping of str to str
-        Driver by entity.
+    drivers : mapping of str to str or Driver
+        Who drives, by entity.
+
+    Raises
+    ------
+    InputError
+        A number is out of range, or what `stop_when` says is no criterion.
     """
 
     logical: LogicalScenario
@@ -67,9 +75,9 @@ class Exploration:
     stop_when: tuple[str, ...] = ()
     budget: int = 200
     batch: int = 10
-    seed: int = 0
     patience: int | None = None
     max_seconds: float | None = None
+    seed: int = 0
     simulator: str = "builtin"
     workers: int = 1
     timeout: float | None = None
@@ -78,87 +86,107 @@ class Exploration:
     time_step: float = 0.05
     duration: float = 60.0
     on_collision: str = "continue"
-    drivers: Mapping[str, str] = field(default_factory=dict)
+    drivers: Mapping[str, str | Driver] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name, least in (("budget", 1), ("batch", 1), ("repeats", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise InputError(f"`{name}` {getattr(self, name)}: give {least} or more.")
+        if self.patience is not None and self.patience < 1:
+            raise InputError(f"`patience` {self.patience}: give 1 or more.")
+        self.criteria()
 
-def explore_scenario(exploration: Exploration, path: Path, progress: bool = False) -> ExplorationResult:
-    """Explore into a study, or go on with the one that is there.
+    def require_entities(self) -> None:
+        """Refuse an ego or other entity that the scenario does not have.
 
-    Raises
-    ------
-    InputError
-        Something about the exploration cannot be used, or the study is of another one; it is left as it is.
-    """
-    try:
-        return _explore(exploration, path, progress)
-    except KeyboardInterrupt:
-        # While the explorer does not listen, at its very beginning or end.
-        with suppress(InputError), Study.open(path, readonly=True) as study:
-            return ExplorationResult(len(study.done()) + len(study.failed()), "it was interrupted", interrupted=True)
-        raise
+        Raises
+        ------
+        InputError
+        """
+        self.logical.scenario.require_entity(self.ego, "ego")
+        self.logical.scenario.require_entity(self.other, "other")
+        if self.ego == self.other:
+            raise InputError(f"`other` {self.other}: is the ego itself; name the entity that it meets.")
 
+    def objective(self) -> Objective:
+        """What is searched.
 
-def _explore(one: Exploration, path: Path, progress: bool) -> ExplorationResult:
-    file = one.logical.scenario
-    file.require_entity(one.ego, "ego")
-    file.require_entity(one.other, "other")
-    if one.ego == one.other:
-        raise InputError(f"--other {one.other}: is the ego itself; name the entity that it meets.")
-    metrics = [METRICS.create(name) for name in dict.fromkeys(one.metrics)]
-    objective = Objective(metrics, one.weights, one.pareto)
-    criteria = [Criterion.parse(text) for text in one.stop_when]
-    needs = optimizer_needs(one.optimizer)
-    required = "threshold" in needs or bool(criteria)
-    threshold = objective.threshold(one.critical) if required else objective.known_threshold(one.critical)
-    optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
-    if one.pareto and not optimizer.takes_several:
-        raise InputError(f"--pareto: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
-    simulator = _simulator(one)
-    # Before there is a study, as nothing of the scenario could be run.
-    simulator.require_means(file)
-    meta = StudyMeta(
-        scenario=str(one.logical.path.resolve()),
-        fingerprint=one.logical.fingerprint,
-        space=one.logical.space,
-        ego=one.ego,
-        other=one.other,
-        metrics=tuple(metric.name for metric in metrics),
-        optimizer=one.optimizer,
-        simulator=one.simulator,
-        settings=simulator.settings,
-        critical=None if threshold is None else objective.flip(threshold),
-        weights=dict(one.weights),
-        pareto=one.pareto,
-        seed=one.seed,
-        budget=one.budget,
-        batch=one.batch,
-        repeats=one.repeats,
-    )
-    with Study.open(path) if path.exists() else Study.create(path, meta) as study:
-        study.continue_with(meta, same_budget="budget" in needs)
-        explorer = ScenarioExplorer(
-            one.logical, simulator, optimizer, metrics, one.ego, one.other, study,
-            budget=one.budget, batch=one.batch, patience=one.patience, max_seconds=one.max_seconds,
-            objective=objective, stop_when=criteria, critical=threshold, seed=one.seed, repeats=one.repeats,
-        )  # fmt: skip
-        try:
-            return explorer.run(progress)
-        finally:
-            simulator.close()
+        Returns
+        -------
+        Objective
 
+        Raises
+        ------
+        InputError
+            There is no such metric, or the weights or the front cannot be searched.
+        """
+        metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
+        return Objective(metrics, self.weights, self.pareto)
 
-def _simulator(one: Exploration) -> Simulator:
-    from cornercase.drivers import named_driver
+    def criteria(self) -> list[Criterion]:
+        """What has to be known to stop.
 
-    options: dict[str, Any] = {
-        "time_step": one.time_step,
-        "duration": one.duration,
-        "on_collision": one.on_collision,
-        # A preset stays a name, so that it can be written into the reduced set's files.
-        "drivers": {entity: named_driver(n) if ":" in n else n for entity, n in one.drivers.items()},
-    }
-    for name in one.drivers.values():
-        named_driver(name)
-    return start_simulator(
-        one.simulator, options, ego=one.ego, workers=one.workers, timeout=one.timeout, retries=one.retries
-    )
+        Returns
+        -------
+        list of Criterion
+
+        Raises
+        ------
+        InputError
+            A text is no criterion.
+        """
+        return [Criterion.parse(text) for text in self.stop_when]
+
+    def threshold(self, objective: Objective) -> float | None:
+        """Oriented score up to which a scenario is critical.
+
+        Parameters
+        ----------
+        objective : Objective
+
+        Returns
+        -------
+        float or None
+            None where nothing says it and nothing needs it.
+
+        Raises
+        ------
+        InputError
+            Nothing says it, but the optimizer or a criterion to stop needs it.
+        """
+        if self.stop_when or "threshold" in optimizer_needs(self.optimizer):
+            return objective.threshold(self.critical)
+        return objective.known_threshold(self.critical)
+
+    def meta(self, objective: Objective, settings: Mapping[str, object]) -> StudyMeta:
+        """What a study of this exploration is about.
+
+        Parameters
+        ----------
+        objective : Objective
+        settings : mapping of str to object
+            Those of the simulator.
+
+        Returns
+        -------
+        StudyMeta
+        """
+        threshold = self.threshold(objective)
+        return StudyMeta(
+            scenario=str(self.logical.path.resolve()),
+            fingerprint=self.logical.fingerprint,
+            space=self.logical.space,
+            ego=self.ego,
+            other=self.other,
+            metrics=tuple(metric.name for metric in objective.metrics),
+            optimizer=self.optimizer,
+            simulator=self.simulator,
+            settings=settings,
+            critical=None if threshold is None else objective.flip(threshold),
+            weights=dict(self.weights),
+            pareto=self.pareto,
+            seed=self.seed,
+            budget=self.budget,
+            batch=self.batch,
+            repeats=self.repeats,
+        )

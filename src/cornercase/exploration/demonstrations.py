@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError, suggestion
-from cornercase.exploration.configuration import Exploration
+from cornercase.exploration.configuration import Configuration
 from cornercase.scenario import LogicalScenario
 
 _DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
@@ -34,8 +34,8 @@ def demonstration(
     driver: str | None = None,
     simulator: str = "builtin",
     workers: int = 1,
-) -> Exploration:
-    """Exploration of one of the paper's experiments, at its size.
+) -> Configuration:
+    """Configuration of one of the paper's experiments, at its size.
 
     Parameters
     ----------
@@ -47,6 +47,10 @@ def demonstration(
     simulator : str
     workers : int
 
+    Returns
+    -------
+    Configuration
+
     Raises
     ------
     InputError
@@ -56,7 +60,7 @@ def demonstration(
         raise InputError(f"There is no example '{name}'; {suggestion(name, _DEMONSTRATIONS)}")
     stem = name.replace("-", "_")
     folder = examples() / stem
-    exploration = Exploration(
+    configuration = Configuration(
         LogicalScenario.read(folder / f"{stem}.xosc", folder / f"{stem}.space.xosc"),
         ego="Ego",
         seed=seed,
@@ -65,7 +69,7 @@ def demonstration(
         workers=workers,
         **_DEMONSTRATIONS[name],
     )
-    return exploration if budget is None else replace(exploration, budget=budget)
+    return configuration if budget is None else replace(configuration, budget=budget)
 
 
 def examples() -> Path:

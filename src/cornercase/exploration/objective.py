@@ -36,16 +36,16 @@ class Objective:
         self, metrics: Sequence[Metric], weights: Mapping[str, float] | None = None, pareto: bool = False
     ) -> None:
         if not metrics:
-            raise InputError("There is no metric to search; name one with --metric.")
+            raise InputError("There is no metric to search; name one with `metrics`.")
         self.metrics, self.weights, self.pareto = list(metrics), dict(weights or {}), pareto
         if pareto and (self.weights or len(metrics) < 2):
-            raise InputError("--pareto: takes two metrics or more, and no --weight.")
+            raise InputError("`pareto`: takes two metrics or more, and no `weights`.")
         names = [metric.name for metric in metrics]
         for name, weight in self.weights.items():
             if name not in names:
-                raise InputError(f"--weight {name}: is none of the metrics; {suggestion(name, names)}")
+                raise InputError(f"`weights` {name}: is none of the metrics; {suggestion(name, names)}")
             if not 0.0 < weight < np.inf:
-                raise InputError(f"--weight {name}={weight:g}: give a number above 0.")
+                raise InputError(f"`weights` {name}={weight:g}: give a number above 0.")
         self._factors = self._matrix()
 
     @classmethod
@@ -115,10 +115,10 @@ class Objective:
             A Pareto front has none; or there is none of its own, and none is given.
         """
         if self.pareto:
-            raise InputError("--pareto: what is critical needs one score; weigh the metrics with --weight instead.")
+            raise InputError("`pareto`: what is critical needs one score; weigh the metrics with `weights` instead.")
         if self.weights:
             if given is None:
-                raise InputError("--weight: say with --critical up to which weighted sum a scenario is critical.")
+                raise InputError("`weights`: say with `critical` up to which weighted sum a scenario is critical.")
             return float(given)
         return self.flip(self.metrics[0].find_threshold(given))
 

@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
 
 from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
 from cornercase.evidence import REGION, CriticalSet
+from cornercase.scenario import ParameterSpace
+
+_LEAST: Final = 40
+"""Scenarios below which nothing is said about a critical set."""
 
 _FORM = re.compile(r"(?P<what>[a-z]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
 
@@ -16,7 +25,7 @@ _KINDS = ("missed", "interval", *_SIZED)
 
 @dataclass(frozen=True)
 class Criterion:
-    """A quantity of a `CriticalSet` that is to fall below a limit.
+    """A quantity of a `CriticalSet` that is to fall below a number.
 
     Attributes
     ----------
@@ -35,25 +44,34 @@ class Criterion:
 
     @classmethod
     def parse(cls, text: str) -> Criterion:
-        """Criterion of a text such as ``missed<0.01`` or ``overlooked(0.02)<0.05``.
+        """Read a criterion such as ``missed<0.01`` or ``overlooked(0.02)<0.05``.
+
+        Parameters
+        ----------
+        text : str
+
+        Returns
+        -------
+        Criterion
 
         Raises
         ------
         InputError
+            It is none.
         """
         match = _FORM.fullmatch(text.replace(" ", ""))
         if match is None or match["what"] not in _KINDS:
             raise InputError(
-                f"--stop-when {text}: write it as missed<0.01, interval<0.05, overlooked(0.01)<0.05 or"
+                f"`stop_when` {text}: write it as missed<0.01, interval<0.05, overlooked(0.01)<0.05 or"
                 " unvisited(0.01)<0.05, in quotes."
             )
         if match["size"] is not None and match["what"] not in _SIZED:
-            raise InputError(f"--stop-when {text}: only overlooked and unvisited take a size.")
+            raise InputError(f"`stop_when` {text}: only overlooked and unvisited take a size.")
         size = _share(match["size"], text) if match["size"] else REGION
         return cls(match["what"], _share(match["below"], text), size)
 
     def value(self, known: CriticalSet) -> float:
-        """What the quantity is."""
+        """Value of the quantity, from 0 to 1."""
         if self.what == "missed":
             return known.missed.high
         if self.what == "interval":
@@ -71,11 +89,62 @@ class Criterion:
         return f"with a probability of {value:.2%} a critical region of {self.size:.2%} or more was overlooked"
 
 
+class Stopping:
+    """Tells when enough is known of the critical set: when all criteria are fulfilled.
+
+    Parameters
+    ----------
+    criteria : sequence of Criterion
+        Without any, never.
+    space : ParameterSpace
+    threshold : float or None
+        Oriented score up to which a scenario is critical.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        There are criteria but no threshold.
+    """
+
+    def __init__(
+        self, criteria: Sequence[Criterion], space: ParameterSpace, threshold: float | None, seed: int
+    ) -> None:
+        if criteria and threshold is None:
+            raise InputError("`stop_when`: say with `critical` what is critical.")
+        self._criteria, self._space, self._threshold, self._seed = tuple(criteria), space, threshold, seed
+        self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
+
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Take oriented scores, shape (m,), of points, shape (m, d); NaN for a scenario that failed."""
+        if self._criteria:
+            self._points = np.concatenate([self._points, points])
+            self._scores = np.concatenate([self._scores, scores])
+
+    @property
+    def ready(self) -> bool:
+        """Whether there are criteria, and enough scenarios to judge them."""
+        return bool(self._criteria) and len(self._scores) >= _LEAST
+
+    def reason(self) -> str | None:
+        """Say why enough is known; None while it is not."""
+        if not self.ready or self._threshold is None:
+            return None
+        try:
+            known = CriticalSet(self._space, self._points, self._scores, self._threshold, self._seed)
+        except ValueError:
+            return None
+        values = [criterion.value(known) for criterion in self._criteria]
+        if any(value >= one.below for one, value in zip(self._criteria, values, strict=True)):
+            return None
+        return " and ".join(one.words(value) for one, value in zip(self._criteria, values, strict=True))
+
+
 def _share(text: str, whole: str) -> float:
     try:
         number = float(text)
     except ValueError:
         number = float("nan")
     if not 0.0 < number <= 1.0:
-        raise InputError(f"--stop-when {whole}: '{text}' has to be a number above 0 and up to 1.")
+        raise InputError(f"`stop_when` {whole}: '{text}' has to be a number above 0 and up to 1.")
     return number

@@ -1,6 +1,5 @@
 from ._parts.conflict_area import visits as visits
 from .base import Metric as Metric
-from .base import measured as measured
 from .deceleration import Btn as Btn
 from .deceleration import Drac as Drac
 from .deceleration import Dst as Dst
@@ -20,6 +19,9 @@ from .gap_time import GapTime as GapTime
 from .gap_time import SquaredGapTime as SquaredGapTime
 from .lateral import LateralAcceleration as LateralAcceleration
 from .lateral import Stn as Stn
+from .measuring import Measurement as Measurement
+from .measuring import measure as measure
+from .measuring import measured as measured
 from .pet import EncroachmentTime as EncroachmentTime
 from .pet import Pet as Pet
 from .registry import METRICS as METRICS

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -158,14 +157,3 @@ class Metric(ABC):
         if not np.isfinite(value):
             raise InputError(f"`critical` {value}: give a finite number.")
         return float(value)
-
-
-def measured(
-    metrics: Iterable[Metric], recording: Recording, ego: str, other: str
-) -> dict[str, tuple[FloatArray, float]]:
-    """Course, shape (T,), and score of each metric, by its name."""
-    courses = {}
-    for metric in metrics:
-        course = metric.course(recording, ego, other)
-        courses[metric.name] = (course, metric.score(course))
-    return courses

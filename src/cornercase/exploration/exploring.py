@@ -1,0 +1,208 @@
+"""From a logical scenario to a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from cornercase._common.errors import InputError
+from cornercase.drivers import Driver, named_driver
+from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
+from cornercase.optimizers import create_optimizer, optimizer_needs
+from cornercase.scenario import LogicalScenario
+from cornercase.simulators import Simulator, start_simulator
+from cornercase.study import Study
+
+
+# Its parameters are the options of the command.
+def explore(
+    scenario: LogicalScenario | Path | str | None,
+    study: Path | str,
+    *,
+    ego: str,
+    other: str,
+    metrics: Sequence[str],
+    space: Path | str | None = None,
+    ranges: Sequence[str] = (),
+    continuous: bool = False,
+    optimizer: str = "bayes",
+    critical: float | None = None,
+    weights: Mapping[str, float] | None = None,
+    pareto: bool = False,
+    stop_when: Sequence[str] = (),
+    budget: int = 200,
+    batch: int = 10,
+    patience: int | None = None,
+    max_seconds: float | None = None,
+    seed: int = 0,
+    simulator: str = "builtin",
+    workers: int = 1,
+    timeout: float | None = None,
+    retries: int = 1,
+    repeats: int = 1,
+    time_step: float = 0.05,
+    duration: float = 60.0,
+    on_collision: str = "continue",
+    drivers: Mapping[str, str | Driver] | None = None,
+    progress: bool = False,
+) -> ExplorationResult:
+    """Search a logical scenario for its critical concrete scenarios.
+
+    Each scenario is stored the moment it has ended. The same call again goes on where it stopped; with a larger
+    budget it goes on from there.
+
+    Parameters
+    ----------
+    scenario : path or LogicalScenario or None
+        OpenSCENARIO file; None for the one that `space` names.
+    study : path
+        Study to write or go on with.
+    ego, other : str
+        Names of the entity under test and of the one that it is measured against.
+    metrics : sequence of str
+        Criticality metrics; all are stored, the first is searched where there are no weights.
+    space : path, optional
+        ParameterValueDistribution file. Like `ranges` and `continuous` only for the path of a scenario.
+    ranges : sequence of str
+        ``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.
+    continuous : bool, default False
+        Search ranges that have steps as intervals.
+    optimizer : str, default "bayes"
+        Options stand behind a colon, as in ``"bayes:filling=0"``.
+    critical : float, optional
+        Threshold: score from which a scenario is critical; by default the metric's own.
+    weights : mapping of str to float, optional
+        By metric: search their weighted sum, in which what is critical when high counts with the opposite sign.
+    pareto : bool, default False
+        Search the Pareto front of all metrics.
+    stop_when : sequence of str
+        Stop when so much is known of the critical set, as ``"missed<0.01"``; of several all.
+    budget, batch : int
+        Scenarios in all and per round.
+    patience : int, optional
+        Rounds without anything new after which to stop.
+    max_seconds : float, optional
+        Time in s after which no round is begun.
+    seed : int, default 0
+        The same seed gives the same result.
+    simulator : str, default "builtin"
+    workers : int, default 1
+        Simulators side by side.
+    timeout : float, optional
+        Time in s after which a scenario is given up.
+    retries : int, default 1
+        How often a scenario is run again after the simulator died or hung.
+    repeats : int, default 1
+        How often each scenario is run; its score is the median.
+    time_step, duration : float
+        s.
+    on_collision : {"continue", "stop"}
+        What a collision does to the run.
+    drivers : mapping of str to str or Driver, optional
+        Who drives, by entity: a preset, ``package.module:Class``, or a driver.
+    progress : bool, default False
+        Show how far it is on standard error.
+
+    Returns
+    -------
+    ExplorationResult
+
+    Raises
+    ------
+    InputError
+        Something cannot be used, or the study is of another exploration; it is left as it is.
+    """
+    if not isinstance(scenario, LogicalScenario):
+        scenario = LogicalScenario.read(scenario, space, ranges, continuous)
+    elif space is not None or ranges or continuous:
+        raise InputError("`space`, `ranges` and `continuous` belong to a scenario file; this scenario has its space.")
+    configuration = Configuration(
+        logical=scenario,
+        ego=ego,
+        other=other,
+        metrics=(metrics,) if isinstance(metrics, str) else tuple(metrics),
+        optimizer=optimizer,
+        critical=critical,
+        weights=dict(weights or {}),
+        pareto=pareto,
+        stop_when=(stop_when,) if isinstance(stop_when, str) else tuple(stop_when),
+        budget=budget,
+        batch=batch,
+        patience=patience,
+        max_seconds=max_seconds,
+        seed=seed,
+        simulator=simulator,
+        workers=workers,
+        timeout=timeout,
+        retries=retries,
+        repeats=repeats,
+        time_step=time_step,
+        duration=duration,
+        on_collision=on_collision,
+        drivers=dict(drivers or {}),
+    )
+    return explore_configuration(configuration, study, progress)
+
+
+def explore_configuration(configuration: Configuration, study: Path | str, progress: bool = False) -> ExplorationResult:
+    """Explore into a study, or go on with the one that is there; as `explore`.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    study : path
+    progress : bool, default False
+
+    Returns
+    -------
+    ExplorationResult
+
+    Raises
+    ------
+    InputError
+        Something cannot be used, or the study is of another exploration; it is left as it is.
+    """
+    path = Path(study)
+    try:
+        return _explore(configuration, path, progress)
+    except KeyboardInterrupt:
+        # While the explorer does not listen, at its very beginning or end.
+        with suppress(InputError), Study.open(path, readonly=True) as opened:
+            return ExplorationResult.of(opened, "it was interrupted", interrupted=True)
+        raise
+
+
+def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResult:
+    one.require_entities()
+    objective = one.objective()
+    threshold = one.threshold(objective)
+    optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
+    if one.pareto and not optimizer.takes_several:
+        raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
+    with _simulator(one) as simulator:
+        # Before there is a study, as nothing of the scenario could be run.
+        simulator.require_means(one.logical.scenario)
+        meta = one.meta(objective, simulator.settings)
+        with Study.open(path) if path.exists() else Study.create(path, meta) as study:
+            study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
+            return ScenarioExplorer(one, simulator, optimizer, study, objective).run(progress)
+
+
+def _simulator(one: Configuration) -> Simulator:
+    drivers: dict[str, str | Driver] = {}
+    for entity, driver in one.drivers.items():
+        made = named_driver(driver) if isinstance(driver, str) else driver
+        # A preset stays a name, so that it can be written into the reduced set's files.
+        drivers[entity] = driver if isinstance(driver, str) and ":" not in driver else made
+    options: dict[str, Any] = {
+        "time_step": one.time_step,
+        "duration": one.duration,
+        "on_collision": one.on_collision,
+        "drivers": drivers,
+    }
+    return start_simulator(
+        one.simulator, options, ego=one.ego, workers=one.workers, timeout=one.timeout, retries=one.retries
+    )

@@ -1,0 +1,121 @@
+"""Scenarios of a study run, measured and stored."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from cornercase._common.errors import SimulationError
+from cornercase._common.typing import FloatArray
+from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.objective import Objective
+from cornercase.metrics import measured
+from cornercase.simulators import Simulator
+from cornercase.study import Row, Study
+
+
+class StageClock:
+    """Adds up how long the stages of an exploration take, and notes it in the study.
+
+    Parameters
+    ----------
+    study : Study
+    """
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._spent: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Take the time of a stage."""
+        begun = time.monotonic()
+        try:
+            yield
+        finally:
+            self._spent[stage] = self._spent.get(stage, 0.0) + time.monotonic() - begun
+
+    def note(self) -> None:
+        """Write down what was taken since the last time."""
+        for stage, seconds in self._spent.items():
+            self._study.add_elapsed(stage, seconds)
+        self._spent.clear()
+
+
+class ScenarioRunner:
+    """Runs scenarios, measures them, and stores each the moment it has ended.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Where each scenario is run several times, the run with the median of what is searched is stored (of an even
+        number the more critical of the two in the middle), and the scores of all. Runs that failed are left out,
+        unless all did.
+    simulator : Simulator
+    objective : Objective
+        Its metrics are measured.
+    study : Study
+        Open for writing.
+    clock : StageClock
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        simulator: Simulator,
+        objective: Objective,
+        study: Study,
+        clock: StageClock,
+    ) -> None:
+        self._configuration, self._simulator, self._objective = configuration, simulator, objective
+        self._study, self._clock = study, clock
+
+    def run(self, rows: Sequence[Row]) -> Iterator[tuple[int, Any]]:
+        """Run scenarios of the study.
+
+        Parameters
+        ----------
+        rows : sequence of Row
+
+        Yields
+        ------
+        tuple of int and float, or ndarray of float64, shape (metrics,)
+            Id and oriented score of each that did not fail, once it is stored; several scores for a Pareto front.
+        """
+        if not rows:
+            return
+        about = self._configuration
+        concretes = [about.logical.concrete(row.values) for row in rows for _ in range(about.repeats)]
+        results = self._simulator.run(concretes)
+        nothing = SimulationError("the simulator ended without a result")
+        for row in rows:
+            with self._clock("simulate"):
+                outcomes = [next(results, nothing) for _ in range(about.repeats)]
+            with self._clock("measure"):
+                runs = [
+                    (one, measured(self._objective.metrics, one, about.ego, about.other))
+                    for one in outcomes
+                    if not isinstance(one, SimulationError)
+                ]
+            if not runs:
+                self._study.fail(row.id, next(one for one in outcomes if isinstance(one, SimulationError)))
+                continue
+            scores = self._objective.oriented(np.array([[score for _, score in one.values()] for _, one in runs]))
+            middle = _middle(scores)
+            recording, courses = runs[middle]
+            repeats = None
+            if about.repeats > 1:
+                repeats = {name: [one[name][1] for _, one in runs] for name in courses}
+            self._study.finish(row.id, recording, courses, repeats)
+            yield row.id, scores[middle]
+
+
+def _middle(scores: FloatArray) -> int:
+    """Place of the median of scores, shape (n,) or (n, k); of several scores the first counts."""
+    first = scores.reshape(len(scores), -1)[:, 0].tolist()
+    order = sorted(range(len(first)), key=first.__getitem__)
+    return order[(len(order) - 1) // 2]
