@@ -77,7 +77,16 @@ def load_driver(name: str) -> Driver:
 
 
 def named_driver(name: str) -> Driver:
-    """Build a driver named on the command line: a registered one, or a user's own with a colon in its name.
+    """Build a driver by its name: a registered one, or a class of one's own.
+
+    Parameters
+    ----------
+    name : str
+        As it is registered, possibly with options behind a colon, or ``"package.module:Class"``.
+
+    Returns
+    -------
+    Driver
 
     Raises
     ------

@@ -117,13 +117,19 @@ def distances_to(
 ) -> npt.NDArray[np.floating[Any]]:
     """Dynamic time warping distance of each series to each landmark.
 
+    The options are those of `distance_matrix`.
+
     Parameters
     ----------
     series : sequence of n array_like, shape (T_i,) or (T_i, k)
     landmarks : sequence of m array_like, shape (T_j,) or (T_j, k)
         Of the same number of dimensions k as the series.
-    local_cost, window, dtype, n_jobs, device, progress
-        As for `distance_matrix`.
+    local_cost : {"euclidean", "squared"}, default "euclidean"
+    window : int, optional
+    dtype : {"float64", "float32"}, default "float64"
+    n_jobs : int, optional
+    device : {"cpu", "cuda"}, default "cpu"
+    progress : bool, default False
 
     Returns
     -------
@@ -165,15 +171,18 @@ def kernel_matrix(
     """Gaussian (RBF) kernel ``exp(-gamma d²)`` of the dynamic time warping distances d between all pairs.
 
     Distances that a lower bound proves to be so large that their entry underflows to zero are not computed; the
-    result is the same to the bit as that of `distance_matrix`.
+    result is the same to the bit as that of `distance_matrix`. The other options are those of `distance_matrix`.
 
     Parameters
     ----------
     series : sequence of n array_like, shape (T_i,) or (T_i, k)
     gamma : float
         Above 0, in one over the unit of the distance squared.
-    local_cost, window, dtype, n_jobs, progress
-        As for `distance_matrix`.
+    local_cost : {"euclidean", "squared"}, default "euclidean"
+    window : int, optional
+    dtype : {"float64", "float32"}, default "float64"
+    n_jobs : int, optional
+    progress : bool, default False
 
     Returns
     -------

@@ -179,6 +179,10 @@ class CriticalSet:
         ----------
         other : CriticalSet
             From another score of scenarios of the same space, with the same seed; taken for independent.
+
+        Returns
+        -------
+        Estimate
         """
         count = len(self._drawn)
         both = (self._drawn & other._drawn).mean(axis=0)
@@ -197,6 +201,10 @@ class CriticalSet:
         ----------
         size : float, default 0.01
             Share of the space from which a region counts.
+
+        Returns
+        -------
+        float
         """
         count, edges = len(self._drawn), self._edges
         ran = np.broadcast_to(self._critical[:, None], (len(self._critical), _DRAWS))
@@ -222,6 +230,10 @@ class CriticalSet:
         ----------
         size : float, default 0.01
             Share of the space that the ball takes; it keeps to one choice of each parameter with names.
+
+        Returns
+        -------
+        float
         """
         numbers = [one for one in self._space.parameters if not one.choices and one.size != 1]
         dims, choices = len(numbers), math.prod(len(one.choices) or 1 for one in self._space.parameters)
@@ -239,7 +251,12 @@ class CriticalSet:
         return np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
 
     def to_json(self) -> dict[str, Any]:
-        """All of it as plain values."""
+        """Return all of it as plain values.
+
+        Returns
+        -------
+        dict
+        """
         return {
             "share": vars(self.share),
             "missed": vars(self.missed),

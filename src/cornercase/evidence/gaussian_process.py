@@ -139,7 +139,19 @@ class GaussianProcess:
         self.widths, self.signal, self.noise = np.zeros(0), 1.0, 0.1
 
     def fit(self, points: FloatArray, values: FloatArray) -> GaussianProcess:
-        """Learn from values, shape (n,), at points, shape (n, e); widths and noise from 160 of them at most."""
+        """Learn from values at points.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        values : ndarray of float64, shape (n,)
+            Widths and noise are learned from 160 of them at most.
+
+        Returns
+        -------
+        GaussianProcess
+            Itself.
+        """
         dims = points.shape[1]
         start = np.log(np.append(np.full(dims, 0.4), (1.0, min(0.05, self._most_noise))))
         bounds = np.log([*[_WIDTHS] * dims, _SIGNAL, (_LEAST_NOISE, self._most_noise)])
@@ -164,9 +176,17 @@ class GaussianProcess:
         return self
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of the process at points, each (n,).
+        """Mean and standard deviation of the process at points.
 
-        In single precision, which 100,000 points and 400 values make worth while.
+        In single precision, so that 100,000 points and 400 values take a second or so.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+
+        Returns
+        -------
+        mean, deviation : ndarray of float64, shape (n,)
         """
         mean, deviation = np.empty(len(points)), np.empty(len(points))
         weights = self._weights.astype(np.float32)
@@ -184,7 +204,16 @@ class GaussianProcess:
         return mean + self._mean, np.sqrt(np.maximum(self.signal**2 - deviation, 1e-8 * self.signal**2))
 
     def projections(self, points: FloatArray) -> Floats:
-        """What `covariance` needs of points, shape (n, values)."""
+        """Compute what `covariance` needs of points.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+
+        Returns
+        -------
+        ndarray of float32, shape (n, values)
+        """
         with threadpool_limits(limits=1):
             return self._project(self._cross(points))
 
@@ -201,15 +230,33 @@ class GaussianProcess:
         return found
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation, noise included, of each value by the process of all others, each (n,).
+        """Mean and standard deviation of each value by the process of all others.
 
-        Rasmussen and Williams 2006, equation 5.12.
+        Returns
+        -------
+        mean, deviation : ndarray of float64, shape (n,)
+            The deviation includes the noise of the single value.
+
+        Notes
+        -----
+        Source: Rasmussen and Williams 2006, equation 5.12.
         """
         precision = (self._inverse**2).sum(axis=0)
         return self._mean + self._values - self._weights / precision, 1.0 / np.sqrt(precision)
 
     def joint(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Covariance of the values at points, noise included, as its lower factor (m, m) and deviations (m,)."""
+        """Covariance of the values at points, noise included.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (m, e)
+
+        Returns
+        -------
+        factor : ndarray of float64, shape (m, m)
+            Lower Cholesky factor.
+        deviation : ndarray of float64, shape (m,)
+        """
         scaled = points / self.widths
         rows = self.signal**2 * _correlation(_distances(scaled, self._points)) @ self._inverse.T
         covariance = self.signal**2 * _correlation(_distances(scaled, scaled)) - rows @ rows.T
@@ -217,7 +264,20 @@ class GaussianProcess:
         return cholesky(covariance, lower=True), np.sqrt(np.diag(covariance))
 
     def covariance(self, points: FloatArray, rows: Floats, i: int) -> FloatArray:
-        """Covariance of the process at all points with that at one of them, shape (n,); `rows` as of `projections`."""
+        """Covariance of the process at all points with that at one of them.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        rows : ndarray of float32, shape (n, values)
+            What `projections` gives of the points.
+        i : int
+            Index of the one.
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+        """
         prior = self.signal**2 * _correlation(_distances(points / self.widths, points[i : i + 1] / self.widths))[:, 0]
         return np.asarray(prior - rows @ rows[i], dtype=np.float64)
 

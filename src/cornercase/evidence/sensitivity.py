@@ -44,7 +44,12 @@ class Sensitivity:
         return tuple(name for name, total in zip(self.names, self.total, strict=True) if total < LITTLE)
 
     def to_json(self) -> dict[str, Any]:
-        """All of it as plain values."""
+        """Return all of it as plain values.
+
+        Returns
+        -------
+        dict
+        """
         each = zip(self.names, self.first, self.total, strict=True)
         return {
             "parameters": {name: {"first order": first, "total": total} for name, first, total in each},

@@ -123,11 +123,11 @@ class Metric(ABC):
 
         Parameters
         ----------
-        scores : float or ndarray of float64
+        scores : float or ndarray of float64 of any shape
 
         Returns
         -------
-        float or ndarray of float64
+        float or ndarray of float64 of the same shape
             The same where lower is critical, else the negative. Oriented twice they are what they were.
         """
         return scores if self.lower_is_critical else -scores

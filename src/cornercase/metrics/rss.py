@@ -51,6 +51,11 @@ class Rss(Metric):
     term : {"both", "longitudinal", "lateral"}, default "both"
         Which surplus to give.
 
+    Raises
+    ------
+    InputError
+        An option is negative or not finite, or there is no such term.
+
     Notes
     -----
     Source: S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a formal model of safe and scalable self-driving

@@ -43,6 +43,11 @@ class TrafficQuality(Metric):
     term : {"all", "macro", "micro", "nano", "individual", "penalty"}, default "all"
         Which term to give by itself.
 
+    Raises
+    ------
+    InputError
+        There is no such term.
+
     Notes
     -----
     Source: B. Schütt, M. Zipfl, J. M. Zöllner, E. Sax, "Inverse universal traffic quality: a criticality

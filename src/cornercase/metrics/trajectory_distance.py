@@ -28,6 +28,11 @@ class TrajectoryDistance(Metric):
     ahead : float, default 100.0
         How far each track goes straight on after the recording, in m; 0 for recorded tracks only.
 
+    Raises
+    ------
+    InputError
+        `ahead` is negative or not finite.
+
     Notes
     -----
     Source: trajectory distance, first objective of scenario 1 in Schütt, Otten and Sax, "Clustering-based

@@ -42,6 +42,11 @@ class Wttc(Metric):
     vulnerable_acceleration : float, default 2.5
         Greatest acceleration in m/s² of bicycles, pedestrians, wheelchairs and animals.
 
+    Raises
+    ------
+    InputError
+        An acceleration is negative.
+
     Notes
     -----
     Source: W. Wachenfeld, P. Junietz, R. Wenzel, H. Winner, "The worst-time-to-collision metric for situation

@@ -51,7 +51,20 @@ class LanePath:
     def of_points(
         cls, x: FloatArray, y: FloatArray, s: FloatArray, road: IntArray, lane: IntArray, along: BoolArray
     ) -> LanePath:
-        """Path through points that are close together, each array (Q,)."""
+        """Make a path through points that are close together.
+
+        Parameters
+        ----------
+        x, y, s : ndarray of float64, shape (Q,)
+            m; `s` on the road of each point.
+        road, lane : ndarray of int64, shape (Q,)
+        along : ndarray of bool, shape (Q,)
+            Whether the path runs along the road's s.
+
+        Returns
+        -------
+        LanePath
+        """
         keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
         x, y, s, road, lane, along = (array[keep] for array in (x, y, s, road, lane, along))
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
@@ -73,9 +86,23 @@ class LanePath:
         )
 
     def at(self, distance: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return x, y, heading and curvature at distances, `offset` m to the left, each (N,).
+        """Find places on the path or beside it.
 
-        Beyond its ends the path is clamped.
+        Parameters
+        ----------
+        distance : ndarray of float64, shape (N,)
+            m along the path; beyond its ends it is clamped.
+        offset : ndarray of float64, shape (N,)
+            m to the left.
+
+        Returns
+        -------
+        x, y : ndarray of float64, shape (N,)
+            m.
+        heading : ndarray of float64, shape (N,)
+            rad.
+        curvature : ndarray of float64, shape (N,)
+            1/m, of the path itself.
         """
         step = self.distance[1]
         place = np.clip(distance, 0.0, self.distance[-1]) / step

@@ -86,7 +86,13 @@ class StudyMeta:
     version: str = __version__
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values by the name of the field; None stands for an empty or a plain one."""
+        """Return plain values.
+
+        Returns
+        -------
+        dict of str to object
+            By the name of the field; None stands for an empty or a plain one.
+        """
         return {one.name: getattr(self, one.name) for one in fields(self)} | {
             "space": self.space.to_json(),
             "metrics": list(self.metrics),

@@ -1,0 +1,353 @@
+"""What a study holds, for those who read it."""
+
+from __future__ import annotations
+
+import json
+from contextlib import AbstractContextManager
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import METRICS
+from cornercase.recordings import Recording
+from cornercase.study.codec import unpack_arrays, unpack_recording
+from cornercase.study.database import Database
+from cornercase.study.export import write_scenarios, write_table
+from cornercase.study.meta import StudyMeta
+from cornercase.study.table import Row, scenario_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SHOWN: Final = 10
+
+
+class StudyContents:
+    """Everything in a study that can be read, while others write to it or not.
+
+    Parameters
+    ----------
+    database : Database
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    meta : StudyMeta
+        What the study is about.
+    space : ParameterSpace
+        What is varied.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.path = database.path
+        self.meta = StudyMeta.from_json(
+            {key: json.loads(value) for key, value in database.found("SELECT key, value FROM meta")}
+        )
+        self.space = self.meta.space
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        meta, counts = self.meta, self._counts()
+        return (
+            f"<Study {str(self.path)!r}: {Path(meta.scenario).stem}, {meta.ego} and {meta.other}, by"
+            f" {', '.join(meta.metrics)}; {counts.get('done', 0)} scenarios run, {counts.get('failed', 0)} failed,"
+            f" {counts.get('pending', 0)} pending>"
+        )
+
+    def _repr_html_(self) -> str:
+        table, metric = self.table(), METRICS.create(self.meta.metrics[0])
+        worst = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable").head(_SHOWN)
+        return f"<p>{escape(repr(self))}</p><p>Most critical by {escape(metric.name)}:</p>{worst.to_html(index=False)}"
+
+    def rows(self) -> list[Row]:
+        """List all scenarios.
+
+        Returns
+        -------
+        list of Row
+            In the order in which they were proposed.
+        """
+        found = self._database.found("SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id")
+        return [
+            Row(i, number, np.frombuffer(point, "<f8").copy(), json.loads(values), state, error)
+            for i, number, point, values, state, error in found
+        ]
+
+    def done(self) -> list[Row]:
+        """List the scenarios that were run.
+
+        Returns
+        -------
+        list of Row
+        """
+        return [row for row in self.rows() if row.state == "done"]
+
+    def failed(self) -> list[Row]:
+        """List the scenarios that could not be run.
+
+        Returns
+        -------
+        list of Row
+        """
+        return [row for row in self.rows() if row.state == "failed"]
+
+    def points(self) -> FloatArray:
+        """Points of the scenarios that were run.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, d)
+            In the unit cube.
+        """
+        return np.array([row.point for row in self.done()]).reshape(-1, self.space.dimension)
+
+    def scores(self, metric: str) -> FloatArray:
+        """Scores of the scenarios that were run.
+
+        Parameters
+        ----------
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            In the metric's unit.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric.
+        """
+        self._require_metric(metric)
+        found = self._database.found(
+            "SELECT score FROM courses JOIN scenarios ON id = scenario WHERE metric = ? AND state = 'done' ORDER BY id",
+            metric,
+        )
+        return np.array([score for (score,) in found], dtype=np.float64)
+
+    def spread(self, metric: str) -> FloatArray | None:
+        """Lowest and highest score of the runs of each scenario that was run.
+
+        Parameters
+        ----------
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (n, 2), or None
+            None where each scenario was run once.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric.
+        """
+        self._require_metric(metric)
+        # Only a scenario that was run has them.
+        found = self._database.found("SELECT scores FROM repeats WHERE metric = ? ORDER BY scenario", metric)
+        if not found:
+            return None
+        return np.array([[min(scores), max(scores)] for scores in (json.loads(text) for (text,) in found)])
+
+    def course(self, scenario: int, metric: str) -> FloatArray:
+        """Course of a metric in one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            In the metric's unit.
+
+        Raises
+        ------
+        InputError
+            The scenario was not run, or the study has no such metric.
+        """
+        self._require_metric(metric)
+        found = self._database.found("SELECT course FROM courses WHERE scenario = ? AND metric = ?", scenario, metric)
+        if not found:
+            raise InputError(f"{self.path}: the scenario {scenario} was not run.")
+        return np.asarray(unpack_arrays(found[0][0])["course"])
+
+    def recording(self, scenario: int) -> Recording:
+        """Recording of one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        InputError
+            The scenario was not run.
+        """
+        found = self._database.found("SELECT recording FROM scenarios WHERE id = ? AND recording IS NOT NULL", scenario)
+        if not found:
+            raise InputError(f"{self.path}: the scenario {scenario} was not run.")
+        return unpack_recording(found[0][0])
+
+    def outcomes(self) -> dict[int, str]:
+        """How scenarios ended, in words.
+
+        Returns
+        -------
+        dict of int to str
+            By id; those of all scenarios that had been run when the study was analysed.
+        """
+        return dict(self._database.found("SELECT scenario, outcome FROM outcomes ORDER BY scenario"))
+
+    def analyses(self) -> list[str]:
+        """List the aspects that the study was analysed by.
+
+        Returns
+        -------
+        list of str
+            ``ego-trajectory`` first, then the metrics.
+        """
+        names = [name for (name,) in self._database.found("SELECT name FROM analyses")]
+        order = ["ego-trajectory", *self.meta.metrics]
+        return [name for name in order if name in names]
+
+    def analysis(self, name: str, *arrays: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Read a stored result.
+
+        Parameters
+        ----------
+        name : str
+        *arrays : str
+            Arrays to read, as large ones take time; all by default.
+
+        Returns
+        -------
+        arrays : dict of str to ndarray, of the shapes that were stored
+        info : dict
+
+        Raises
+        ------
+        InputError
+            There is no such result.
+        """
+        found = self._database.found("SELECT info FROM analyses WHERE name = ?", name)
+        if not found:
+            raise InputError(f"{self.path}: holds no analysis by {name}; run `analyze` first.")
+        names = arrays or [key for (key,) in self._database.found("SELECT name FROM arrays WHERE analysis = ?", name)]
+        packed = {
+            key: self._database.found("SELECT data FROM arrays WHERE analysis = ? AND name = ?", name, key)[0][0]
+            for key in names
+        }
+        return {key: unpack_arrays(data)[key] for key, data in packed.items()}, json.loads(found[0][0])
+
+    def reduction(self) -> dict[str, Any] | None:
+        """Read what is known of the reduced set, as in its manifest.
+
+        Returns
+        -------
+        dict or None
+            None before the reduction.
+        """
+        found = self._database.found("SELECT info FROM analyses WHERE name = 'reduction'")
+        return dict(json.loads(found[0][0])) if found else None
+
+    def elapsed(self) -> dict[str, float]:
+        """Time spent by stage.
+
+        Returns
+        -------
+        dict of str to float
+            s.
+        """
+        return dict(self._database.found("SELECT stage, seconds FROM elapsed ORDER BY stage"))
+
+    def snapshot(self) -> AbstractContextManager[None]:
+        """Read what the study holds at one moment, while an explorer goes on writing.
+
+        Returns
+        -------
+        context manager
+            What is read within it is of one moment.
+        """
+        return self._database.snapshot()
+
+    def table(self) -> pd.DataFrame:
+        """Put everything that is known of the scenarios in a table.
+
+        Returns
+        -------
+        DataFrame
+            A row for each scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``; a column
+            for each parameter; for each metric one of the score, and ``lowest …`` and ``highest …`` of its runs where
+            each scenario was run several times; ``cluster by …`` for each aspect that the study was analysed by, -1 for
+            noise; ``outcome`` once it was analysed; ``error``. Empty where there is no value. A parameter that is
+            called like another column is found as ``parameter …``.
+        """
+        with self.snapshot():
+            scores = {}
+            for name in self.meta.metrics:
+                scores[name] = self.scores(name)
+                if (spread := self.spread(name)) is not None:
+                    scores[f"lowest {name}"], scores[f"highest {name}"] = spread.T
+            clusters = {}
+            for name in self.analyses():
+                arrays, _ = self.analysis(name, "ids", "labels")
+                clusters[name] = arrays["ids"], arrays["labels"]
+            return scenario_table(self.rows(), self.space, scores, clusters, self.outcomes())
+
+    def export(self, folder: Path | str, parquet: bool = False) -> None:
+        """Write everything as CSV: one table of scenarios, and recording and courses of each.
+
+        Parameters
+        ----------
+        folder : path
+            Gets ``scenarios.csv`` as of `table`, ``recordings/ID.csv`` and ``courses/ID.csv``.
+        parquet : bool, default False
+            Write ``scenarios.parquet`` too.
+
+        Raises
+        ------
+        InputError
+            The folder cannot be written, or the package that writes Parquet is not installed.
+        """
+        folder = Path(folder)
+        write_table(folder, self.table(), parquet)
+        write_scenarios(
+            folder,
+            (
+                (row.id, self.recording(row.id), {name: self.course(row.id, name) for name in self.meta.metrics})
+                for row in self.done()
+            ),
+        )
+
+    def _counts(self) -> dict[str, int]:
+        """Count the scenarios in each state."""
+        return dict(self._database.found("SELECT state, COUNT(*) FROM scenarios GROUP BY state"))
+
+    def _require_metric(self, metric: str) -> None:
+        if metric not in self.meta.metrics:
+            raise InputError(
+                f"{self.path}: holds no course of the metric '{metric}'; it has {', '.join(self.meta.metrics)}."
+            )
