@@ -19,7 +19,8 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "x_intersection"
 
 PROGRAM = """
 import json, resource, sys, time
-from cornercase import BuiltinSimulator, LogicalScenario
+from cornercase import LogicalScenario
+from cornercase.simulators import BuiltinSimulator
 from cornercase.optimizers import RandomOptimizer
 scenario, count, alone, *varied = sys.argv[1:]
 files = [one for one in varied if "=" not in one]

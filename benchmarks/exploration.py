@@ -33,7 +33,7 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
-from cornercase import BuiltinSimulator, LogicalScenario
+from cornercase import LogicalScenario
 from cornercase.evidence import CriticalSet
 from cornercase.metrics import METRICS
 from cornercase.optimizers import (
@@ -45,6 +45,7 @@ from cornercase.optimizers import (
     SobolOptimizer,
 )
 from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.simulators import BuiltinSimulator
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SIZES = (50, 100, 200, 300, 400)

@@ -5,9 +5,8 @@ from .clustering import Analysis as Analysis
 from .clustering import ScenarioClustering as ScenarioClustering
 from .clustering import analyze as analyze
 from .drivers import DRIVERS as DRIVERS
-from .evidence import CriticalSet as CriticalSet
+from .drivers import Driver as Driver
 from .exploration import ExplorationResult as ExplorationResult
-from .exploration import ScenarioExplorer as ScenarioExplorer
 from .exploration import explore as explore
 from .metrics import METRICS as METRICS
 from .metrics import Measurement as Measurement
@@ -24,7 +23,15 @@ from .report import summarize as summarize
 from .report import write_report as write_report
 from .scenario import ConcreteScenario as ConcreteScenario
 from .scenario import LogicalScenario as LogicalScenario
+from .scenario import Parameter as Parameter
 from .scenario import ParameterSpace as ParameterSpace
 from .simulators import SIMULATORS as SIMULATORS
-from .simulators import BuiltinSimulator as BuiltinSimulator
+from .simulators import Check as Check
+from .simulators import Conversion as Conversion
+from .simulators import Simulator as Simulator
+from .simulators import check as check
+from .simulators import convert as convert
+from .simulators import simulate as simulate
+from .study import ImportResult as ImportResult
 from .study import Study as Study
+from .study import import_recordings as import_recordings
