@@ -1,4 +1,4 @@
-"""Who drives: drivers by name, and the interface of one's own."""
+"""Drivers by name, and the base class of your own."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""What a driver is."""
+"""The base class of drivers, and what they are given."""
 
 from __future__ import annotations
 
@@ -108,8 +108,8 @@ class Driver(ABC):
     """Decides the speed of one entity along its path, for all concrete scenarios of a batch in lock-step.
 
     What a driver does in one scenario is a function of that scenario's past alone: no random numbers, no clock,
-    nothing of the other scenarios. A class of one's own derives from this one and has `acceleration`; one that keeps
-    something from one time step to the next has `start`, too.
+    nothing of the other scenarios. A driver of your own is a subclass with `acceleration`; one with a state also
+    overrides `start`.
 
     Attributes
     ----------

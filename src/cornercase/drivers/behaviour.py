@@ -148,12 +148,12 @@ class BehaviourDriver(Driver):
         self._perception = Perception(scenarios, others, self._behaviour.reaction_time, self._behaviour.memory)
         shape = (scenarios, others)
         self._conflicts = Conflicts(np.full(shape, np.inf), np.zeros(shape, dtype=np.bool_))
-        # The path is kept beside its route, so that its identity is not given to another one.
+        # The path is kept with its route: while it exists, no other object can have its id.
         self._routes: dict[int, tuple[DrivenPath, Route]] = {}
 
     @property
     def known(self) -> BoolArray:
-        """Whom the driver is aware of, shape (N, A)."""
+        """Entities that the driver knows of, ndarray of bool, shape (N, A)."""
         return self._perception.state.known
 
     @property

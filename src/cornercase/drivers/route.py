@@ -9,7 +9,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.base import DrivenPath
 
-# Spacing of the places at which boxes are tested, in m; contacts are refined between them.
+# Boxes are tested at places this far apart, in m; contacts are refined in between.
 _STEP = 0.5
 _FASTEST = 100.0
 
@@ -77,7 +77,7 @@ def _plan_row(
     at = np.linspace(0.0, here[-1], count)
     towards = np.interp(at, here, heading)
     step = float(at[1])
-    # The lowest around each sample, so that what is interpolated is nowhere above the limit of the path.
+    # The lowest limit around each sample, so that interpolation never exceeds the path's limit.
     around = np.stack([np.searchsorted(here, at - step), np.searchsorted(here, at + step, "right")], axis=1)
     lowest = np.minimum.reduceat(np.append(squared, np.inf), around.ravel())[::2]
     squared_speed = np.minimum(lowest, np.interp(at, here, squared))

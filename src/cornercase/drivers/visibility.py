@@ -221,6 +221,6 @@ def _perceive(time, time_step, reaction_time, memory, active, seen, true, state)
                 way = speed[n, a] * time_step
                 x[n, a] += way * math.cos(heading[n, a])
                 y[n, a] += way * math.sin(heading[n, a])
-            # Instants are sums of time steps, which rounding must not push over the limit.
+            # The tolerance absorbs rounding errors in the sums of time steps.
             noticed[n, a] = time - last_seen[n, a] <= memory + 1e-9 and not math.isnan(true.x[n, a])
             known[n, a] = noticed[n, a] and last_seen[n, a] - first_seen[n, a] >= reaction_time - 1e-9

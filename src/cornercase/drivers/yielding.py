@@ -128,7 +128,7 @@ def _decide_one(behaviour, route, time, time_step, n, driven, seen, boxes, confl
         )
         if conflict:
             conflicts.since[n, o] = min(conflicts.since[n, o], time)
-            # Instants are sums of time steps, which rounding must not push over the limit.
+            # The tolerance absorbs rounding errors in the sums of time steps.
             if time - conflicts.since[n, o] >= behaviour.reaction_time - 1e-9:
                 conflicts.yielding[n, o] = True
         else:
@@ -151,7 +151,7 @@ def _look_ahead(behaviour, route, row, n, driven, v, wanted, ahead):
     first = int(at)
     part = at - first
     after = min(first + 1, route.x.shape[1] - 1)
-    # The driven entity may be beside its path, and is taken to stay so.
+    # The driven entity is expected to keep its lateral offset from the path.
     path_x = route.x[row, first] + part * (route.x[row, after] - route.x[row, first])
     path_y = route.y[row, first] + part * (route.y[row, after] - route.y[row, first])
     offset = (y - path_y) * route.cos[row, first] - (x - path_x) * route.sin[row, first]
@@ -195,7 +195,7 @@ def _foresee(seen, n, o, center_x, horizon, legs):
         duration = TURNING / TURN_LEGS
         towards = heading + 0.5 * turn * duration
         if k == 0:
-            # Where it is now, its box has the heading that it has now.
+            # The first leg begins with the present heading of the box.
             towards = heading
         if k == count - 1:
             duration = horizon - k * duration
@@ -217,7 +217,7 @@ def _keep_speed(behaviour, route, row, time_step, distance, v, wanted):
     at = min(max(next_place / route.step[row], 0.0), route.x.shape[1] - 1.0)
     k = min(int(at), route.x.shape[1] - 2)
     squared = route.squared_speed[row, k] + (at - k) * (route.squared_speed[row, k + 1] - route.squared_speed[row, k])
-    # Who is late for a curve brakes harder than is comfortable, but this is no emergency.
+    # Too fast for a curve, it brakes harder than is comfortable, but not as in an emergency.
     in_curve = max((math.sqrt(squared) - v) / time_step, -2.0 * behaviour.comfortable_deceleration)
     free = max((wanted - v) / time_step, -behaviour.comfortable_deceleration)
     return min(in_curve, free)
@@ -237,7 +237,7 @@ def _react(behaviour, time_step, ahead, ego, v, wanted, other, vulnerable, yield
     if meeting(ahead, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
         in_front = dx * ahead[0, 3] + dy * ahead[0, 4] > 0.0
         return (-behaviour.max_deceleration if in_front else math.inf), False
-    # Alongside an entity that is nearer than the margin, it is too late for the margin.
+    # The margin is dropped where the other is already within it.
     margin = behaviour.lateral_margin
     if meeting(ahead, 0, ego, margin, other, 0.0)[0] <= 0.0:
         margin = 0.0

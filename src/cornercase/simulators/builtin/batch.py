@@ -118,7 +118,7 @@ class Batch:
             if self._coupling is not None:
                 self._coupling.step(world, dt)
             move_entities(world, dt)
-            # Counting steps rather than adding them up keeps 0.05 s steps on the instants one expects.
+            # Multiplying avoids the rounding errors that adding up steps of 0.05 s would have.
             world.time = steps * self._time_step
             steps += 1
             if dt > 0:
@@ -213,7 +213,7 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
     kind = {"Pedestrian": "pedestrian", "MiscObject": "misc"}.get(body.tag) or scope.text(
         body, "vehicleCategory", "car"
     )
-    # What is no vehicle and no pedestrian cannot move by itself.
+    # A misc object cannot move by itself.
     limits = [0.0 if body.tag == "MiscObject" else np.inf, np.inf, np.inf]
     performance = body.find("Performance")
     if performance is not None:

@@ -17,7 +17,7 @@ from cornercase.simulators.builtin.simulator import BuiltinSimulator
 
 _COUNTED: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
 
-# Of ASAM's schemas a file is held against that of its own version, or the newest that knows it.
+# ASAM's schema by minor version; files of any other are validated by the newest.
 _SCHEMAS: Final = {0: "1.0.0", 1: "1.1.1", 2: "1.2.0", 3: "1.3.0"}
 
 
@@ -58,7 +58,7 @@ class Check:
 
     @property
     def good(self) -> bool:
-        """Whether the file is valid, as far as that could be seen, and can be run."""
+        """Whether the file can be run, and breaks no schema that is installed."""
         return not self.invalid and not self.trouble
 
     def __repr__(self) -> str:

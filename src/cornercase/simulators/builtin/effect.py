@@ -1,4 +1,4 @@
-"""What of a scenario file has no effect in the builtin simulator."""
+"""Parts of a scenario file without effect in the builtin simulator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cornercase.scenario import DRIVER_PROPERTY, Scenario
 from cornercase.simulators.builtin.actions.basic import WITHOUT_EFFECT
 from cornercase.simulators.builtin.storyboard.triggers import NEVER_TRUE
 
-# Slope and bank from which a plane road is not quite the same.
+# A road that climbs or banks by more than this is reported, since the simulator drives in the plane.
 _HILLY: Final = 0.02
 
 

@@ -1,4 +1,4 @@
-"""What a batch writes down in every step."""
+"""Motion of all entities over time, as a batch records it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
 
-# Steps that are kept apart until they are sorted in together, which memory likes better than one by one.
+# Steps are collected in blocks of this many: copying a block at once is faster than copying step by step.
 _BLOCK: Final = 32
 
 
 class History:
     """Rows of state over time, one after the other for each scenario.
 
-    Nothing is moved once it is sorted in: memory that is taken for the first time costs more than the copy.
+    Each block is stored as a table of its own. Growing one table would copy everything again.
 
     Parameters
     ----------

@@ -106,13 +106,13 @@ class BuiltinSimulator(Simulator):
                 prepared.scenario.require_entity(entity, "driven entity")
             for group in _groups(prepared, concretes, chosen):
                 self._run_group(prepared, concretes, group, ran)
-        # One after the other, so that recordings that nobody keeps take no memory.
+        # Recordings are made one by one, so that only those that the caller keeps take memory.
         for i in range(len(concretes)):
             batch, place = ran[i]
             yield batch.result(place)
 
     def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
-        """What is known of a concrete scenario's file from the last run, as long as its content is the same."""
+        """Prepared file of a concrete scenario: that of the last run, if its content is the same."""
         scenario = concrete.scenario(None if self._prepared is None else self._prepared.scenario)
         if self._prepared is None or self._prepared.scenario is not scenario:
             self._prepared = PreparedScenario(scenario)

@@ -1,4 +1,4 @@
-"""What events do to entities, under a mask of the scenarios in which they happen."""
+"""Actions: what events do to entities, in the scenarios in which they happen."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cornercase.simulators.builtin.paths.positions import entity_index, read_pos
 from cornercase.simulators.builtin.world.lanes import assign_route, place_entity
 from cornercase.simulators.builtin.world.state import World
 
-# Actions that change nothing a criticality metric sees.
+# Actions that change nothing that a criticality metric measures.
 WITHOUT_EFFECT: Final = (
     "EnvironmentAction", "AppearanceAction", "TrafficSignalControllerAction", "UserDefinedAction",
     "OverrideControllerValueAction", "SetMonitorAction",
@@ -38,7 +38,7 @@ _HOLDERS: Final = (
 
 
 class Action(Protocol):
-    """Something that runs in some of the scenarios until it says that it is done."""
+    """An action of an event: runs in some of the scenarios of a batch until it has ended there."""
 
     def start(self, world: World, where: BoolArray) -> None:
         """Begin in the scenarios of the mask."""
@@ -82,14 +82,14 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
 
 
 class TeleportAction:
-    """Puts an entity somewhere at once."""
+    """Moves an entity to a position at once."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
         self._position = read_position(child(element, "Position", scope), scope, world)
 
     def start(self, world: World, where: BoolArray) -> None:
-        # A relative position lies along the route of who is placed.
+        # Relative positions follow the route of the entity that is placed.
         world.actor = self._entity
         pose = self._position(world)
         world.actor = None
@@ -186,7 +186,7 @@ class ValueAction:
     def start(self, world: World, where: BoolArray) -> None:
         values = self._values[self._name]
         new = self._value if self._set else self._operation(values, self._value)
-        # Texts grow; an array of them has the room of its longest.
+        # A new array, since the old one has no room for longer texts.
         self._values[self._name] = np.where(where, new, values)
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:

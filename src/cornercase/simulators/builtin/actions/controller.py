@@ -13,7 +13,8 @@ from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Track, Trajectory
 from cornercase.simulators.builtin.world.state import World
 
-# Spacing in m at which a driver is told a trajectory, how far straight on beyond its end, and how far on a closed one.
+# A driver gets a trajectory sampled at this spacing in m, continued straight on by so much beyond its end; of a closed
+# one it gets so much.
 _SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
 
 
@@ -89,7 +90,7 @@ class Driving:
                 line = track.path
                 self._paths[k] = DrivenPath(line.distance, line.x, line.y, line.heading, line.curvature)
         elif isinstance(track, Trajectory) and self._begun.get(k) != track.version:
-            # Where it is begun anew it may run otherwise.
+            # A trajectory that is begun again may run elsewhere.
             self._paths[k], self._begun[k] = _sampled(track), track.version
         return self._paths[k]
 

@@ -34,13 +34,13 @@ class FollowTrajectoryAction:
         self._skip = scope.number(element, "initialDistanceOffset", 0.0)
         self._since = np.zeros(scope.scenarios)
         self._track: Trajectory | None = None
-        # Whether who drives forwards goes along the trajectory or against it.
+        # 1 where driving forwards leads along the trajectory, -1 where against it.
         self._sign = np.ones(scope.scenarios)
 
     def start(self, world: World, where: BoolArray) -> None:
         e, rows = self._entity, np.flatnonzero(where)
         track = self._shape(world, self._smooth, self._scale, self._shift, e)
-        # One track for all scenarios, whenever each of them starts: an entity's tracks are gone through in each step.
+        # All scenarios share one track, whenever each starts it, since each step loops over an entity's tracks.
         if self._track is None:
             self._track = track
         else:
@@ -58,7 +58,7 @@ class FollowTrajectoryAction:
         against = np.cos(heading - track.direction(self._skip[rows], rows)) < -1e-6
         against &= not world.entities[e].slides
         if self._scale is None:
-            # Who drives backwards is turned round, unless the file says how it is to stand.
+            # An entity that drives backwards is turned round, unless the file gives its heading.
             back = (world.speed[e][rows] < 0) & ~track.oriented(self._skip[rows], rows)
             world.turn[e][rows[back]] = np.pi
             heading = heading + np.where(back, np.pi, 0.0)
@@ -92,7 +92,7 @@ class FollowTrajectoryAction:
         assert track.time is not None
         if dt > 0:
             speed = (along - world.distance[e]) / dt
-        # Who is to look back along its way drives backwards.
+        # A heading against the trajectory means driving backwards.
         heading = world.heading[e]
         every = np.arange(world.scenarios)
         backwards = np.cos(heading - track.direction(along, every)) < -1e-6

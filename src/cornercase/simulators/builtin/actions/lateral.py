@@ -27,7 +27,7 @@ from cornercase.simulators.builtin.world.whereabouts import lane_of, lateral_spe
 # m/s²; esmini's figure for a lane offset without one.
 _GENTLE: Final = 0.5
 
-# An offset or distance within this, in m, is reached.
+# Tolerances in m within which an offset, and a distance, is reached.
 _THERE: Final = 1e-6
 _REACHED: Final = 0.01
 
@@ -83,7 +83,7 @@ class LaneChangeAction:
             turn, across = np.arctan(rate), way * np.abs(rate) / np.sqrt(1.0 + rate**2)
         else:
             across = np.minimum(dt * np.abs(rate), way)
-            # Who is too slow for what is asked moves sideways only, and evenly.
+            # An entity that is too slow for the change moves only sideways, at constant speed.
             slow = dt * np.abs(rate) > way + 1e-6
             with np.errstate(divide="ignore", invalid="ignore"):
                 done = self._done + np.where(slow, way * extent / np.abs(change), dt)
@@ -191,7 +191,7 @@ class LateralDistanceAction:
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
         acting = where & world.controls(LATERAL, e, self._id)
-        # The first frame only looks.
+        # In its first frame the action only measures.
         moves = acting & ~self._first & (dt > 0)
         self._first[acting] = False
         error = self._wanted - (world.offset[e] - offset_from(world, e, self._other))

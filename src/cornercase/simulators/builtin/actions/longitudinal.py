@@ -70,11 +70,11 @@ class SpeedAction:
         part = self._elapsed / np.where(self._duration > 0, self._duration, 1.0)
         speed = np.where(finished, self._to, self._from + self._transition.at(part) * (self._to - self._from))
         if self._reference is not None and dt > 0:
-            # What the other did since is followed as fast as the vehicle can.
+            # Changes of the other's speed are followed as fast as the vehicle can.
             now = world.speed[e]
             caught = np.clip(speed - now, -entity.max_deceleration * dt, entity.max_acceleration * dt)
             speed = np.where(settled & (self._duration > 0), now + caught, speed)
-            # A transition that runs ahead of what the vehicle can is held back.
+            # The transition is delayed where it asks for more than the vehicle can.
             ahead = caught != speed - now
             late = ahead & ~settled & (speed != now)
             with np.errstate(divide="ignore", invalid="ignore"):

@@ -97,7 +97,7 @@ class SpeedProfileAction:
         still = np.zeros(world.scenarios)
         if (np.abs(self._spans[0]) < 1e-6).all():
             first, _ = targets.pop(0)
-            # Who follows smoothly begins with the speed that it has.
+            # A smooth profile begins at the present speed.
             now = now if self._smooth else base + first
         lines = []
         for speed, span in targets:
@@ -136,7 +136,7 @@ def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> list[Phas
         change = line.rate - now.rate
         jerk = _jerk(change, limits)
         bends = np.abs(change) > 1e-9
-        # The lines as speed = rate * time + level; where the arc begins follows from its touching both.
+        # With the lines as speed = rate * time + level, the arc begins where it touches both.
         level, new = now.speed - now.rate * now.time, line.speed - line.rate * line.time
         with np.errstate(divide="ignore", invalid="ignore"):
             begin = (change**2 - 2.0 * jerk * (level - new)) / (-2.0 * jerk * change)
@@ -160,9 +160,9 @@ def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> li
     b, c = span + rate / j0, -0.5 * rate**2 / j0 - change
     root = b**2 - 4.0 * a * c
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Of the two peaks the one that is nearer to 0 leaves time between the two phases of jerk.
+        # Of the two solutions, the peak nearer to 0 leaves time between the two phases of jerk.
         peak = np.where(root >= 0.0, -2.0 * c / (b + np.sqrt(np.maximum(root, 0.0))), 0.0)
-        # Without time for that, the acceleration rises and falls at once, for as long as it takes.
+        # If there is no such time, the acceleration falls as soon as it has risen.
         sharp = np.sign(j0) * np.sqrt(np.maximum((change + 0.5 * rate**2 / j0) / (0.5 / j0 - 0.5 / j1), 0.0))
     peak = np.where(root >= 0.0, peak, sharp)
     peak = np.clip(peak, -limits.down, limits.up)

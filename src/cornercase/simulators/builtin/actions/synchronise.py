@@ -1,4 +1,4 @@
-"""Being at a place when another entity is at its own."""
+"""Arriving at a place when another entity arrives at another."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NEVER: Final = 1e10
 # m/s²; how hard an entity brakes that has no room for anything else. esmini's figure.
 _HARDEST: Final = 8.0
 
-# A speed this near to the line of the last phase, in m/s, is on it.
+# A speed that differs from that of the last phase by less, in m/s, begins it.
 _ON_LINE: Final = 0.1
 
 
@@ -103,7 +103,7 @@ class SynchronizeAction:
         self._last[acting], self._last_master[acting] = way[acting], way_master[acting]
         way = np.maximum(way - self._tolerance, _TINY)
         way_master = np.maximum(way_master - self._tolerance_master, _TINY)
-        # The master's speed counts along its road, and towards its place.
+        # Of the master's speed, the part along its road and towards its target counts.
         ahead = np.sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
         speed_master = ahead * speed_along_road(world, m, acting)
         comes = (speed_master > _TINY) & (dt > 0)
@@ -116,7 +116,7 @@ class SynchronizeAction:
         else:
             wanted = self._arrive_with(world, dt, way, time, final, comes, acting & ~done)
             wanted = np.where(done, final, wanted)
-        # Who has a driver is told, within its means, what speed to want.
+        # An entity with a driver is asked for a speed that it can reach.
         speed = np.clip(wanted, 0.0, world.entities[e].max_speed)
         change = acting if final is not None else acting & ~done
         own = np.where(np.isfinite(wanted), wanted, world.speed[e])
@@ -173,7 +173,7 @@ class SynchronizeAction:
         result[stands & (mode != _WAITING)] = 0.0
         mode[stands] = _WAITING
         left &= ~stands
-        # Who stands and waited goes on as on the last phase, from the next step on.
+        # An entity that stood and waited enters the last phase with the next step.
         released = left & (mode == _WAITING)
         mode[released] = np.where(v0 > 0, _NEW, _LAST)[released]
         settle(released & (v0 <= 0), 0.0)
@@ -197,7 +197,7 @@ class SynchronizeAction:
         turned = left & (mode == _FIRST) & np.where(self._convex, rate < 0, rate > 0)
         mode[turned] = _LAST
         rate = np.where(turned, 0.0, rate)
-        # Where it would have to drive backwards it stops, waits, and goes on in time.
+        # Instead of driving backwards it stops, waits, and continues in time.
         back = left & (mode == _FIRST) & (apex < 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             stop_time = 2.0 * shown * way / (shown**2 + final**2)

@@ -18,7 +18,7 @@ from cornercase.simulators.builtin.world.lanes import lane_track
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
 
-# Places beyond the end of a road by less than this, in m, are at the end.
+# A place this little beyond the end of a road, in m, is at the end.
 _EDGE: Final = 0.1
 
 
@@ -111,7 +111,7 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
 
     def resolve(world: World) -> Pose:
         base = lane_of(world, entity)
-        # Along the lane means as the entity drives; otherwise it is the road's s and its numbers of lanes that count.
+        # With dsLane, both distances count as the entity drives; with ds, along the road's s and by its lane numbers.
         ahead = np.cos(base.heading - road_heading(world, base)) > -1e-6
         forward = np.where(ahead | (not along_lane), 1, -1)
         base = _moved(world, base, forward * ds)
@@ -164,7 +164,7 @@ def _relative_road_position(element: etree._Element, scope: Scope, world: World)
         assert moved.s is not None
         assert moved.lane is not None
         assert base.lane is not None
-        # On the other side of a junction the road may run the other way, and left of it is then right of it.
+        # Beyond a junction the road may run in the opposite direction, which swaps left and right.
         t = _lateral(world, base) * np.sign(moved.lane * base.lane)
         return _on_road(world, moved.road, moved.s, t + dt, turn, relative)
 
@@ -222,7 +222,7 @@ def _route_position(element: etree._Element, scope: Scope, world: World) -> Posi
             pose = _on_lane(world, road, np.full(scope.scenarios, lane), s, side, turn, relative)
         else:
             pose = _on_road(world, road, s, np.where(along, side, -side), turn, relative)
-        # Who is given an orientation against the route is turned along it: so it is in esmini.
+        # An orientation against the route is turned round, as in esmini.
         forward = road_heading(world, pose) + np.where(along, 0.0, np.pi)
         against = turned & (np.cos(pose.heading - forward) < 0.0)
         return replace(pose, heading=pose.heading + np.where(against, np.pi, 0.0))
@@ -257,7 +257,7 @@ def read_route(holder: etree._Element, scope: Scope, world: World) -> Route:
             assert pose.road is not None
             assert pose.lane is not None
             assert pose.s is not None
-            # Waypoints that vary along one road choose the same way.
+            # A batch has one route: waypoints that vary along a road do not change it.
             found.append((int(pose.road[0]), int(pose.lane[0]), float(pose.s[0])))
         return found
 

@@ -43,7 +43,7 @@ class Transition:
             else:
                 wanted = self._time_for_distance(start, end)
             limited = np.maximum(wanted, np.where(np.isfinite(steepest), peak * change / steepest, 0.0))
-            # What is to take no time at all is a step, whatever the vehicle can.
+            # A change in no time is a step, whatever the vehicle can.
             return np.where((wanted <= 1e-6) & (self.dimension != "rate"), 0.0, limited)
 
     def extent(self, start: FloatArray, end: FloatArray) -> FloatArray:
@@ -65,7 +65,7 @@ class Transition:
         return steepness(self.shape, part)
 
     def _time_for_distance(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        # A change of sign is two changes, to 0 and from 0, whose distances are as the squares of the speeds.
+        # A change of sign is one change to 0 and one from 0; their distances are in the ratio of the squared speeds.
         share = start**2 / (start**2 + end**2)
         through_zero = 2.0 * share * self.value / np.abs(start) + 2.0 * (1.0 - share) * self.value / np.abs(end)
         direct = 2.0 * self.value / np.abs(start + end)

@@ -1,1 +1,1 @@
-"""What happens when: events, triggers and conditions."""
+"""The storyboard: events, triggers and conditions."""

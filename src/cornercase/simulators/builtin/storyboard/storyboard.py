@@ -51,7 +51,7 @@ class Storyboard:
         """Element of a kind and name; names may be given with those of the parents, as ``Act::Group``."""
         path = tuple(name.split("::"))
         for element, parents in self._elements.get((kind, path[-1]), ()):
-            # A name may leave out parents between those that it gives.
+            # A name need not give all parents.
             given = iter(parents)
             if all(part in given for part in path[:-1]):
                 return element
@@ -131,7 +131,7 @@ class Storyboard:
 
     def _read_event(self, event: etree._Element, scope: Scope, actors: list[int], select: bool) -> Event:
         trigger = self._start_trigger(event, scope)
-        # Who triggers the event may be an actor besides those that are named.
+        # Entities that trigger the event may act in it, besides the actors that are named.
         choices: dict[int, Callable[[], BoolArray] | None] = {}
         if select and trigger is not None:
             choices = {e: partial(trigger.triggered_by, e) for e in trigger.entities}
@@ -174,7 +174,7 @@ def _in_order_of_reference(privates: list[etree._Element], scope: Scope) -> list
     left = list(privates)
     while left:
         ready = [one for one in left if _references(one, scope) & names <= placed | {one.get("entityRef", "")}]
-        # Two that refer to each other keep the file's order.
+        # Entities that refer to each other stay in the file's order.
         for one in ready or left[:1]:
             ordered.append(one)
             placed.add(one.get("entityRef", ""))

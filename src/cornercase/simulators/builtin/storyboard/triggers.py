@@ -18,7 +18,7 @@ from cornercase.simulators.builtin.world.state import World
 
 Test = Callable[[World], BoolArray]
 
-# What only a user's own program, a controller of traffic lights or the hour of the day could make true.
+# Conditions that only a user's program, a controller of traffic lights or the time of day could make true.
 NEVER_TRUE: Final = (
     "UserDefinedValueCondition", "TrafficSignalControllerCondition", "TimeOfDayCondition",
 )  # fmt: skip
@@ -94,7 +94,7 @@ class Trigger:
 
     @property
     def empty(self) -> bool:
-        """Whether there is nothing that could ever hold."""
+        """Whether there are no conditions, so that it never fires."""
         return not self._groups
 
     @property
@@ -120,7 +120,7 @@ class Trigger:
         for group in self._groups:
             holds = where.copy()
             for condition in group:
-                # A condition without delay is not looked at where an earlier one is false: its edge state rests.
+                # Without a delay, a condition is evaluated only where all before it hold; elsewhere its edge stays.
                 holds &= condition.evaluate(world, where if condition.delayed else holds)
             fired |= holds
         if fired.any():
@@ -231,7 +231,7 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
     text, rule_name = scope.text(element, "value"), scope.text(element, "rule", "equalTo")
     if text in ("0", "1") and set(np.unique(values[name])) <= {"true", "false"}:
         text = "true" if text == "1" else "false"
-    # Words have an order too: that of their letters, as in esmini.
+    # Texts are ordered by their letters, as in esmini.
     orders: dict[str, Callable[[Any, Any], Any]] = {
         "equalTo": np.equal,
         "notEqualTo": np.not_equal,
@@ -245,7 +245,7 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
 
 
 def _never(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    # Traffic signals and what a user's own program would set do not change here.
+    # Nothing in this simulator could make these conditions true.
     result = np.zeros(scope.scenarios, dtype=np.bool_)
     return lambda world: result
 

@@ -1,1 +1,1 @@
-"""What entities move along."""
+"""Lanes and trajectories that entities follow."""

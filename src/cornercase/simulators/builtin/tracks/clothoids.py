@@ -14,7 +14,7 @@ from cornercase.simulators.builtin.tracks.track import Trajectory
 _CHORD: Final = 1.0
 _MOST_CHORDS: Final = 2000
 
-# Below this bend, in rad, a clothoid is not told from an arc; Fresnel's integrals lose digits there.
+# A clothoid that bends by less, in rad, is treated as an arc, since Fresnel's integrals lose digits there.
 _STRAIGHT: Final = 1e-7
 
 

@@ -12,8 +12,8 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.roads import LanePath, RoadNetwork
 from cornercase.simulators.builtin.tracks.track import Pose, Track
 
-# Samples looked at for the place of a track that is nearest to a point, and how much further away, in m, a place may
-# be to count as passed again.
+# A track may pass a point several times. So many of its nearest samples are compared; those whose distance is larger
+# than the smallest by at most so many m count as passing, too.
 _PASSES: Final = 16
 _SAME: Final = 0.3
 
@@ -50,7 +50,7 @@ class LaneTrack(Track):
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         if self._tree is None:
             self._tree = cKDTree(np.stack([self.path.x, self.path.y], axis=1))
-        # A track may pass a place more than once; the next time counts.
+        # Of several passes the next one counts.
         found = self._tree.query(np.stack([x, y], axis=1), k=min(_PASSES, len(self.path.x)))
         gap, samples = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
         distance = self.path.distance[samples]
@@ -62,7 +62,7 @@ class LaneTrack(Track):
         here = good & (distance < first[:, None] + 1.0)
         best = np.where(here, gap, np.inf).argmin(axis=1)
         sample = samples[np.arange(len(x)), best]
-        # The samples are close together: what lies between them is a projection on the tangent.
+        # Between samples, which are close together, the point is projected on the tangent.
         at_x, at_y, heading, _ = self.path.at(self.path.distance[sample], np.zeros(len(x)))
         beyond = (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading)
         limit = self.path.distance[1]

@@ -35,7 +35,7 @@ def nurbs_points(
     -------
     tuple of ndarray of float64, each (N, samples)
     """
-    # Loaded here, as it takes a while and few files have such curves.
+    # Imported here, since it takes time and few files have such curves.
     from scipy.interpolate import BSpline
 
     basis = BSpline(knots, np.eye(len(weights)), order - 1)
@@ -44,9 +44,9 @@ def nurbs_points(
     total, change = value.sum(axis=1), slope.sum(axis=1)
     px, py = x @ value.T / total, y @ value.T / total
     dx, dy = (x @ slope.T - px * change) / total, (y @ slope.T - py * change) / total
-    # Found on points about 1 m apart, as in esmini, whose times follow from it.
+    # Sampled about every 1 m, as in esmini: the times depend on it.
     coarse = np.linspace(u[0], u[-1], 2 + int(np.hypot(np.diff(x), np.diff(y)).sum(axis=1).mean()))
     peaks = coarse[(basis(coarse) * weights).argmax(axis=0)]
-    # A hat function for each control point.
+    # One hat function for each control point.
     hats = np.stack([np.interp(u, peaks, row) for row in np.eye(len(weights))])
     return px, py, np.unwrap(np.arctan2(dy, dx), axis=1), time @ hats

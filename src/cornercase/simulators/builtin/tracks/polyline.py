@@ -54,12 +54,12 @@ class Polyline(Trajectory):
         self._length = self.distance[:, -1]
         self.lengths = np.full(len(x), np.inf) if closed else self._length
         direction = np.arctan2(np.diff(y), np.diff(x))
-        # A leg without length, as it stands for waiting, has the direction of the leg before it.
+        # A leg of no length means waiting; it has the direction of the leg before.
         for k in range(direction.shape[1]):
             still = legs[:, k] < 1e-6
             direction[still, k] = direction[still, k - 1] if k else direction[still, min(1, direction.shape[1] - 1)]
         self._direction = np.unwrap(direction, axis=1)
-        # A heading that is given at the beginning of a leg only holds for all of it.
+        # A heading that is given only at the beginning of a leg holds for the whole leg.
         facing = np.where(~np.isnan(heading[:, :-1]) & np.isnan(heading[:, 1:]), heading[:, :-1], direction)
         self._facing = np.unwrap(facing, axis=1)
         self._speeds = None if time is None else self._speeds_at_vertices(legs, time)

@@ -1,4 +1,4 @@
-"""What entities move along."""
+"""Lanes and trajectories that entities follow."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.state import World
 
-# A target further from a track, in m, is not on it.
+# Beyond this distance from a track, in m, a target is not on it.
 _ASTRAY: Final = 20.0
 
 
@@ -78,7 +78,7 @@ def lateral_gap(world: World, entity: int, other: int) -> FloatArray:
 
 
 def longitudinal_reach(world: World, entity: int, other: int) -> tuple[float, float]:
-    """What of a distance between reference points two boxes fill, with the other ahead and with it behind."""
+    """Parts of two boxes between their reference points in m: with the other one ahead, and with it behind."""
     one, two = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (one, two)]
     rears = [0.5 * box.length - box.center_x for box in (one, two)]

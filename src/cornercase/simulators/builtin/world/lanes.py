@@ -1,4 +1,4 @@
-"""Putting entities somewhere, and making them follow lanes and other tracks."""
+"""Placing entities, and making them follow lanes and other tracks."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     where = where & world.running
     for state, value in ((world.x, pose.x), (world.y, pose.y), (world.heading, pose.heading)):
         state[entity][where] = value[where]
-    # A jump is no way.
+    # The distance of a jump does not count as travelled.
     world.from_x[entity][where], world.from_y[entity][where] = pose.x[where], pose.y[where]
     world.present[entity] |= where
     world.moved[entity] |= where & (world.time > 0.0)
-    # Who follows a trajectory goes on with it.
+    # An entity that follows a trajectory keeps following it.
     attach_to_lane(world, entity, where & ((world.track[entity] == FREE) | on_lane(world, entity)), pose)
 
 
@@ -61,7 +61,7 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         world.offset[entity][rows] = pose.offset[rows] if one[3] else -pose.offset[rows]
         _, _, ahead = track.at(distance[rows], np.zeros(int(rows.sum())), np.flatnonzero(rows))
         turn = (pose.heading[rows] - ahead + np.pi) % (2 * np.pi) - np.pi
-        # Lines are sampled: a heading that differs this little is the lane's own.
+        # Lanes are sampled, so their headings are not exact: so small a difference is none.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
 
 

@@ -11,7 +11,7 @@ from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Track
 from cornercase.simulators.builtin.world.state import World
 
-# Who comes to the end of a road to this in m is at it.
+# An entity this close to the end of a road, in m, is at the end.
 _ON_END: Final = 1e-3
 
 
@@ -30,7 +30,7 @@ def move_entities(world: World, dt: float) -> None:
         free = rows & (world.track[e] == FREE)
         if not free.any():
             continue
-        # Who has come to the end of a trajectory and has no road to go on by stops.
+        # An entity stops at the end of its trajectory if there is no road on which to continue.
         lost = free & world.frozen[e] & ~world.moved[e]
         world.speed[e][lost], way = 0.0, np.where(lost, 0.0, way)
         world.x[e] += np.where(free, way * np.cos(world.heading[e]), 0.0)
@@ -54,7 +54,7 @@ def move_entities(world: World, dt: float) -> None:
 
 
 def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
-    """Put an entity where its place on its track is, before the step ends."""
+    """Move an entity to its place on its track at once, before the step ends."""
     for k, track in enumerate(world.tracks[entity]):
         at = np.flatnonzero(where & (world.track[entity] == k))
         if at.size:
@@ -64,7 +64,7 @@ def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
 def pull_entity(
     world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
 ) -> None:
-    """Put an entity where somebody else has moved it in the coming step, each shape (N,), along its track."""
+    """Set the motion of an entity that another simulator moves in the coming step, each array (N,)."""
     every = np.arange(world.scenarios)
     world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
     world.moved[entity] = True
@@ -81,13 +81,13 @@ def pull_entity(
 def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:
     offset = world.offset[e][at]
     if isinstance(track, LaneTrack) and offset.any():
-        # Who goes beside the line on the inside of a bend gets on faster along it.
+        # On the inside of a bend, the way along the line is longer than the way that is driven.
         way = way / np.maximum(1.0 - track.curvature(world.distance[e][at], at) * offset, 0.1)
     distance = world.distance[e][at] + way
     if isinstance(track, LaneTrack):
         over = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & (way < 0.0))
         distance = np.clip(distance, 0.0, track.length)
-        # Who still wants to go on from there stops, as in esmini with the second step.
+        # An entity that tries to drive beyond the end stops with the second step, as in esmini.
         late = world.at_end_since[e][at] < world.time - 1.5 * world.last_step
         world.speed[e][at[over & late & np.isnan(world.pace[e][at])]] = 0.0
         world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], world.time), np.inf)

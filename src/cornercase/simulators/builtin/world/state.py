@@ -20,7 +20,7 @@ LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
 
 class Decision(Protocol):
-    """Somebody who decides an entity's speed where in charge."""
+    """Decides the speed of an entity while in charge of it."""
 
     def step(self, dt: float) -> None:
         """Decide the entity's speed at the end of the coming time step."""

@@ -11,7 +11,7 @@ from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.state import World
 
-# From this far beside the middle of its lane on, in m, an entity's lane is looked up.
+# Further than this from the middle of the lane that it follows, in m, an entity's lane is looked up by its place.
 _BESIDE: Final = 1.0
 
 
@@ -33,7 +33,7 @@ def lane_of(world: World, entity: int) -> Pose:
     pose = Pose(pose.x, pose.y, pose.heading, *place)
     for k, track in enumerate(world.tracks[entity]):
         if isinstance(track, LaneTrack):
-            # Who is far from the middle may be on another lane by now.
+            # Far from the middle, the entity may be on another lane.
             near = np.abs(world.offset[entity]) < _BESIDE
             rows = np.flatnonzero((world.track[entity] == k) & near & world.present[entity])
             if rows.size:
@@ -96,7 +96,7 @@ def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
     """How many lanes further to the left of a pose another is, as it drives, shape (N,)."""
     assert one.lane is not None
     assert two.lane is not None
-    # There is no lane 0.
+    # Lane numbers skip 0.
     apart = two.lane - one.lane
     crossing = np.sign(one.lane) != np.sign(two.lane)
     apart = apart - np.where(crossing, np.sign(apart), 0)
