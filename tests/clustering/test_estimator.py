@@ -30,6 +30,9 @@ def test_it_finds_what_the_function_finds_and_has_the_manners():
     expected = cluster(distances, gamma=4.0, eps=0.2, min_samples=4)
     np.testing.assert_array_equal(model.fit_predict(distances), expected.labels)
     np.testing.assert_array_equal(model.embedding_, expected.embedding)
+    assert (model.gamma_, model.eps_, model.min_samples_) == (4.0, 0.2, 4)
+    assert model.candidates_ == model.result_.candidates
+    assert "150 scenarios, " in repr(model.result_)
     assert doctest.testmod(cornercase.clustering.estimator).failed == 0
 
 

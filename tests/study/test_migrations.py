@@ -15,8 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from command_line import cornercase
+from cornercase.clustering import ScenarioClustering
 from cornercase.report import summarize, write_report
 from cornercase.study import Study, migrations
 
@@ -108,6 +110,20 @@ def test_an_old_study_is_analysed_again_by_the_command_line(old):
         assert set(study.outcomes()) == set(range(1, 11))
         assert study.table()["outcome"].notna().all()
         np.testing.assert_array_equal(study.analysis("distance")[0]["labels"].shape, (10,))
+
+
+def test_landmarks_that_version_1_only_counted_are_those_that_it_drew():
+    points = np.random.default_rng(0).random((40, 2))
+    distances = cdist(points, points)
+    arrays = {"ids": np.arange(1, 41), "distances": distances}
+    model = ScenarioClustering(landmarks=15).fit(distances)
+    found = migrations._landmarks({"landmarks": 15, "fitted": list(range(1, 41))}, arrays)
+    np.testing.assert_array_equal(found, model.landmarks_)
+    # Of a study that has grown since, they are among those that the clusters were found from.
+    model = ScenarioClustering(landmarks=15).fit(distances[:30, :30])
+    found = migrations._landmarks({"landmarks": 15, "fitted": list(range(1, 31))}, arrays)
+    np.testing.assert_array_equal(found, model.landmarks_)
+    assert len(migrations._landmarks({"landmarks": 0, "fitted": list(range(1, 41))}, arrays)) == 0
 
 
 def test_a_migration_that_fails_leaves_the_study_as_it_was(old, monkeypatch):

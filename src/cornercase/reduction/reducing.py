@@ -141,8 +141,8 @@ def _require_same_scenario(study: Study) -> Scenario | None:
     scenario = Scenario.read(meta.scenario)
     if scenario.fingerprint() != meta.fingerprint:
         raise InputError(
-            f"{meta.scenario}: it, its road or its catalogs have changed since {study.path} was explored; bring back"
-            " the files of then, or `explore` those of now into another study."
+            f"{meta.scenario}: it, its road or its catalogs have changed since {study.path} was explored; restore"
+            " them, or run `explore` again, into another study."
         )
     return scenario
 
