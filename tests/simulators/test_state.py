@@ -8,7 +8,7 @@ from types import ModuleType
 
 from conftest import EXAMPLES, same_recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import BuiltinSimulator, WorkerSimulator
 
 ROOMS = ("cornercase.simulators.builtin", "cornercase.drivers", "cornercase.roads", "cornercase.scenario")
 PATHS = [EXAMPLES / name / f"{name}.xosc" for name in ("x_intersection", "t_intersection")]
@@ -63,3 +63,12 @@ def test_a_run_is_the_same_after_other_runs_and_beside_them():
         assert same_recording(next(one), first)
         next(other)
     assert same_recording(run(PATHS[0]), first)
+
+
+def test_a_run_is_the_same_in_a_fresh_process():
+    for path in PATHS:
+        run(path)
+    options = {"duration": 8.0, "drivers": {"Ego": "normal"}}
+    with WorkerSimulator("builtin", options) as simulator:
+        (fresh,) = simulator.run([ConcreteScenario(PATHS[0])])
+    assert same_recording(fresh, run(PATHS[0], drivers={"Ego": "normal"}))

@@ -133,7 +133,17 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None) -> C
 
 
 def schema_errors(root: etree._Element) -> list[str] | None:
-    """Errors by the schema of the version that a file says it has; None where the schema is not installed."""
+    """Errors by the schema of the version that a file says it has; None where the schema is not installed.
+
+    Parameters
+    ----------
+    root : lxml element
+
+    Returns
+    -------
+    list of str, optional
+        A line for each.
+    """
     version, errors = _validate(root)
     return None if version is None else errors
 

@@ -52,6 +52,15 @@ class Action(Protocol):
 def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
     """Read a ``PrivateAction`` or ``GlobalAction`` for one entity.
 
+    Parameters
+    ----------
+    element : lxml element
+    scope : Scope
+        Values of the parameters there.
+    world : World
+    entity : int, optional
+        Row of the entity that acts; a global action has none.
+
     Returns
     -------
     Action or None

@@ -167,6 +167,16 @@ class VisibilityAction:
 def registered_driver(name: str, where: str) -> Driver:
     """Build a driver that a file asks for by its registered name.
 
+    Parameters
+    ----------
+    name : str
+    where : str
+        Who asks, for messages.
+
+    Returns
+    -------
+    Driver
+
     Raises
     ------
     InputError

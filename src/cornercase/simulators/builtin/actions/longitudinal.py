@@ -162,7 +162,19 @@ class LongitudinalDistanceAction:
 
 
 def child(element: etree._Element, tag: str, scope: Scope) -> etree._Element:
-    """Child element of a name; raises an `InputError` where there is none."""
+    """Child element of a name; raises an `InputError` where there is none.
+
+    Parameters
+    ----------
+    element : lxml element
+    tag : str
+    scope : Scope
+        Values of the parameters there.
+
+    Returns
+    -------
+    lxml element
+    """
     found = element.find(tag)
     if found is None:
         raise InputError(f"{scope.source}, line {element.sourceline}: <{element.tag}> has no <{tag}>.")

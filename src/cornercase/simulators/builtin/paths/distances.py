@@ -86,6 +86,16 @@ class Gap:
 def read_gap(element: etree._Element, scope: Scope) -> Gap:
     """Read how an element's distance is to be measured.
 
+    Parameters
+    ----------
+    element : lxml element
+    scope : Scope
+        Values of the parameters there.
+
+    Returns
+    -------
+    Gap
+
     Raises
     ------
     InputError

@@ -25,6 +25,18 @@ _EDGE: Final = 0.1
 def read_position(holder: etree._Element, scope: Scope, world: World) -> Position:
     """Read the position inside `holder`, a ``Position`` or an element of that type.
 
+    Parameters
+    ----------
+    holder : lxml element
+    scope : Scope
+        Values of the parameters there.
+    world : World
+
+    Returns
+    -------
+    Position
+        Called with the world, it gives the place at that instant.
+
     Raises
     ------
     InputError
@@ -42,7 +54,20 @@ def read_position(holder: etree._Element, scope: Scope, world: World) -> Positio
 
 
 def entity_index(element: etree._Element, scope: Scope, world: World, attribute: str = "entityRef") -> int:
-    """Row of the entity that an attribute names."""
+    """Row of the entity that an attribute names.
+
+    Parameters
+    ----------
+    element : lxml element
+    scope : Scope
+        Values of the parameters there.
+    world : World
+    attribute : str, default "entityRef"
+
+    Returns
+    -------
+    int
+    """
     name = scope.text(element, attribute)
     if name not in world.names:
         raise InputError(
@@ -53,7 +78,20 @@ def entity_index(element: etree._Element, scope: Scope, world: World, attribute:
 
 
 def entities_in(holder: etree._Element, scope: Scope, world: World) -> list[int]:
-    """Rows of the entities that the ``EntityRef`` in an element name, themselves or as members of a selection."""
+    """Rows of the entities that the ``EntityRef`` in an element name, themselves or as members of a selection.
+
+    Parameters
+    ----------
+    holder : lxml element
+    scope : Scope
+        Values of the parameters there.
+    world : World
+
+    Returns
+    -------
+    list of int
+        Without repetitions, in the file's order.
+    """
     found = []
     for element in holder.iterfind("EntityRef"):
         name = scope.text(element, "entityRef")
@@ -128,7 +166,18 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
 
 
 def shifted_lane(lane: IntArray, by: IntArray) -> IntArray:
-    """Number of the lane that is a number of lanes further to the left as seen along s; there is no lane 0."""
+    """Number of the lane that is a number of lanes further to the left as seen along s; there is no lane 0.
+
+    Parameters
+    ----------
+    lane : ndarray of int64, shape (N,)
+    by : ndarray of int64, shape (N,)
+        Number of lanes; negative to the right.
+
+    Returns
+    -------
+    ndarray of int64, shape (N,)
+    """
     moved = lane + by
     return np.where((moved == 0) | (np.sign(moved) != np.sign(lane)), moved + np.sign(by), moved)
 
@@ -235,6 +284,18 @@ Route = Callable[[World], list[tuple[int, int, float]]]
 
 def read_route(holder: etree._Element, scope: Scope, world: World) -> Route:
     """Read the ``Route`` or ``CatalogReference`` in `holder`, as (road, lane, s) of its waypoints.
+
+    Parameters
+    ----------
+    holder : lxml element
+    scope : Scope
+        Values of the parameters there.
+    world : World
+
+    Returns
+    -------
+    Route
+        Called with the world, it gives the waypoints.
 
     Raises
     ------

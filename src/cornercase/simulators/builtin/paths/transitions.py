@@ -74,7 +74,16 @@ class Transition:
 
 
 def require_shape(shape: str, element: etree._Element, scope: Scope) -> None:
-    """Raise an `InputError` where a shape does not exist."""
+    """Raise an `InputError` where a shape does not exist.
+
+    Parameters
+    ----------
+    shape : str
+        As in ``dynamicsShape``.
+    element : lxml element
+    scope : Scope
+        Values of the parameters there.
+    """
     if shape not in _PEAK:
         raise InputError(
             f"{scope.source}, line {element.sourceline}: dynamicsShape '{shape}' is not one of {', '.join(_PEAK)}."
@@ -82,7 +91,20 @@ def require_shape(shape: str, element: etree._Element, scope: Scope) -> None:
 
 
 def shaped(shape: str, part: FloatArray) -> FloatArray:
-    """Share of a change that is done after a share of the time, shape (N,)."""
+    """Share of a change that is done after a share of the time, shape (N,).
+
+    Parameters
+    ----------
+    shape : str
+        As in ``dynamicsShape``.
+    part : ndarray of float64, shape (N,)
+        Share of the time, clipped to 0 and 1.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        From 0 to 1.
+    """
     part = np.clip(part, 0.0, 1.0)
     if shape == "cubic":
         return part * part * (3.0 - 2.0 * part)
@@ -92,7 +114,19 @@ def shaped(shape: str, part: FloatArray) -> FloatArray:
 
 
 def steepness(shape: str, part: FloatArray) -> FloatArray:
-    """Derivative of `shaped`, shape (N,)."""
+    """Derivative of `shaped`, shape (N,).
+
+    Parameters
+    ----------
+    shape : str
+        As in ``dynamicsShape``.
+    part : ndarray of float64, shape (N,)
+        Share of the time, clipped to 0 and 1.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+    """
     part = np.clip(part, 0.0, 1.0)
     if shape == "cubic":
         return 6.0 * part * (1.0 - part)
@@ -102,7 +136,22 @@ def steepness(shape: str, part: FloatArray) -> FloatArray:
 
 
 def time_by_acceleration(shape: str, change: FloatArray, most: FloatArray) -> FloatArray:
-    """Time for a lateral change whose acceleration peaks at `most`, shape (N,); a linear one is taken as cubic."""
+    """Time for a lateral change whose acceleration peaks at `most`, shape (N,); a linear one is taken as cubic.
+
+    Parameters
+    ----------
+    shape : str
+        As in ``dynamicsShape``.
+    change : ndarray of float64, shape (N,)
+        m.
+    most : ndarray of float64, shape (N,)
+        m/s².
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        s.
+    """
     with np.errstate(divide="ignore"):
         if shape == "step":
             return np.zeros_like(change)

@@ -44,7 +44,19 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
 
 
 def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
-    """Comparison that an element's ``rule`` names."""
+    """Comparison that an element's ``rule`` names.
+
+    Parameters
+    ----------
+    element : lxml element
+    scope : Scope
+        Values of the parameters there.
+
+    Returns
+    -------
+    callable
+        Takes two values or arrays.
+    """
     rule = scope.text(element, "rule", "equalTo")
     if rule not in _RULES:
         raise InputError(f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}")

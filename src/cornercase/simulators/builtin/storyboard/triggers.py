@@ -131,7 +131,21 @@ class Trigger:
 
 
 def read_trigger(element: etree._Element | None, scope: Scope, world: World, elements: Elements) -> Trigger:
-    """Read a ``StartTrigger`` or ``StopTrigger``; one that is missing never fires."""
+    """Read a ``StartTrigger`` or ``StopTrigger``; one that is missing never fires.
+
+    Parameters
+    ----------
+    element : lxml element, optional
+    scope : Scope
+        Values of the parameters there.
+    world : World
+    elements : Elements
+        Those of the storyboard, for conditions on their states.
+
+    Returns
+    -------
+    Trigger
+    """
     groups: list[list[Condition]] = []
     for group in () if element is None else element.iterfind("ConditionGroup"):
         conditions = []

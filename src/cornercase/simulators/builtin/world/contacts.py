@@ -10,7 +10,12 @@ from cornercase.simulators.builtin.world.state import World
 
 
 def find_contacts(world: World) -> None:
-    """Update which boxes overlap."""
+    """Update which boxes overlap.
+
+    Parameters
+    ----------
+    world : World
+    """
     ahead = np.array([[entity.center_x] for entity in world.entities])
     x = np.where(world.present, world.x + ahead * np.cos(world.heading), np.nan)
     y = np.where(world.present, world.y + ahead * np.sin(world.heading), np.nan)
@@ -28,7 +33,17 @@ def find_contacts(world: World) -> None:
 
 
 def entity_corners(world: World) -> FloatArray:
-    """Corners of all boxes, shape (E, N, 4, 2)."""
+    """Corners of all boxes, shape (E, N, 4, 2).
+
+    Parameters
+    ----------
+    world : World
+
+    Returns
+    -------
+    ndarray of float64, shape (E, N, 4, 2)
+        m.
+    """
     ahead = np.array([[entity.center_x] for entity in world.entities])
     length = np.array([[entity.length] for entity in world.entities])
     width = np.array([[entity.width] for entity in world.entities])

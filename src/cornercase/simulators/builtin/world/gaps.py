@@ -20,6 +20,20 @@ def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArr
 
     Where the entity has no track that leads there it is the distance as the crow flies. For a target that stays
     where it is, `known` keeps its place on each track from one call to the next.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    target : Pose
+    known : dict of int to ndarray, optional
+        Places of the target by track, which are added to.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m.
     """
     result = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
     known = {} if known is None else known
@@ -39,7 +53,21 @@ def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArr
 
 
 def offset_from(world: World, entity: int, other: int) -> FloatArray:
-    """Offset that another entity would have from this one's track, shape (N,); positive to the left."""
+    """Offset that another entity would have from this one's track, shape (N,); positive to the left.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    other : int
+        Row of the other entity.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m.
+    """
     result = distance_beside(world, entity, other) + world.offset[entity]
     for k, track in enumerate(world.tracks[entity]):
         rows = np.flatnonzero((world.track[entity] == k) & world.present[other])
@@ -52,33 +80,103 @@ def offset_from(world: World, entity: int, other: int) -> FloatArray:
 
 
 def distance_ahead(world: World, entity: int, other: int) -> FloatArray:
-    """How far ahead of an entity another is, between reference points along its heading, shape (N,)."""
+    """How far ahead of an entity another is, between reference points along its heading, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    other : int
+        Row of the other entity.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; negative behind it.
+    """
     dx, dy = world.x[other] - world.x[entity], world.y[other] - world.y[entity]
     return np.asarray(dx * np.cos(world.heading[entity]) + dy * np.sin(world.heading[entity]))
 
 
 def distance_beside(world: World, entity: int, other: int) -> FloatArray:
-    """How far to the left of an entity another is, between reference points, shape (N,)."""
+    """How far to the left of an entity another is, between reference points, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    other : int
+        Row of the other entity.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; negative to the right.
+    """
     dx, dy = world.x[other] - world.x[entity], world.y[other] - world.y[entity]
     return np.asarray(dy * np.cos(world.heading[entity]) - dx * np.sin(world.heading[entity]))
 
 
 def longitudinal_gap(world: World, entity: int, other: int) -> FloatArray:
-    """Signed free space to another's box along an entity's heading, 0 where they are abreast, shape (N,)."""
+    """Signed free space to another's box along an entity's heading, 0 where they are abreast, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    other : int
+        Row of the other entity.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; negative behind it.
+    """
     near, far, _, _ = extent(world, entity, other)
     half = 0.5 * world.entities[entity].length
     return np.where(near > half, near - half, np.where(far < -half, far + half, 0.0))
 
 
 def lateral_gap(world: World, entity: int, other: int) -> FloatArray:
-    """Signed free space to another's box across an entity's heading, positive to the left, shape (N,)."""
+    """Signed free space to another's box across an entity's heading, positive to the left, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    other : int
+        Row of the other entity.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; 0 where they overlap across it.
+    """
     _, _, near, far = extent(world, entity, other)
     half = 0.5 * world.entities[entity].width
     return np.where(near > half, near - half, np.where(far < -half, far + half, 0.0))
 
 
 def longitudinal_reach(world: World, entity: int, other: int) -> tuple[float, float]:
-    """Parts of two boxes between their reference points in m: with the other one ahead, and with it behind."""
+    """Parts of two boxes between their reference points in m: with the other one ahead, and with it behind.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    other : int
+        Row of the other entity.
+
+    Returns
+    -------
+    tuple of (float, float)
+        m.
+    """
     one, two = world.entities[entity], world.entities[other]
     fronts = [0.5 * box.length + box.center_x for box in (one, two)]
     rears = [0.5 * box.length - box.center_x for box in (one, two)]
@@ -86,7 +184,21 @@ def longitudinal_reach(world: World, entity: int, other: int) -> tuple[float, fl
 
 
 def extent(world: World, entity: int, other: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Least and largest coordinate of another's box ahead of and to the left of an entity's centre, each (N,)."""
+    """Least and largest coordinate of another's box ahead of and to the left of an entity's centre, each (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    other : int
+        Row of the other entity.
+
+    Returns
+    -------
+    tuple of ndarray of float64, each (N,)
+        m: least and largest ahead, least and largest to the left.
+    """
     corners = entity_corners(world)[other]
     one = world.entities[entity]
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])

@@ -17,7 +17,18 @@ _ALIGNED: Final = 1e-3
 
 
 def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> None:
-    """Put an entity somewhere; from there it follows its lane, or its heading where there is none."""
+    """Put an entity somewhere; from there it follows its lane, or its heading where there is none.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    pose : Pose
+        The place.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+    """
     world.fail(
         where & ~np.isfinite(pose.x + pose.y + pose.heading),
         f"{world.names[entity]} is placed off the map",
@@ -34,7 +45,18 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
 
 
 def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
-    """Make an entity follow the lane that it is on, the way that its heading points, where it is now."""
+    """Make an entity follow the lane that it is on, the way that its heading points, where it is now.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+    pose : Pose, optional
+        Where it is, if that is known; else it is looked up.
+    """
     world.track[entity][where] = FREE
     world.frozen[entity][where] = False
     if world.network is None:
@@ -66,7 +88,22 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
-    """Make an entity follow another lane of its road from beside it; where that lane exists, shape (N,)."""
+    """Make an entity follow another lane of its road from beside it; where that lane exists, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    lane : ndarray of int64, shape (N,)
+        Number of the lane.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
     assert world.network is not None
     pose = lane_of(world, entity)
     assert pose.s is not None
@@ -94,7 +131,18 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
 
 
 def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:
-    """Make an entity pass roads, where it can, and go on as before where it is already on its way."""
+    """Make an entity pass roads, where it can, and go on as before where it is already on its way.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    roads : tuple of int
+        Indices of the roads.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+    """
     via = tuple((road, 0, 0.0) for road in roads)
     if via not in world.routes:
         world.routes.append(via)
@@ -107,7 +155,19 @@ def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolA
 
 
 def follow_track(world: World, entity: int, track: Track, distance: FloatArray, where: BoolArray) -> None:
-    """Make an entity follow `track` from `distance` on."""
+    """Make an entity follow `track` from `distance` on.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    track : Track
+    distance : ndarray of float64, shape (N,)
+        m.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+    """
     tracks = world.tracks[entity]
     if track not in tracks:
         tracks.append(track)
@@ -116,7 +176,26 @@ def follow_track(world: World, entity: int, track: Track, distance: FloatArray, 
 
 
 def lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
-    """Track along a lane and what follows it, the same object for the same lane; None where there is no lane."""
+    """Track along a lane and what follows it, the same object for the same lane; None where there is no lane.
+
+    Parameters
+    ----------
+    world : World
+    road : int
+        Index of the road.
+    lane : int
+        Number of the lane.
+    s : float
+        Place on the road in m.
+    along : bool
+        Whether it runs along the road's s there.
+    route : int
+        Index of the route.
+
+    Returns
+    -------
+    LaneTrack or None
+    """
     assert world.network is not None
     section = int(world.network.roads[road].section_at(np.array([s]))[0])
     key = (road, section, lane, along, route)

@@ -16,7 +16,14 @@ _ON_END: Final = 1e-3
 
 
 def move_entities(world: World, dt: float) -> None:
-    """Advance every entity by one time step with its present speed, then the clock."""
+    """Advance every entity by one time step with its present speed, then the clock.
+
+    Parameters
+    ----------
+    world : World
+    dt : float
+        s; with 0 entities are only put on their tracks.
+    """
     before_heading, world.last_step = world.from_heading, dt
     for e in range(len(world.entities)):
         rows = world.running & world.present[e]
@@ -54,7 +61,16 @@ def move_entities(world: World, dt: float) -> None:
 
 
 def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
-    """Move an entity to its place on its track at once, before the step ends."""
+    """Move an entity to its place on its track at once, before the step ends.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+    """
     for k, track in enumerate(world.tracks[entity]):
         at = np.flatnonzero(where & (world.track[entity] == k))
         if at.size:
@@ -64,7 +80,16 @@ def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
 def pull_entity(
     world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
 ) -> None:
-    """Set the motion of an entity that another simulator moves in the coming step, each array (N,)."""
+    """Set the motion of an entity that another simulator moves in the coming step, each array (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    x, y, heading, speed : ndarray of float64, shape (N,)
+        Motion at the end of the step in m, rad and m/s.
+    """
     every = np.arange(world.scenarios)
     world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
     world.moved[entity] = True

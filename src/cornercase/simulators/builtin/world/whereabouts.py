@@ -16,7 +16,18 @@ _BESIDE: Final = 1.0
 
 
 def on_lane(world: World, entity: int) -> BoolArray:
-    """Whether the entity follows a lane, shape (N,)."""
+    """Whether the entity follows a lane, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for k, track in enumerate(world.tracks[entity]):
         if isinstance(track, LaneTrack):
@@ -25,7 +36,19 @@ def on_lane(world: World, entity: int) -> BoolArray:
 
 
 def lane_of(world: World, entity: int) -> Pose:
-    """Where an entity is on the roads."""
+    """Where an entity is on the roads.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+
+    Returns
+    -------
+    Pose
+        Without a road where there is no network.
+    """
     pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
     if world.network is None:
         return pose
@@ -42,7 +65,18 @@ def lane_of(world: World, entity: int) -> Pose:
 
 
 def on_road(world: World, entity: int) -> BoolArray:
-    """Whether an entity's reference point lies within the width of a road, shape (N,)."""
+    """Whether an entity's reference point lies within the width of a road, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
     assert world.network is not None
     place = world.network.locate(world.x[entity], world.y[entity])
     width = np.zeros(world.scenarios)
@@ -57,7 +91,18 @@ def on_road(world: World, entity: int) -> BoolArray:
 
 
 def road_heading(world: World, pose: Pose) -> FloatArray:
-    """Direction of the road's s at a pose, shape (N,)."""
+    """Direction of the road's s at a pose, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    pose : Pose
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        rad.
+    """
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None
@@ -72,6 +117,19 @@ def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
     """Speed along the road that an entity is on, without sign, in m/s, shape (N,).
 
     Off a lane it is that of the last step as it was gone, which on a bend is a chord.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m/s.
     """
     speed = np.abs(world.speed[entity] * np.cos(np.where(where, world.turn[entity], 0.0)))
     at = np.flatnonzero(where & ~on_lane(world, entity))
@@ -88,12 +146,37 @@ def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
 
 
 def lateral_speed(world: World, entity: int) -> FloatArray:
-    """Speed across the entity's track in m/s, shape (N,); positive to the left."""
+    """Speed across the entity's track in m/s, shape (N,); positive to the left.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m/s.
+    """
     return np.asarray(world.speed[entity] * np.sin(world.turn[entity]))
 
 
 def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
-    """How many lanes further to the left of a pose another is, as it drives, shape (N,)."""
+    """How many lanes further to the left of a pose another is, as it drives, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    one : Pose
+        Where it is counted from.
+    two : Pose
+
+    Returns
+    -------
+    ndarray of int64, shape (N,)
+        Negative to the right.
+    """
     assert one.lane is not None
     assert two.lane is not None
     # Lane numbers skip 0.
@@ -104,7 +187,21 @@ def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
 
 
 def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
-    """Whether a drivable lane lies within a range of lanes from a pose, shape (N,)."""
+    """Whether a drivable lane lies within a range of lanes from a pose, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    pose : Pose
+    first, last : int
+        Numbers of lanes to the left, relative to that of the pose; both included.
+    opposite : bool
+        Whether lanes of the opposite direction count.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
     assert world.network is not None
     assert pose.road is not None
     assert pose.lane is not None
