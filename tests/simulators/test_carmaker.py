@@ -20,7 +20,7 @@ from cornercase._common.errors import InputError, SimulationError, SimulatorErro
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMakerSimulator, WorkerSimulator
 from cornercase.simulators.carmaker.cmapi import CarMakerApi
-from cornercase.simulators.carmaker.simulator import CommandPort
+from cornercase.simulators.carmaker.port import CommandPort
 
 SAMPLE = Path(__file__).parents[3] / "shared" / "reference" / "simulators" / "carmaker" / "example.erg"
 SCENARIO = """<?xml version="1.0"?>

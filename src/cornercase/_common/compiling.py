@@ -51,7 +51,7 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         compiled = njit(nogil=True, **options)(function)
-        # Where there is no folder to write to, it is compiled anew each time.
+        # Without a folder to write to, it is compiled in each process.
         with suppress(RuntimeError):
             compiled._cache = _SharedCache(function)
         return cast(Callable[..., Any], compiled)

@@ -63,7 +63,7 @@ def written_whole(path: Path | str) -> Iterator[Path]:
     # A folder, a pipe or a device must not be replaced by a file.
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file; choose another name.")
-    # What a link points to is written, not the link.
+    # A link stays a link: the file that it points to is written.
     path = path.resolve()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

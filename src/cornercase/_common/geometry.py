@@ -303,5 +303,5 @@ def _roots(gain: FloatArray, speed: FloatArray, offset: FloatArray) -> tuple[Flo
     with np.errstate(over="ignore"):
         one = q / gain
         two = np.where(q == 0.0, one, 2.0 * offset / np.where(q == 0.0, 1.0, q))
-    # Just reaching a place and turning back there is reaching it.
+    # Motion that turns back exactly at a place has reached it.
     return np.minimum(one, two), np.maximum(one, two), discriminant >= -1e-14 * speed * speed

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from filelock import BaseFileLock, FileLock, Timeout
 
-# s between looks at a lock that is held for milliseconds, and until it is given up.
+# s between two tries to take a lock that is held for milliseconds, and s after which it is given up.
 _SOON, _LONGEST = 0.005, 60.0
 
 
@@ -30,7 +30,7 @@ def taken_lock(path: Path) -> BaseFileLock | None:
     OSError
         The file cannot be written.
     """
-    # Whichever thread has taken it, any may release it.
+    # Any thread may release it.
     lock = FileLock(path, thread_local=False)
     try:
         lock.acquire(blocking=False)
@@ -58,7 +58,7 @@ def held_lock(path: Path) -> Iterator[None]:
     None
     """
     with ExitStack() as held:
-        # A time-out is an OSError, too.
+        # filelock's Timeout is an OSError, too.
         with suppress(OSError, NotImplementedError):
             path.parent.mkdir(parents=True, exist_ok=True)
             held.enter_context(FileLock(path, is_singleton=True).acquire(timeout=_LONGEST, poll_interval=_SOON))

@@ -16,7 +16,7 @@ import psutil
 _WINDOWS: Final = sys.platform == "win32"
 # A virus scanner or an indexer may hold a new file for a moment.
 _TRIES, _PAUSE = 20, 0.05
-# Exit codes from here on are those of Windows' exceptions, which are known by their hexadecimal numbers.
+# From here on, exit codes are exceptions of Windows, which are known by their hexadecimal numbers.
 _EXCEPTIONS: Final = 0xC0000000
 
 
@@ -53,7 +53,7 @@ def new_file_mode() -> int:
     -------
     int
     """
-    # It can only be read by setting it.
+    # The mask can only be read by setting it.
     mask = os.umask(0o077)
     os.umask(mask)
     return 0o666 & ~mask
@@ -163,9 +163,9 @@ def parent_watch() -> Callable[[], bool]:
     try:
         parent = psutil.Process(number)
     except psutil.Error:
-        # One outside of what can be seen from here, as in a container.
+        # It cannot be seen from here, as from inside a container.
         return lambda: os.getppid() == number
-    # Windows gives the same number also when that process is gone.
+    # On Windows `getppid` stays the same after that process has ended.
     return lambda: os.getppid() == number and parent.is_running()
 
 

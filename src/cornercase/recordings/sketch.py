@@ -9,7 +9,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 
 COLORS: Final = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#8c564b", "#e377c2", "#7f7f7f")
-# Pixels of the drawing and of its margin, and points of a track that suffice there.
+# Pixels of the drawing and of its margin, and the most points of a track in it.
 _WIDTH, _HEIGHT, _MARGIN = 420.0, 240.0, 8.0
 _POINTS: Final = 400
 
@@ -31,7 +31,7 @@ def tracks_as_svg(x: FloatArray, y: FloatArray) -> str:
     if not there.any():
         return ""
     left, right, low, high = x[there].min(), x[there].max(), y[there].min(), y[there].max()
-    # A track of one point has a size, too.
+    # All positions may be the same; then the scale is that of 1 m.
     scale = min((_WIDTH - 2 * _MARGIN) / max(right - left, 1.0), (_HEIGHT - 2 * _MARGIN) / max(high - low, 1.0))
     width, height = scale * (right - left) + 2 * _MARGIN, scale * (high - low) + 2 * _MARGIN
     drawn = []

@@ -170,7 +170,7 @@ class EsminiSimulator(Simulator):
                 if _set(lib, name, value, kinds.get(name, "")) != 0:
                     refused.append(name)
 
-        # Kept until the run is over: esmini holds nothing but its address.
+        # Has to live until the run is over, as esmini keeps only its address.
         callback = _CALLBACK(declare)
         lib.SE_RegisterParameterDeclarationCallback(callback, None)
         lib.SE_SetSeed(self._seed)
@@ -244,7 +244,7 @@ class _Log:
         acceleration = np.zeros_like(speed)
         acceleration[:, 1:] = np.diff(speed, axis=1) / time_step
         there = np.isfinite(x)
-        # Who has just appeared has no speed before.
+        # At its first instant an entity has no speed before.
         acceleration = np.where(there, np.nan_to_num(acceleration), np.nan)
         kinds, lengths, widths, centers = zip(*self._about.values(), strict=True)
         touched = sorted(self._collisions.items(), key=lambda one: one[1])
@@ -328,7 +328,7 @@ def _require_layout(lib: ctypes.CDLL, one: int) -> None:
     if lib.SE_GetObjectState(one, ctypes.addressof(buffer)) != 0:
         raise InputError("esmini does not tell the state of one of its objects; take another version of it.")
     written = bytes(buffer)
-    # The last field is an int, and what follows it to the next multiple of 8 is nothing.
+    # The last field is an int, which is followed by padding up to the next multiple of 8.
     if written[size - 8 : size - 4] == bytes([_FILL]) * 4 or written[size:] != bytes([_FILL]) * size:
         raise InputError(
             "esmini's library has another layout than that of esmini 3.6, which this cornercase knows; take that one."

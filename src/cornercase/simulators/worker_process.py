@@ -17,7 +17,7 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.registry import SIMULATORS
 
-# s that a simulator may take to start, to say how it has died, and to end by itself.
+# s that a simulator may take to start, for its exit code to arrive, and to end by itself.
 _STARTED, _DIED, _ENDED = 60.0, 0.2, 10.0
 
 Outcome = Recording | SimulationError
@@ -96,7 +96,7 @@ class Worker:
         """
         if self._process is None or not self._process.is_alive():
             self.stop()
-            # Started anew rather than forked: threads of numerical libraries do not survive a fork.
+            # Spawned, not forked: threads of numerical libraries do not survive a fork, and Windows has none.
             context = get_context("spawn")
             self.connection, theirs = context.Pipe()
             self._process = context.Process(target=_serve, args=(theirs, self._name, self._options), daemon=True)
@@ -157,7 +157,7 @@ class Worker:
         self.waiting, self._code, self._started = [], None, False
         if self._process is None:
             return
-        # One that has ended by itself tells its exit code, if it is given a moment.
+        # If the process has ended by itself, its exit code arrives within a moment.
         self._process.join(_DIED)
         self._code = self._process.exitcode
         if self._process.is_alive():
@@ -190,7 +190,7 @@ class Worker:
 
 def _serve(connection: Connection, name: str, options: dict[str, Any]) -> None:
     """Make a simulator, and run what comes until nothing follows."""
-    # Ctrl-C is for the process that the user sees, which lets this one finish its scenario or stops it.
+    # Ctrl-C is handled by the main process, which lets this one finish its scenario or stops it.
     leave_terminal()
     try:
         simulator = SIMULATORS.create(name, **options)
@@ -229,6 +229,6 @@ def _results(simulator: Simulator, concretes: list[ConcreteScenario]) -> Iterato
     for k in range(len(concretes)):
         found = next(results, nothing)
         if k == len(concretes) - 1:
-            # What it clears up at its end belongs to the last scenario, too.
+            # Let it clear up before its last result counts: if that fails, the scenario is run again.
             next(results, None)
         yield found

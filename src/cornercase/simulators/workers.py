@@ -65,7 +65,7 @@ class WorkerSimulator(Simulator):
     ) -> None:
         self.name = name
         declared = SIMULATORS.class_of(name)
-        # It runs nothing; it checks its options, and scenarios before they are run.
+        # This one runs nothing; it checks options, and scenarios before they are run.
         self._unused = SIMULATORS.create(name, **options)
         self.settings = self._unused.settings
         self._batches, self._retries = declared.takes_batches, retries
@@ -191,7 +191,7 @@ class WorkerSimulator(Simulator):
             if self._lost >= _MOST_LOST:
                 raise InputError(
                     f"The simulator '{self.name}' gave no result in {self._lost} scenarios in a row; in the last one"
-                    f" {why}. The same command goes on when it is well again."
+                    f" {why}. Mend it, and run the same command again to go on."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
             done[index] = SimulationError(f"{why}, tried {times}")

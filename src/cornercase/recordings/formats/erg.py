@@ -19,7 +19,7 @@ _TYPES: Final = {
     "Double": "f8", "Float": "f4", "Int": "i4", "UInt": "u4", "Long": "i4", "ULong": "u4", "LongLong": "i8",
     "ULongLong": "u8", "Short": "i2", "UShort": "u2", "Char": "i1", "UChar": "u1",
 }  # fmt: skip
-# CarMaker's files do not tell how large anybody is.
+# In m; CarMaker's files do not hold the size of an entity.
 _LENGTH, _WIDTH = 4.5, 1.8
 
 

@@ -66,7 +66,7 @@ def _add(
 ) -> None:
     for number in numbers:
         place = columns[f"#{number} Entity_Name"]
-        # Entities that are not there any more have no columns at the end of the line.
+        # An entity that has been deleted has no columns at the end of the line.
         if place >= len(row) - 1 or not row[place].strip():
             continue
         try:

@@ -20,10 +20,10 @@ from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
 from srunner.tools.openscenario_parser import OpenScenarioParser
 from srunner.tools.route_manipulation import interpolate_trajectory
 
-# A vehicle that has arrived drives on along its lane, in m, rather than stand in the way of the others.
+# m that a vehicle drives on along its lane after its route, so that it does not stop in the way of others.
 _BEYOND = 200.0
 _STEP = 2.0
-# Lanes that part on a junction do not differ before.
+# m after which lanes that part on a junction can be told apart.
 _AHEAD = 15.0
 
 
@@ -65,7 +65,7 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
         if not self._actor.is_alive:
             return
         if self._init_speed:
-            # Once; from then on the speed is the agent's business.
+            # Only at the start; from then on the agent decides the speed.
             self._init_speed = False
             ahead = self._actor.get_transform().get_forward_vector()
             self._actor.set_target_velocity(ahead * float(self._target_speed))

@@ -104,7 +104,7 @@ def _controller_action(entity: str, properties: Mapping[str, str]) -> etree._Ele
     holder = etree.SubElement(controller, "Properties")
     for name, value in properties.items():
         etree.SubElement(holder, "Property", name=name, value=value)
-    # 1.0 wants it, and ScenarioRunner wants nothing of it to be active.
+    # 1.0 requires this element; nothing in it is active, as ScenarioRunner would act on it.
     override = etree.SubElement(both, "OverrideControllerValueAction")
     for tag, attribute in _UNTOUCHED:
         etree.SubElement(override, tag, {attribute: "0", "active": "false"})

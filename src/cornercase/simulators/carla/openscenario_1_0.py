@@ -16,7 +16,7 @@ from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_be
 from cornercase.simulators.builtin.checking import schema_errors
 
 _MINOR: Final = 0
-# Attributes that came after 1.0 and say nothing that 1.0 would understand otherwise.
+# Attributes that are newer than 1.0, and without which the rest means the same.
 _LATER: Final = {
     "SynchronizeAction": ("targetTolerance", "targetToleranceMaster"),
     "Vehicle": ("mass", "role", "model3d"),
@@ -125,7 +125,7 @@ def write_1_0(
     scenario.require_entity(ego, "ego")
     root, notes = _tree_1_0(scenario, values, ego)
     target, road = Path(target), scenario.road_file(values)
-    # What is no file is the name of one of CARLA's maps.
+    # A name without an ending that is no file is one of CARLA's maps.
     is_map = road is not None and not road.suffix and not road.exists()
     file = root.find("RoadNetwork/LogicFile")
     if road is not None and file is not None:
@@ -198,17 +198,17 @@ def _resolve(element: etree._Element, scope: Scope) -> None:
         if "$" not in str(text) or name == "parameterRef":
             continue
         if name == "name":
-            # What is called after a parameter keeps its name; 1.0 would take the sign for a reference.
+            # In 1.0 a $ in a name would be read as a reference to a parameter; it is left out.
             element.set(name, str(text).translate(_NAMED))
         else:
             element.set(name, inner.text(element, str(name)))
     for child in element:
         if child.tag == "CatalogReference":
-            # ScenarioRunner would look for the catalogs beside the new file, and reads none of a later version.
+            # ScenarioRunner would look for catalogs beside the new file, and cannot read those of later versions.
             entry, own = inner.from_catalog(child)
             within = deepcopy(entry)
             element.replace(child, within)
-            # Their values are in the scope, or overwritten there by what the reference assigns.
+            # The scope holds these values, or what the reference assigns in their place.
             for declarations in within.findall("ParameterDeclarations"):
                 declarations.clear()
             _resolve(within, own)

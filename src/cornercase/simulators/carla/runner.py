@@ -24,7 +24,7 @@ _UNKNOWN: Final = (
     " to its folder."
 )
 _ENDING, _POLL = 2.0, 0.02
-# What it says when a scenario has ended, whatever came out; its exit code does not tell.
+# ScenarioRunner prints one of these when a scenario has ended; its exit code does not tell.
 _ENDED: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
 _ERROR: Final = re.compile(r"^\w*(Error|Exception)\b")
 
@@ -95,7 +95,7 @@ class ScenarioRunner:
         said = log.read_text(encoding="utf-8", errors="replace")
         if tracker.missing or not (stopped or any(words in said for words in _ENDED)):
             words = _last_words(said)
-            # What the server did not answer it may answer the next time.
+            # A request that timed out may be answered when it is tried again.
             kind = SimulatorError if "time-out of" in words else SimulationError
             raise kind(f"ScenarioRunner did not run it to the end: {words}")
 
@@ -106,7 +106,7 @@ class ScenarioRunner:
         known = os.environ.get("PYTHONPATH", "")
         return os.environ | {
             "PYTHONPATH": os.pathsep.join([*map(str, roots), *filter(None, [known])]),
-            # Recordings are stored relative to it.
+            # ScenarioRunner stores recordings relative to this folder.
             RUNNER: str(folder),
             "PYTHONUNBUFFERED": "1",
         }
@@ -153,7 +153,7 @@ def _watch(
         if tracker.frames > frames:
             frames, heard = tracker.frames, time.monotonic()
         elif time.monotonic() - heard > silence:
-            # ScenarioRunner may hang on a server that is gone.
+            # Without a server ScenarioRunner may wait for ever.
             raise SimulatorError(f"no frame came from CARLA for {silence:g} s")
         if (until_collision and tracker.collided) or elapsed > duration:
             return True

@@ -77,7 +77,7 @@ class Server:
         if road is not None and road.suffix:
             text = _opendrive(road.read_text(encoding="utf-8"))
             if _opendrive(world.get_map().to_opendrive()) != text:
-                # As ScenarioRunner would make it, which so has not to do it again for each scenario.
+                # The mesh that ScenarioRunner would make, so that it finds its map loaded.
                 mesh = carla.OpendriveGenerationParameters(**_MESH, smooth_junctions=True, enable_mesh_visibility=True)
                 client.set_timeout(_LOADING)
                 world = client.generate_opendrive_world(text, mesh)
@@ -102,7 +102,7 @@ class Server:
         """Let it close its recorder's file."""
         client = self.client()
         client.stop_recorder()
-        # An answer to this comes when the file is whole.
+        # The server answers this only after it has closed the file.
         client.get_world().get_settings()
 
 

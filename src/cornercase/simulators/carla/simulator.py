@@ -30,7 +30,7 @@ _MISSING: Final = "CARLA's client is not installed; pip install 'cornercase[carl
 _PORTS_EACH: Final = 4
 # Categories for which ScenarioRunner would take any vehicle.
 _UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
-# How many times its patience with an answer.
+# s without a frame after which the server is taken for gone, in multiples of `patience`.
 _SILENCE: Final = 3
 
 
@@ -137,7 +137,7 @@ class CarlaSimulator(Simulator):
             "record": record,
             "seed": checked_seed(seed, "CARLA's traffic manager"),
             "carla": version("carla"),
-            # What drives is part of what came out.
+            # The agent is part of what recordings depend on.
             "agent": _fingerprint(self._agent),
             "agent_config": _fingerprint(self._agent_config),
         }
@@ -190,7 +190,7 @@ class CarlaSimulator(Simulator):
                     self._server.forget()
                 yield error
             except RuntimeError as error:
-                # CARLA's client says so when the server is gone, or does not answer in time.
+                # CARLA's client raises this when the server is gone or does not answer in time.
                 self._server.forget()
                 yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
 
@@ -254,7 +254,7 @@ class CarlaSimulator(Simulator):
         )  # fmt: skip
         shutil.copyfile(DRIVER, folder / DRIVER.name)
         server, road = self._server, scenario.road_file(concrete.values)
-        # The road lies beside the scenario now, a map's name nowhere.
+        # A road file has been copied beside the scenario; the name of a map is no file.
         server.prepare(None if road is None else folder / road.name)
         with Tracker(server.client(), scenario.entities, self._ego, self._time_step) as tracker:
             try:

@@ -76,7 +76,7 @@ class Tracker:
         """Store a frame; called from a thread of CARLA's client."""
         wanted, places = self._wanted, {}
         for actor in snapshot:
-            # While it is not known which are the entities, all are noted that have come since.
+            # Until the entities are found, all actors are noted that were not there before.
             if actor.id in self._before or (wanted and actor.id not in wanted):
                 continue
             transform, velocity = actor.get_transform(), actor.get_velocity()
@@ -98,7 +98,7 @@ class Tracker:
         self.missing = tuple(name for name in self._names if name not in found)
         if self.missing:
             return
-        # The server knows them only as long as they are there.
+        # Asked for now, as the server forgets actors that are gone.
         self._bodies = {name: _body(found[name]) for name in self._names}
         blueprint = world.get_blueprint_library().find(_SENSOR)
         for actor in found.values():
@@ -175,7 +175,7 @@ class Tracker:
             for frame in frames:
                 if frame.number <= last and number in frame.places:
                     x, y, heading, speed = frame.places[number]
-                    # The box's offset is to the right in CARLA's axes, and so still is after they are turned.
+                    # The offset points to the right of the vehicle, also after CARLA's axes are turned.
                     place = box_center(x, y, heading, ahead, -right)
                     track.samples[(frame.number - first) * self._time_step] = (*place, heading, speed, math.nan)
         ended = [Collision((number - first) * self._time_step, pair) for number, pair in collisions if number <= last]

@@ -75,7 +75,7 @@ class CarMakerApi:
         cmapi.Project.load(self._project)
         self._control = cmapi.SimControlInteractive()
         await self._control.set_master(cmapi.CarMaker())
-        # It connects only with something to run.
+        # CarMaker connects only when there is a variation to run.
         self._control.set_variation(self._variation({}))
         await self._control.start_and_connect()
         self._over = asyncio.Event()
@@ -112,7 +112,7 @@ class CarMakerApi:
         before = self._results()
         future = asyncio.run_coroutine_threadsafe(self._run(values), self._loop)
         try:
-            # The wait within has the same patience, and stops the run.
+            # `_run` stops waiting after `patience` and stops the run; this is for a module that does not answer at all.
             future.result(2 * self._patience)
         except SimulationError:
             raise

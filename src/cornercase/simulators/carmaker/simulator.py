@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-import socket
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal, Self
+from typing import Final, Literal
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggestion
 from cornercase.drivers import Driver
@@ -15,12 +13,12 @@ from cornercase.recordings import Recording, read_erg
 from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Availability, Simulator
 from cornercase.simulators.carmaker.cmapi import CarMakerApi, has_cmapi
+from cornercase.simulators.carmaker.port import CommandPort
 from cornercase.simulators.hosts import address
 
 _PORT: Final = 16660
 _LICENCE, _FATAL = -7, -6
-_LONGEST_REPLY: Final = 1_000_000
-# What CarMaker itself may take to begin, beyond what a run takes.
+# s that CarMaker may take to begin, beyond those of a run.
 _PATIENCE: Final = 60.0
 
 
@@ -161,7 +159,7 @@ class CarMakerSimulator(Simulator):
             try:
                 yield self._run(self._line, concrete.values)
             except SimulationError as error:
-                # A line on which something went wrong may still hold an answer to an old question.
+                # After an error an answer to an old command may still arrive on this connection.
                 self._line.close()
                 self._line = None
                 yield error
@@ -232,7 +230,9 @@ class CarMakerSimulator(Simulator):
         except ValueError:
             raise SimulationError(f"CarMaker tells the status '{text}', which is no number") from None
         if status == _LICENCE:
-            raise InputError("CarMaker has lost its licence; see to the licence server, the same command goes on then.")
+            raise InputError(
+                "CarMaker has lost its licence; restore the licence server and run the same command again to go on."
+            )
         return status
 
 
@@ -241,98 +241,6 @@ def _recording(path: Path) -> Recording:
         return read_erg(path)
     except InputError as error:
         raise SimulationError(str(error)) from error
-
-
-class CommandPort:
-    """Line to a CarMaker, which takes Tcl commands and answers each.
-
-    An answer is ``O`` and a value, or ``E`` and an error, ended by an empty line; or an empty line alone. It may come
-    in any number of pieces.
-
-    Parameters
-    ----------
-    host : str
-    port : int
-
-    Raises
-    ------
-    InputError
-        Nobody listens there.
-    """
-
-    def __init__(self, host: str, port: int) -> None:
-        try:
-            self._socket = socket.create_connection((host, port), timeout=_PATIENCE)
-        except OSError as error:
-            raise InputError(
-                f"No CarMaker listens on {host}:{port} ({error.strerror or error}); start it with -cmdport {port}."
-            ) from error
-        self._heard = b""
-
-    def ask(self, command: str, timeout: float) -> str:
-        """Send a command, and wait for its answer.
-
-        Parameters
-        ----------
-        command : str
-            In Tcl.
-        timeout : float
-            s.
-
-        Returns
-        -------
-        str
-            The value that comes back; empty where there is none.
-
-        Raises
-        ------
-        SimulationError
-            CarMaker answers with an error; as a `SimulatorError`, not in time or not at all.
-        """
-        deadline = time.monotonic() + timeout
-        # What is left of the last answer belongs to nothing.
-        self._heard = b""
-        try:
-            self._socket.sendall(command.encode() + b"\r")
-            while True:
-                answer = self._answer()
-                if answer is not None:
-                    break
-                self._socket.settimeout(max(deadline - time.monotonic(), 1e-3))
-                piece = self._socket.recv(65536)
-                if not piece:
-                    raise SimulatorError(f"CarMaker closed the line in its answer to '{command}'")
-                self._heard += piece
-                if len(self._heard) > _LONGEST_REPLY:
-                    raise SimulatorError(f"CarMaker's answer to '{command}' has no end")
-        except TimeoutError:
-            raise SimulatorError(f"CarMaker did not answer '{command}' within {timeout:g} s") from None
-        except OSError as error:
-            raise SimulatorError(f"the line to CarMaker broke at '{command}' ({error.strerror or error})") from error
-        if answer.startswith("E"):
-            raise SimulationError(f"CarMaker refuses '{command}': {answer[1:].strip()}")
-        return answer[1:].strip()
-
-    def _answer(self) -> str | None:
-        """The next answer, if it is whole."""
-        if self._heard.startswith(b"\r\n"):
-            self._heard = self._heard[2:]
-            return ""
-        whole, end, rest = self._heard.partition(b"\r\n\r\n")
-        if not end:
-            return None
-        self._heard = rest
-        return whole.decode("utf-8", "replace")
-
-    def close(self) -> None:
-        """Hang up."""
-        self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
 
 def _word(value: Value) -> str:

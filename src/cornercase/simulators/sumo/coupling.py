@@ -20,9 +20,9 @@ from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.motion import pull_entity
 from cornercase.simulators.builtin.world.state import Entity, World
 
-# How SUMO drives, in its own words: tau is the time headway in s, jmTimegapMinor the time in s that is left to who has
-# the right of way, and impatience how far a driver counts on that one to brake. Who ignores foes on the junction has
-# begun to turn and goes through with it. None of this is calibrated.
+# Of SUMO's models: tau is the time headway in s, jmTimegapMinor the time in s that a driver leaves to traffic
+# with the right of way, and impatience how much it relies on that traffic to brake. With jmIgnoreJunctionFoeProb it
+# completes a turn that it has begun. None of them is calibrated.
 TYPES: Final[dict[str, dict[str, float]]] = {
     "cautious": {
         "accel": 1.8, "decel": 3.5, "emergencyDecel": 8.0, "tau": 1.8, "minGap": 3.0, "speedFactor": 0.9,
@@ -37,7 +37,7 @@ TYPES: Final[dict[str, dict[str, float]]] = {
         "jmTimegapMinor": 0.2, "impatience": 1.0, "jmIgnoreJunctionFoeProb": 1.0,
     },
 }  # fmt: skip
-# Who is moved by the storyboard yields to nobody, and its way is taken as it is.
+# An entity that the storyboard moves yields to nobody and goes exactly where it is put.
 _MOVED: Final = {
     "minGap": 0.0, "jmIgnoreFoeProb": 1.0, "jmIgnoreFoeSpeed": 100.0, "jmIgnoreJunctionFoeProb": 1.0,
 }  # fmt: skip
@@ -46,7 +46,7 @@ _OPTIONS: Final = (
     "--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never", "--collision.action", "none",
     "--time-to-teleport", "-1", "--step-method.ballistic", "true", "--default.speeddev", "0",
 )  # fmt: skip
-# From this far beside the middle of its lane on, in m, nobody is on the way along it.
+# An entity that is further than this from the middle of its lane, in m, does not follow the lane.
 _BESIDE: Final = 0.3
 _AWAY: Final = 1e5
 
@@ -70,7 +70,7 @@ class SumoCoupling:
     """
 
     def __init__(self, network: Path, types: Mapping[str, str], time_step: float, seed: int) -> None:
-        # Prints what it thinks of other packages.
+        # libsumo prints warnings about other packages when it is imported.
         with redirect_stdout(io.StringIO()):
             import libsumo
 
@@ -94,7 +94,7 @@ class SumoCoupling:
             *_OPTIONS,
         ]
         arguments += ["--default.action-step-length", f"{time_step:g}"]
-        # What is loaded already begins anew, which takes far less time.
+        # Loading again takes far less time than starting.
         if libsumo.simulation.isLoaded():
             libsumo.simulation.load(arguments)
         else:
@@ -153,7 +153,7 @@ class SumoCoupling:
             name, f"route {name}", typeID=kind, departLane=str(start[2]), departPos=f"{start[1]:.6f}",
             departSpeed=f"{max(float(world.speed[e, 0]), 0.0):.6f}",
         )  # fmt: skip
-        # At once, and whatever else is there.
+        # Puts it there at once, even where another one is.
         sumo.vehicle.moveTo(name, f"{start[0]}_{start[2]}", start[1])
         if name in self._types:
             sumo.vehicle.setSpeed(name, max(float(world.speed[e, 0]), 0.0))
@@ -183,10 +183,10 @@ class SumoCoupling:
         begin = self._sumo.simulation.convertRoad(x, y)
         track = self._lane_track(world, e)
         if track is None or begin[0].startswith(":"):
-            # It may begin on a junction; any edge does for who is put where it is in each step.
+            # It may begin on a junction. As its place is set in each step, any edge will do.
             anywhere = next(edge for edge in self._sumo.edge.getIDList() if not edge.startswith(":"))
             return (anywhere, 0.0, 0), (anywhere, 0.0, 0)
-        # The last places of a way lie on the edge of the network.
+        # The very end of a path may lie just outside the network.
         far = np.array([max(track.length - 1.0, 0.0)])
         end_x, end_y, _ = track.at(far, np.zeros(1), np.zeros(1, dtype=np.int64))
         return begin, self._sumo.simulation.convertRoad(float(end_x[0]), float(end_y[0]))

@@ -67,7 +67,7 @@ def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[s
 
 def _convert(roads: Path, target: Path) -> None:
     program = _netconvert()
-    # netconvert tells formats by the ending.
+    # netconvert recognises the format by the ending of the name.
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "roads.net.xml"
         command = [program, "--opendrive", str(roads), "--output-file", str(written)]
