@@ -22,7 +22,7 @@ def test_the_indices_are_those_of_ishigamis_function():
     first = np.array([0.5 * (1 + b * np.pi**4 / 5) ** 2, a**2 / 8, 0.0])
     np.testing.assert_allclose(found.first, first / variance, atol=0.04)
     np.testing.assert_allclose(found.total, (first + np.array([both, 0.0, both])) / variance, atol=0.04)
-    assert found.foretold > 0.95
+    assert found.predicted > 0.95
     assert found.little == ()
 
 

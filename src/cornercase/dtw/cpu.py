@@ -140,11 +140,11 @@ def distances(
 
     with noted_interrupts() as check:
 
-        def told(cells: int) -> None:
+        def finished(cells: int) -> None:
             advance(cells)
             check()
 
-        _run_all(run, _tiles(blocks, singles.lengths, symmetric, n_jobs), n_jobs, told)
+        _run_all(run, _tiles(blocks, singles.lengths, symmetric, n_jobs), n_jobs, finished)
     return out
 
 
@@ -220,7 +220,8 @@ def _cost(x, y, j, dims, squared, lanes):
 
 
 # A row is kept behind one column of infinity. The columns `lower` to `upper` are those of the lane with the
-# widest band; what a narrower one must not see is masked.
+# widest band; what a narrower one must not see is masked. Their arguments are many because compiled code passes arrays
+# and constants one by one.
 @_inlined
 def _one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
     x_a = point(x, i * dims, dims)

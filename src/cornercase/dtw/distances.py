@@ -285,7 +285,7 @@ def _checked(
 
 @contextmanager
 def _shown(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
-    """Give the function that is told of each finished tile."""
+    """Give the function to call with the number of cells of each finished tile."""
     if not progress:
         yield lambda done: None
         return

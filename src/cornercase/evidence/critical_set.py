@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize
@@ -22,9 +22,9 @@ from cornercase.scenario import ParameterSpace
 # Points that stand for the space, those of them for which critical sets are drawn, and the number of draws.
 _PLACES, _JOINT, _DRAWS = 2**14, 1500, 400
 _INTERVAL: Final = (0.05, 0.95)
-# What one scenario tells of how well the process foretells, in independent ones. They are not independent; with this
-# figure the intervals hold the truth as often as they say in benchmarks/exploration.py.
-_TOLD: Final = 0.8
+# As how many independent predictions one scenario counts. Neighbours are predicted from each other; with this figure
+# the intervals hold the truth as often as they say in benchmarks/exploration.py.
+_INDEPENDENT: Final = 0.8
 
 REGION: Final = 0.01
 """Share of the space from which a region counts, unless somebody says otherwise."""
@@ -46,16 +46,16 @@ class Estimate:
 
 
 class CriticalSet:
-    """What concrete scenarios that were run tell about the whole set of critical ones.
+    """Estimate of the set of all critical scenarios of a space, from those that were run.
 
-    A Gaussian process of the scores (`boundary_process`) foretells each scenario that was run from all others. How well
-    it does corrects the probability that a scenario is critical: ``p = Φ(-(a + b t))`` with t its mean over its
-    standard deviation, and a and b from what was foretold, each scenario with the share of the space that is nearest
-    to it as its weight. Critical sets are drawn with these probabilities, with the correlation of the process from
-    place to place, and with a and b from their own posterior.
+    A Gaussian process of the scores (`boundary_process`) predicts each scenario that was run from all others. How good
+    these predictions are corrects the probability that a scenario is critical: ``p = Φ(-(a + b t))``, where t is the
+    mean of the process over its standard deviation, and a and b are fitted to the predictions, each weighted by the
+    share of the space that is nearest to its scenario. Critical sets are drawn with these probabilities, with the
+    correlation of the process between places, and with a and b from their posterior.
 
-    Found is what was run and is critical, and elsewhere what the process takes for critical: where its mean is
-    beyond the threshold.
+    A critical scenario counts as found when it was run, or when the mean of the process there is beyond the
+    threshold.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ class CriticalSet:
     points : ndarray of float64, shape (n, d)
         Scenarios that were run, in the unit cube.
     scores : ndarray of float64, shape (n,)
-        Lower is more critical; NaN for a scenario that failed.
+        Oriented: lower is more critical. NaN for a scenario that failed.
     threshold : float
-        Score up to which a scenario is critical.
+        Oriented score up to which a scenario is critical.
     seed : int, default 0
 
     Raises
@@ -104,18 +104,18 @@ class CriticalSet:
             self._draw()
 
     def _learn(self) -> None:
-        """Find how the probabilities are to be corrected."""
+        """Fit the correction of the probabilities, and draw from its posterior."""
         mean, deviation = self._process.leave_one_out()
         t = mean / deviation
         nearest = np.asarray(cKDTree(self._ran).query(self._at)[1], dtype=np.int64)
         share = np.bincount(nearest, minlength=len(t)) / len(nearest)
-        weights = _TOLD * share / (share**2).sum()
+        weights = _INDEPENDENT * share / (share**2).sum()
         sign = np.where(self._critical, 1.0, -1.0)
 
         def loss(parameters: FloatArray) -> float:
             a, log_b = parameters
-            foretold = norm.logcdf(-sign * (a + np.exp(log_b) * t))
-            return float(-(weights * foretold).sum() + 0.5 * (parameters**2).sum())
+            predicted = norm.logcdf(-sign * (a + np.exp(log_b) * t))
+            return float(-(weights * predicted).sum() + 0.5 * (parameters**2).sum())
 
         best = minimize(loss, np.zeros(2), method="BFGS")
         self._correction = self._rng.multivariate_normal(best.x, np.asarray(best.hess_inv), _DRAWS)
@@ -127,7 +127,7 @@ class CriticalSet:
         normal = factor @ self._rng.standard_normal((len(factor), _DRAWS)) / deviation[:, None]
         limit = self._limit(part)
         self._drawn: BoolArray = normal <= limit
-        # Few places give the spread, many the level.
+        # The joint draws on few places give the spread, the probabilities on all places the mean.
         level = np.zeros(_DRAWS)
         for first in range(0, len(self._at), _JOINT):
             level += norm.cdf(self._limit(slice(first, first + _JOINT))).sum(axis=0)
@@ -142,7 +142,7 @@ class CriticalSet:
         return np.where(self._certain[part, None] == 0.0, limit, self._certain[part, None])
 
     def found(self, points: FloatArray) -> BoolArray:
-        """Whether scenarios are taken for critical.
+        """Predict which scenarios are critical.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class CriticalSet:
         """
         count = len(self._drawn)
         both = (self._drawn & other._drawn).mean(axis=0)
-        # As for the share of the space: few places give the spread, many the level.
+        # As for the share of the space: few places give the spread, all places the mean.
         for first in range(0, len(self._at), count):
             part = slice(first, first + count)
             likely = norm.cdf(self._limit(part)) * norm.cdf(other._limit(part))
@@ -223,8 +223,8 @@ class CriticalSet:
     def unvisited(self, size: float = REGION) -> float:
         """Share of the space around which a ball of a given size holds none of the scenarios that were run.
 
-        What the process says of a region rests on what was run around it. This rests on nothing but where that was:
-        a critical region of this size that lies anywhere is met with one minus this probability.
+        It needs no assumption about the scores: a critical ball of this size at a random place is met with a
+        probability of one minus this share.
 
         Parameters
         ----------
@@ -249,20 +249,6 @@ class CriticalSet:
         found = cKDTree(nodes).query(nodes, k=min(2 * nodes.shape[1] + 1, len(nodes)))[1]
         near = np.asarray(found, dtype=np.int64)[:, 1:]
         return np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
-
-    def to_json(self) -> dict[str, Any]:
-        """Return all of it as plain values.
-
-        Returns
-        -------
-        dict
-        """
-        return {
-            "share": vars(self.share),
-            "missed": vars(self.missed),
-            "overlooked": {"value": self.overlooked(), "size": REGION},
-            "unvisited": {"value": self.unvisited(), "size": REGION},
-        }
 
 
 def _places(space: ParameterSpace, seed: int) -> FloatArray:

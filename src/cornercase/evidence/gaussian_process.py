@@ -87,11 +87,11 @@ def near_threshold(scores: FloatArray, threshold: float) -> FloatArray:
 
 
 def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:
-    """Gaussian process of `near_threshold` that foretells best which scenarios are critical.
+    """Gaussian process of `near_threshold` that best predicts which scenarios are critical.
 
-    Where scores jump, a process that may take the jumps for noise loses the boundary; where they are noisy, one that
-    may not takes the noise for the boundary. So several are learned, with more and more noise allowed, and the one is
-    taken from which, with each scenario left out in turn, the rest says most surely on which side that one is.
+    Where scores jump, a process with much noise smooths the boundary away; where they are noisy, one with little noise
+    follows the noise. So several are fitted, each with more noise allowed, and the one is taken that predicts best on
+    which side of the threshold each scenario is that is left out.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def _correlation(distance: Floats) -> Floats:
 
 
 def _matern(distance: Floats) -> tuple[Floats, Floats]:
-    """Correlation at scaled distances, and what its derivative by the logarithm of a width is, over the square."""
+    """Correlation at scaled distances, and its derivative by the logarithm of a width, divided by the square."""
     scaled = distance * distance.dtype.type(_ROOT5)
     fall = np.exp(-scaled)
     slope = (1.0 + scaled) * fall

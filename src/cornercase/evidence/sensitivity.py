@@ -28,40 +28,26 @@ class Sensitivity:
         Of the parameters that have more than one value.
     first, total : tuple of float
         Share of the variance that a parameter explains alone, and with all others together.
-    foretold : float
-        Share of the variance that the process behind it explains of scenarios that it was not told: how far the
-        figures can be relied on.
+    predicted : float
+        Share of the variance of the scores that the process predicts when each scenario is left out in turn: how far
+        the figures can be relied on.
     """
 
     names: tuple[str, ...]
     first: tuple[float, ...]
     total: tuple[float, ...]
-    foretold: float
+    predicted: float
 
     @property
     def little(self) -> tuple[str, ...]:
         """Parameters of little influence."""
         return tuple(name for name, total in zip(self.names, self.total, strict=True) if total < LITTLE)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return all of it as plain values.
-
-        Returns
-        -------
-        dict
-        """
-        each = zip(self.names, self.first, self.total, strict=True)
-        return {
-            "parameters": {name: {"first order": first, "total": total} for name, first, total in each},
-            "foretold": self.foretold,
-            "of little influence": list(self.little),
-        }
-
 
 def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, seed: int = 0) -> Sensitivity:
     """Sobol' indices of the mean of a Gaussian process of the scores.
 
-    Parameters vary independently over their ranges; constraints are not looked at.
+    Parameters vary independently over their ranges, without regard to constraints.
 
     Parameters
     ----------
@@ -69,7 +55,7 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     points : ndarray of float64, shape (n, d)
         In the unit cube.
     scores : ndarray of float64, shape (n,)
-        NaN for a scenario that failed.
+        Oriented or not; NaN for a scenario that failed.
     seed : int, default 0
 
     Returns
@@ -92,7 +78,7 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     process = GaussianProcess(1.0).fit(encoded(space, points), values)
     left = values - process.leave_one_out()[0]
 
-    def foretell(places: FloatArray) -> FloatArray:
+    def predict(places: FloatArray) -> FloatArray:
         mean, _ = process.predict(encoded(space, space.snap(places.T)))
         return mean[None, :]
 
@@ -100,8 +86,8 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     if space.dimension == 1:
         return Sensitivity(space.names, (1.0,), (1.0,), float(1.0 - np.mean(left**2)))
     with threadpool_limits(limits=1):
-        found: Any = sobol_indices(func=foretell, n=_SAMPLES, dists=each, rng=np.random.default_rng(seed))
-    # Without variance they are not defined, and nothing matters.
+        found: Any = sobol_indices(func=predict, n=_SAMPLES, dists=each, rng=np.random.default_rng(seed))
+    # Where the scores do not vary the indices are not defined; they count as 0.
     varied = [one.size != 1 for one in space.parameters]
     names = tuple(name for name, varies in zip(space.names, varied, strict=True) if varies)
     indices = (index.ravel()[varied] for index in (found.first_order, found.total_order))

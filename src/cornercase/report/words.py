@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from cornercase.clustering import Analysis
-from cornercase.evidence import Estimate
+from cornercase.evidence import Estimate, Sensitivity
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, ReducedSet
 from cornercase.report.knowledge import CriticalKnowledge, Knowledge
 from cornercase.report.summary import MetricSummary, Summary
@@ -176,8 +176,17 @@ def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
                 "unvisited": {"value": of_set.unvisited, "size": of_set.region},
             }
     if known.sensitivity is not None:
-        plain["sensitivity"] = known.sensitivity.to_json()
+        plain["sensitivity"] = _sensitivity(known.sensitivity)
     return plain
+
+
+def _sensitivity(found: Sensitivity) -> dict[str, Any]:
+    each = zip(found.names, found.first, found.total, strict=True)
+    return {
+        "parameters": {name: {"first order": first, "total": total} for name, first, total in each},
+        "foretold": found.predicted,
+        "of little influence": list(found.little),
+    }
 
 
 def _reduced(reduced: ReducedSet) -> dict[str, Any]:

@@ -83,5 +83,5 @@ def _show_sensitivity(found: Sensitivity, searched: str, album: Album) -> str:
         draw_sensitivities(found.names, found.first, found.total),
         "sensitivity",
         f"How much of the variance of {searched} comes from each parameter, by a Gaussian process that predicts"
-        f" {max(found.foretold, 0.0):.0%} of the variance of scenarios that it was not told.{little}",
+        f" {max(found.predicted, 0.0):.0%} of the variance of scenarios that it was not told.{little}",
     )
