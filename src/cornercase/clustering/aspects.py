@@ -57,12 +57,11 @@ def series_of(study: Study, aspect: str) -> list[FloatArray]:
     study : Study
         Its metrics can be aspects.
     aspect : str
-        ``"ego-trajectory"``: centre of the ego's box, each (T_i, 2) in m. A metric: its capped course, each (T_i,) in
-        the metric's unit.
+        ``"ego-trajectory"`` gives the centre of the ego's box in m, a metric its capped course in its unit.
 
     Returns
     -------
-    list of ndarray of float64
+    list of ndarray of float64, shape (T_i, 2) or (T_i,)
         In the order of the scenarios.
 
     Raises

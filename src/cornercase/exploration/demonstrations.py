@@ -73,6 +73,12 @@ def demonstration(
 
 
 def examples() -> Path:
-    """Folder of the examples: in the package when installed, at the root of a checkout."""
+    """Return the folder of the examples.
+
+    Returns
+    -------
+    Path
+        In the package when it is installed, at the root of a checkout.
+    """
     package = Path(__file__).resolve().parents[1]
     return package / "examples" if (package / "examples").is_dir() else package.parents[1] / "examples"

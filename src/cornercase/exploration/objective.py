@@ -50,7 +50,16 @@ class Objective:
 
     @classmethod
     def of_study(cls, meta: StudyMeta) -> Objective:
-        """Objective of a study, from its meta data."""
+        """Make the objective of a study.
+
+        Parameters
+        ----------
+        meta : StudyMeta
+
+        Returns
+        -------
+        Objective
+        """
         metrics = [METRICS.create(name) for name in meta.metrics]
         return cls(metrics, meta.weights, meta.pareto)
 
@@ -79,7 +88,16 @@ class Objective:
         return np.asarray(values if self.pareto else values[:, 0])
 
     def oriented_of(self, study: Study) -> FloatArray:
-        """Oriented scores of all scenarios of a study that did not fail, as of `oriented`."""
+        """Oriented scores of all scenarios of a study that did not fail.
+
+        Parameters
+        ----------
+        study : Study
+
+        Returns
+        -------
+        ndarray of float64, shape (n,), or (n, metrics) for a Pareto front
+        """
         return self.oriented(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
 
     @property
@@ -109,6 +127,10 @@ class Objective:
             As the user says it: a score of the metric that is searched, or a weighted sum. By default the metric's
             own threshold.
 
+        Returns
+        -------
+        float
+
         Raises
         ------
         InputError
@@ -123,7 +145,23 @@ class Objective:
         return self.flip(self.metrics[0].find_threshold(given))
 
     def known_threshold(self, given: float | None) -> float | None:
-        """As `threshold`, but None where none is given and the metric has none of its own."""
+        """Oriented score up to which a scenario is critical, where that is known.
+
+        Parameters
+        ----------
+        given : float, optional
+            As for `threshold`.
+
+        Returns
+        -------
+        float or None
+            None where none is given and the metric has none of its own.
+
+        Raises
+        ------
+        InputError
+            The one that is given cannot be used.
+        """
         try:
             return self.threshold(given)
         except InputError:
@@ -132,7 +170,17 @@ class Objective:
             return None
 
     def flip(self, value: float) -> float:
-        """Orient one score of what is searched, or turn an oriented one back; a weighted sum is oriented already."""
+        """Orient one score of what is searched, or turn an oriented one back.
+
+        Parameters
+        ----------
+        value : float
+
+        Returns
+        -------
+        float
+            A weighted sum is oriented already, and stays as it is.
+        """
         return value if self.weights else self.metrics[0].oriented(value)
 
     @property
@@ -142,7 +190,17 @@ class Objective:
 
 
 def on_front(values: FloatArray) -> BoolArray:
-    """Whether rows, shape (m, k), are dominated by no other: lower or equal in all, and lower in one; shape (m,)."""
+    """Tell which rows lie on the Pareto front: no other is lower or equal in all columns, and lower in one.
+
+    Parameters
+    ----------
+    values : ndarray of float64, shape (m, k)
+        A row with NaN is on no front.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+    """
     known = np.isfinite(values).all(axis=1)
     front = known.copy()
     for i in np.flatnonzero(known):

@@ -124,7 +124,25 @@ def measure(
 def measured(
     metrics: Iterable[Metric], recording: Recording, ego: str, other: str
 ) -> dict[str, tuple[FloatArray, float]]:
-    """Course, shape (T,), and score of each metric, by its name."""
+    """Measure a recording.
+
+    Parameters
+    ----------
+    metrics : iterable of Metric
+    recording : Recording
+    ego, other : str
+        Names of two entities.
+
+    Returns
+    -------
+    dict of str to (ndarray of float64, shape (T,), float)
+        Course and score by the metric's name.
+
+    Raises
+    ------
+    InputError
+        There is no entity of that name.
+    """
     courses = {}
     for metric in metrics:
         course = metric.course(recording, ego, other)

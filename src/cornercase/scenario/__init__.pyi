@@ -9,6 +9,6 @@ from .openscenario import write_concrete as write_concrete
 from .parameter import Parameter as Parameter
 from .parameter import Value as Value
 from .scope import Scope as Scope
-from .scope import VariesError as VariesError
 from .space import ParameterSpace as ParameterSpace
+from .varies import VariesError as VariesError
 from .xml import read_xml as read_xml

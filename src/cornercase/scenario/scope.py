@@ -11,8 +11,9 @@ from lxml import etree
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.constraints import Declaration, read_declarations, violations
-from cornercase.scenario.expressions import evaluate, names_in
+from cornercase.scenario.expressions import NUMERIC, evaluate, names_in, rounded, typed
 from cornercase.scenario.parameter import Value
+from cornercase.scenario.varies import VariesError
 
 Catalogs = Callable[[str, str], etree._Element]
 """Name of a catalog and of an entry to the entry."""
@@ -21,25 +22,6 @@ _Placed = etree._Element | Declaration
 """What has a line in the file."""
 
 _DEEPEST = 20
-_NUMERIC = {"double", "integer", "int", "unsignedInt", "unsignedShort"}
-
-
-class VariesError(Exception):
-    """An attribute that shapes the storyboard differs between the scenarios of a batch.
-
-    Parameters
-    ----------
-    names : set of str
-        The varied parameters that it depends on; the batch has to be split by their values.
-
-    Attributes
-    ----------
-    names : set of str
-    """
-
-    def __init__(self, names: set[str]) -> None:
-        super().__init__(f"varies with {', '.join(sorted(names))}")
-        self.names = names
 
 
 class Scope:
@@ -90,20 +72,12 @@ class Scope:
             Name of the file, for messages.
         root : lxml element
         concretes : sequence of mapping of str to float or str, length N
-            Values that differ from the declared ones, for each concrete scenario.
         catalogs : callable, optional
-            Gives the entry of a catalog, by the names of both.
 
         Returns
         -------
         Scope
-
-        Raises
-        ------
-        InputError
-            A value is given for a parameter that is not declared, or cannot be evaluated.
-        VariesError
-            A parameter that is no number has several values.
+            As of `of_declarations`.
         """
         return cls.of_declarations(source, read_declarations(root, source), concretes, catalogs)
 
@@ -146,13 +120,13 @@ class Scope:
                 scope._declare(declaration)
                 continue
             texts = [values.get(name, declaration.value) for values in concretes]
-            if declaration.kind in _NUMERIC:
+            if declaration.kind in NUMERIC:
                 scope.values[name] = np.array([scope._number(text, declaration) for text in texts])
             else:
                 different = {str(text) for text in texts}
                 if len(different) > 1:
                     raise VariesError({name})
-                scope.values[name] = _typed(different.pop(), declaration.kind)
+                scope.values[name] = typed(different.pop(), declaration.kind)
             scope._origins[name] = {name}
             names.discard(name)
         if names:
@@ -214,7 +188,7 @@ class Scope:
         """
         values: dict[str, Any] = {}
         for declaration in root.iterfind(path):
-            numeric = declaration.get(kind, "string") in _NUMERIC
+            numeric = declaration.get(kind, "string") in NUMERIC
             if numeric:
                 values[declaration.get("name", "")] = self.number(declaration, "value")
             else:
@@ -483,14 +457,14 @@ class Scope:
 
     def _declare(self, declaration: Declaration) -> None:
         value = self._value(declaration.value, declaration)
-        self.values[declaration.name] = _typed(value, declaration.kind) if isinstance(value, str) else value
+        self.values[declaration.name] = typed(value, declaration.kind) if isinstance(value, str) else value
         self._origins[declaration.name] = self.origins(declaration.value)
 
     def _value(self, text: str, element: _Placed, attribute: str = "value") -> Any:
         text = text.strip()
         try:
             if text.startswith("${") and text.endswith("}"):
-                return _rounded(evaluate(text[2:-1], self.values))
+                return rounded(evaluate(text[2:-1], self.values))
             if text.startswith("$"):
                 return evaluate(text, self.values)
         except InputError as error:
@@ -510,59 +484,3 @@ class Scope:
     def _error(self, element: _Placed, attribute: str, why: str) -> InputError:
         line = f", line {element.sourceline}" if element.sourceline else ""
         return InputError(f"{self.source}{line}: {attribute} of <{element.tag}> {why}.")
-
-
-def admitted(
-    declarations: Sequence[Declaration], values: Sequence[Mapping[str, Value]], source: str = "the scenario"
-) -> BoolArray:
-    """Which concrete scenarios fulfil the constraints of their parameters' declarations.
-
-    Parameters
-    ----------
-    declarations : sequence of Declaration
-        All parameters that the scenario declares.
-    values : sequence of mapping, length n
-        Values of those that are varied.
-    source : str
-        Name of the file, for messages.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-
-    Raises
-    ------
-    InputError
-        An expression cannot be evaluated.
-    """
-    result = np.ones(len(values), dtype=np.bool_)
-    try:
-        scope = Scope.of_declarations(source, declarations, values)
-    except VariesError as varies:
-        # Texts have one value for all; so each combination of them is looked at by itself.
-        names = sorted(varies.names)
-        keys = [tuple(str(one.get(name)) for name in names) for one in values]
-        for key in dict.fromkeys(keys):
-            rows = [i for i, one in enumerate(keys) if one == key]
-            result[rows] = admitted(declarations, [values[i] for i in rows], source)
-        return result
-    for broken in scope.broken(declarations).values():
-        result &= ~broken
-    return result
-
-
-def _rounded(value: Any) -> Any:
-    # esmini hands the results of expressions on as texts with six decimals; events may hang on the last of them.
-    array = np.asarray(value)
-    return np.round(array, 6)[()] if array.dtype.kind == "f" else value
-
-
-def _typed(text: str, kind: str) -> Any:
-    if kind in _NUMERIC:
-        try:
-            return float(text)
-        except ValueError:
-            return text
-    if kind == "boolean":
-        return text in ("true", "1")
-    return text

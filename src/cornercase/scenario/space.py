@@ -13,9 +13,9 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import constraints, distributions
+from cornercase.scenario.admission import admitted
 from cornercase.scenario.constraints import Declaration, in_words
 from cornercase.scenario.parameter import Parameter, Value
-from cornercase.scenario.scope import admitted
 from cornercase.scenario.varied import read_distribution_file, read_ranges, scenario_file_of, without
 
 # So many points are looked at to see whether constraints leave anything.
