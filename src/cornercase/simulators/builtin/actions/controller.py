@@ -13,13 +13,13 @@ from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Track, Trajectory
 from cornercase.simulators.builtin.world.state import World
 
-# A driver gets a trajectory sampled at this spacing in m, continued straight on by so much beyond its end; of a closed
-# one it gets so much.
+# A driver is given trajectories as samples, in m: their spacing, how far they go straight on beyond the end, and how
+# much of a closed trajectory is given.
 _SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
 
 
 class Driving:
-    """One entity of a batch whose speed a driver decides where it is in charge, along its lanes and trajectories.
+    """One entity of a batch, and the driver that decides its speed along lanes and trajectories while in charge.
 
     A trajectory with times leaves the driver nothing to decide.
 
