@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -70,9 +70,12 @@ class StudyContents:
         )
 
     def _repr_html_(self) -> str:
-        table, metric = self.table(), METRICS.create(self.meta.metrics[0])
-        worst = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable").head(_SHOWN)
-        return f"<p>{escape(repr(self))}</p><p>Most critical by {escape(metric.name)}:</p>{worst.to_html(index=False)}"
+        table = self.table()
+        # A metric of another package may not be there; then the first scenarios are shown.
+        with suppress(InputError):
+            metric = METRICS.create(self.meta.metrics[0])
+            table = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable")
+        return f"<p>{escape(repr(self))}</p>{table.head(_SHOWN).to_html(index=False)}"
 
     def rows(self) -> list[Row]:
         """List all scenarios.
@@ -255,11 +258,11 @@ class StudyContents:
         found = self._database.found("SELECT info FROM analyses WHERE name = ?", name)
         if not found:
             raise InputError(f"{self.path}: holds no analysis by {name}; run `analyze` first.")
-        names = arrays or [key for (key,) in self._database.found("SELECT name FROM arrays WHERE analysis = ?", name)]
-        packed = {
-            key: self._database.found("SELECT data FROM arrays WHERE analysis = ? AND name = ?", name, key)[0][0]
-            for key in names
-        }
+        known = [key for (key,) in self._database.found("SELECT name FROM arrays WHERE analysis = ?", name)]
+        if missing := sorted(set(arrays).difference(known)):
+            raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
+        question = "SELECT data FROM arrays WHERE analysis = ? AND name = ?"
+        packed = {key: self._database.found(question, name, key)[0][0] for key in arrays or known}
         return {key: unpack_arrays(data)[key] for key, data in packed.items()}, json.loads(found[0][0])
 
     def reduction(self) -> dict[str, Any] | None:

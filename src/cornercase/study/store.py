@@ -84,11 +84,16 @@ class Study(StudyContents):
         InputError
             There is none, it is none, another program writes to it, or it is of a later schema version.
         """
-        database = Database.open(Path(path), readonly)
+        database: Database | None = None
         try:
+            database = Database.open(Path(path), readonly)
             return cls(database)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            database.close()
+        except InputError:
+            raise
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            # Whoever wrote it: its facts cannot be read, or not be migrated.
+            if database is not None:
+                database.close()
             raise InputError(f"{path}: cannot be used as a study ({error!r}).") from error
 
     def continue_with(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
