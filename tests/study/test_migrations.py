@@ -18,6 +18,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from command_line import cornercase
+from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering
 from cornercase.report import summarize, write_report
 from cornercase.study import Study, migrations
@@ -138,3 +139,12 @@ def test_a_migration_that_fails_leaves_the_study_as_it_was(old, monkeypatch):
     assert version(old) == 1
     with Study.open(old, readonly=True) as study:
         assert len(study.analysis("distance")[0]["labels"]) == 10
+
+
+def test_an_old_study_with_damaged_facts_is_refused_in_a_sentence(old):
+    with closing(sqlite3.connect(old)) as connection, connection:
+        connection.execute("UPDATE analyses SET info = '{}' WHERE name = 'distance'")
+    for readonly in (True, False):
+        with pytest.raises(InputError, match="cannot be used as a study"):
+            Study.open(old, readonly=readonly)
+    assert version(old) == 1
