@@ -24,7 +24,7 @@ LARGE = {
     "cli/running.py explore": "one parameter for each option of the command",
     "dtw/cpu.py _four_rows": "compiled: machine code takes numbers and arrays, no objects",
     "dtw/cpu.py _one_row": "compiled: machine code takes numbers and arrays, no objects",
-    "exploration/explorer.py __init__": "one parameter for each option of an exploration",
+    "exploration/exploring.py explore": "part of the API: one parameter for each option of the command",
     "simulators/carla/simulator.py __init__": "one parameter for each option of the simulator",
     "simulators/carmaker/simulator.py __init__": "one parameter for each option of the simulator",
 }
@@ -76,9 +76,24 @@ def test_every_room_is_under_contract_without_exceptions():
             assert contracts[f"importlinter:contract:{room}"]["protected_modules"] == f"cornercase.{room}.**"
 
 
+def test_tests_have_a_folder_for_each_room():
+    folders = {path.parent.name for path in (ROOT / "tests").glob("*/test_*.py")}
+    assert folders == {room.lstrip("_") for room in ROOMS}
+
+
+def test_no_module_is_long():
+    lengths = {path: len((PACKAGE / path).read_text("utf-8").splitlines()) for path in MODULES}
+    assert {path: lines for path, lines in lengths.items() if lines > LONGEST_MODULE} == {}
+
+
 def test_no_module_is_named_after_nothing():
     vague = re.compile(r"manager|helper|util|misc|common\.py")
     assert [path for path in MODULES if vague.search(path)] == []
+
+
+def test_only_known_functions_are_large_and_each_of_them_is():
+    large = {name for name, one in functions() if size(one) > LONGEST_FUNCTION or parameters(one) > MOST_PARAMETERS}
+    assert sorted(large) == sorted(LARGE)
 
 
 @pytest.mark.parametrize("room", [room for room in ROOMS if (PACKAGE / room / "__init__.pyi").exists()])
@@ -107,6 +122,14 @@ def test_what_only_some_platforms_have_stands_in_one_module():
     for path, module in MODULES.items():
         if path != PLATFORM:
             assert not names.search(ast.unparse(module)), path
+
+
+def test_messages_name_parameters_and_not_options():
+    for path, module in MODULES.items():
+        if not path.startswith("cli/"):
+            for call in called(module, "InputError", "SimulationError"):
+                options = {option for text in texts(call) for option in re.findall(r"--[a-z][\w-]+", text)}
+                assert options <= OPTIONS_OF_OTHERS, (path, ast.unparse(call))
 
 
 def test_no_name_of_an_optimizer_or_simulator_is_asked_for_outside_its_room():

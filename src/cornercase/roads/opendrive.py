@@ -118,11 +118,20 @@ class RoadNetwork:
 
     @cached_property
     def lengths(self) -> FloatArray:
-        """Length of each road in m."""
+        """Length of each road in m, shape (R,)."""
         return np.array([road.length for road in self.roads])
 
     def index_of(self, name: str) -> int:
-        """Index of the road with an id.
+        """Return the index of a road.
+
+        Parameters
+        ----------
+        name : str
+            Its id.
+
+        Returns
+        -------
+        int
 
         Raises
         ------
@@ -138,21 +147,73 @@ class RoadNetwork:
         return {road.name: i for i, road in enumerate(self.roads)}
 
     def has_lane(self, road: int, lane: int) -> bool:
-        """Whether a road has a lane of that number anywhere."""
+        """Tell whether a road has a lane of that number anywhere.
+
+        Parameters
+        ----------
+        road, lane : int
+            Index of the road, and lane.
+
+        Returns
+        -------
+        bool
+        """
         return lane != 0 and any(lane in lanes for _, lanes in self.roads[road].sections)
 
     def runs_along(self, road: int, lane: int) -> bool:
-        """Whether traffic on a lane runs along the road's s."""
+        """Tell whether traffic on a lane runs along the road's s.
+
+        Parameters
+        ----------
+        road, lane : int
+            Index of the road, and lane.
+
+        Returns
+        -------
+        bool
+        """
         return self.roads[road].along(lane)
 
     def road_world(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading of the road's direction at road coordinates, each (N,)."""
+        """Find where road coordinates lie in the plane.
+
+        Parameters
+        ----------
+        road : int
+            Its index.
+        s, t : ndarray of float64, shape (N,)
+            m.
+
+        Returns
+        -------
+        x, y : ndarray of float64, shape (N,)
+            m.
+        heading : ndarray of float64, shape (N,)
+            Direction of the road's s, in rad.
+        """
         return self.roads[road].at(s, t)
 
     def world(
         self, road: int, lane: int, s: FloatArray, offset: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading of the lane's traffic, `offset` to the left of its centre along s, each (N,)."""
+        """Find where places on a lane lie in the plane.
+
+        Parameters
+        ----------
+        road, lane : int
+            Index of the road, and lane.
+        s : ndarray of float64, shape (N,)
+            m.
+        offset : ndarray of float64, shape (N,)
+            m to the left of the lane's centre, seen along s.
+
+        Returns
+        -------
+        x, y : ndarray of float64, shape (N,)
+            m.
+        heading : ndarray of float64, shape (N,)
+            Direction of the lane's traffic, in rad.
+        """
         one = self.roads[road]
         section = one.section_at(s)
         t = np.empty(len(s))
@@ -162,7 +223,21 @@ class RoadNetwork:
         return x, y, heading if one.along(lane) else heading + np.pi
 
     def lane_at(self, road: int, s: FloatArray, t: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Lane that holds, or is nearest to, points of a road, and their offset from its centre, each (N,)."""
+        """Find the lane that holds points of a road, or is nearest to them.
+
+        Parameters
+        ----------
+        road : int
+            Its index.
+        s, t : ndarray of float64, shape (N,)
+            m.
+
+        Returns
+        -------
+        lane : ndarray of int64, shape (N,)
+        offset : ndarray of float64, shape (N,)
+            From the lane's centre, in m, positive to the left along s.
+        """
         one = self.roads[road]
         lane, offset = np.zeros(len(s), dtype=np.int64), np.zeros(len(s))
         best = np.full(len(s), np.inf)
@@ -179,7 +254,23 @@ class RoadNetwork:
     def along_route(
         self, waypoints: list[tuple[int, int, float]], way: FloatArray
     ) -> tuple[IntArray, FloatArray, BoolArray]:
-        """Road, s, and whether the route runs along s, after a way in m from the first waypoint, each (N,)."""
+        """Find where one is on a route after some way.
+
+        Parameters
+        ----------
+        waypoints : list of (int, int, float)
+            Road, lane and s in m of each.
+        way : ndarray of float64, shape (N,)
+            m from the first waypoint.
+
+        Returns
+        -------
+        road : ndarray of int64, shape (N,)
+        s : ndarray of float64, shape (N,)
+            m.
+        along : ndarray of bool, shape (N,)
+            Whether the route runs along the road's s there.
+        """
         road, lane, s = waypoints[0]
         section = int(self.roads[road].section_at(np.array([s]))[0])
         walk = self._graph.walk(
@@ -201,7 +292,19 @@ class RoadNetwork:
         return np.array(roads)[leg], np.array(starts)[leg] + np.where(along, beyond, -beyond), along
 
     def locate(self, x: FloatArray, y: FloatArray) -> Place:
-        """Where points are on the roads; a lane that holds the point beats a nearer one, driving beats others."""
+        """Find where points are on the roads.
+
+        A lane that holds the point goes before a nearer one, and a driving lane before others.
+
+        Parameters
+        ----------
+        x, y : ndarray of float64, shape (N,)
+            m.
+
+        Returns
+        -------
+        Place
+        """
         tree, road, lane, s, half, bad = self._samples
         known = np.isfinite(x) & np.isfinite(y)
         points = np.stack([np.where(known, x, 0.0), np.where(known, y, 0.0)], axis=1)
@@ -224,10 +327,27 @@ class RoadNetwork:
     def road_from(
         self, last: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """Road of points and their s on it, given the road of each, or -1, and its s a moment ago; all (N,).
+        """Find the road of points that move, given where they were a moment ago.
 
-        Where roads overlap, as in a junction, a point stays on its road as long as it can, and otherwise goes over to
-        the one that runs most like its heading.
+        Where roads overlap, as in a junction, a point stays on its road as long as it can. Then it goes over to the
+        road that runs most like its heading.
+
+        Parameters
+        ----------
+        last : ndarray of int64, shape (N,)
+            Index of the road of each a moment ago; -1 where it is not known.
+        last_s : ndarray of float64, shape (N,)
+            Its s there, in m.
+        x, y : ndarray of float64, shape (N,)
+            m.
+        heading : ndarray of float64, shape (N,)
+            rad.
+
+        Returns
+        -------
+        road : ndarray of int64, shape (N,)
+        s : ndarray of float64, shape (N,)
+            m.
         """
         road, s = last.copy(), last_s.copy()
         lost = ~self._holds(last, x, y, s, 1, _SLACK)

@@ -1,0 +1,179 @@
+"""Everything public says what it takes, what it gives, in which shapes, and what it raises."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib
+import inspect
+import textwrap
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from numpydoc.docscrape import NumpyDocString
+from numpydoc.validate import validate
+
+import cornercase
+from cornercase._common.registry import Registry
+
+PACKAGE = Path(cornercase.__file__).parent
+# Codes of numpydoc: unknown and misplaced sections, no docstring; parameters that are missing, unknown, in another
+# order or without a type; nothing about what is returned or yielded. Where name and type say it all, no more is asked.
+STRUCTURE = {"GL06", "GL07", "GL08"}
+CALLED = STRUCTURE | {"PR01", "PR02", "PR03", "PR04", "RT01", "YD01"}
+
+
+class Public(NamedTuple):
+    """Something that is shown, by the name under which numpydoc finds it."""
+
+    name: str
+    value: Any
+    owner: type | None = None
+
+    @property
+    def inherited(self) -> Any:
+        """What a base class has under the same name."""
+        bases = self.owner.__mro__[1:] if self.owner is not None else ()
+        return next((vars(base)[self.value_name] for base in bases if self.value_name in vars(base)), None)
+
+    @property
+    def value_name(self) -> str:
+        return self.name.rpartition(".")[2]
+
+
+def shown() -> Iterator[Any]:
+    """What the package and its rooms show."""
+    for file in sorted(PACKAGE.rglob("__init__.pyi")):
+        module = importlib.import_module(".".join(["cornercase", *file.parent.relative_to(PACKAGE).parts]))
+        for node in ast.parse(file.read_text("utf-8")).body:
+            assert isinstance(node, ast.ImportFrom)
+            yield from (getattr(module, name.name) for name in node.names)
+    yield Registry
+
+
+def public() -> Iterator[Public]:
+    """Functions and classes that are shown, and what their methods and properties are."""
+    seen: set[Any] = set()
+    for value in shown():
+        if not (inspect.isclass(value) or inspect.isroutine(value)) or value in seen:
+            continue
+        seen.add(value)
+        yield Public(f"{value.__module__}.{value.__qualname__}", value)
+        for owner in value.__mro__ if inspect.isclass(value) else ():
+            for name, member in vars(owner).items():
+                which = (owner, name)
+                # Not what scikit-learn adds to each estimator.
+                documented = inspect.isfunction(function_of(member))
+                if documented and not name.startswith("_") and owner.__module__.startswith("cornercase"):
+                    if which not in seen:
+                        yield Public(f"{owner.__module__}.{owner.__qualname__}.{name}", member, owner)
+                    seen.add(which)
+
+
+def function_of(value: Any) -> Callable[..., Any] | None:
+    """What is called when a function, method or class is."""
+    if inspect.isclass(value):
+        constructor = vars(value).get("__init__")
+        return constructor if inspect.isfunction(constructor) and not dataclasses.is_dataclass(value) else None
+    if isinstance(value, property):
+        return value.fget
+    function: Callable[..., Any] = getattr(value, "func", getattr(value, "__func__", value))
+    return function
+
+
+def documentation(one: Public) -> NumpyDocString:
+    """The docstring, or that of the method that it overrides where it has only a summary."""
+    own = NumpyDocString(inspect.getdoc(one.value) or "")
+    if one.inherited is not None and not (own["Parameters"] or own["Returns"] or own["Raises"]):
+        return NumpyDocString(inspect.getdoc(one.inherited) or "")
+    return own
+
+
+def names(document: NumpyDocString, *sections: str) -> set[str]:
+    return {
+        name.strip().lstrip("*") for section in sections for one in document[section] for name in one.name.split(",")
+    }
+
+
+def raised(function: Callable[..., Any]) -> set[str]:
+    """Classes of what a function raises by itself and does not catch."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(function))).body
+    found = set()
+
+    def visit(node: ast.AST, caught: frozenset[str]) -> None:
+        if isinstance(node, (ast.FunctionDef, ast.Lambda)) and node is not tree:
+            return
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            kind = ast.unparse(node.exc.func).rpartition(".")[2]
+            if kind[0].isupper() and kind not in caught and kind != "NotImplementedError":
+                found.add(kind)
+        here = caught
+        if isinstance(node, ast.Try):
+            here |= {
+                name.id
+                for one in node.handlers
+                if one.type
+                for name in ast.walk(one.type)
+                if isinstance(name, ast.Name)
+            }
+        for child in ast.iter_child_nodes(node):
+            visit(child, here if isinstance(node, ast.Try) and child in node.body else caught)
+
+    visit(tree, frozenset())
+    return found
+
+
+EVERYTHING = list(public())
+FUNCTIONS = [one for one in EVERYTHING if not isinstance(one.value, (property, cached_property))]
+
+
+def test_there_is_something_to_look_at():
+    assert len(EVERYTHING) > 200
+
+
+@pytest.mark.parametrize("one", EVERYTHING, ids=lambda one: one.name)
+def test_it_is_documented(one):
+    assert inspect.getdoc(one.value)
+    if one.inherited is not None or isinstance(one.value, (property, cached_property)):
+        return
+    record = inspect.isclass(one.value) and (dataclasses.is_dataclass(one.value) or hasattr(one.value, "_fields"))
+    asked = STRUCTURE if record or (inspect.isclass(one.value) and function_of(one.value) is None) else CALLED
+    assert [text for code, text in validate(one.name)["errors"] if code in asked] == []
+    if record:
+        fields = {name for name in inspect.signature(one.value).parameters if not name.startswith("_")}
+        assert fields - names(documentation(one), "Parameters", "Attributes") == set()
+
+
+@pytest.mark.parametrize("one", FUNCTIONS, ids=lambda one: one.name)
+def test_what_it_raises_is_documented(one):
+    function = function_of(one.value)
+    if function is not None:
+        assert raised(function) - names_of_errors(documentation(one)) == set()
+
+
+def names_of_errors(document: NumpyDocString) -> set[str]:
+    return {name.strip() for one in document["Raises"] for name in f"{one.name},{one.type}".split(",")}
+
+
+@pytest.mark.parametrize("one", EVERYTHING, ids=lambda one: one.name)
+def test_arrays_have_a_shape(one):
+    document = documentation(one)
+    for part in (*document["Parameters"], *document["Attributes"], *document["Returns"], *document["Yields"]):
+        if "ndarray" in part.type or "array_like" in part.type:
+            assert "shape" in part.type, f"{part.name} : {part.type}"
+    function = function_of(one.value)
+    if function is None or inspect.isclass(one.value):
+        return
+    given = function.__annotations__
+    if isinstance(one.value, (property, cached_property)):
+        assert "Array" not in str(given.get("return")) or "shape" in str(inspect.getdoc(one.value))
+    else:
+        for section, name in (("Returns", "return"), *(("Parameters", name) for name in given if name != "return")):
+            if "Array" in str(given.get(name)) and document[section]:
+                types = [
+                    part.type for part in document[section] if section == "Returns" or name in part.name.split(", ")
+                ]
+                assert any("shape" in text for text in types), (name, types)
