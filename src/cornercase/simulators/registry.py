@@ -15,7 +15,7 @@ for _name, _place in (
     ("builtin", "builtin.simulator:BuiltinSimulator"),
     ("carla", "carla.simulator:CarlaSimulator"),
     ("carmaker", "carmaker.simulator:CarMakerSimulator"),
-    ("esmini", "esmini:EsminiSimulator"),
+    ("esmini", "esmini.simulator:EsminiSimulator"),
     ("sumo", "sumo.simulator:SumoSimulator"),
 ):
     SIMULATORS.register(_name, f"cornercase.simulators.{_place}")

@@ -3,45 +3,32 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.platform import bytes_of_path
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
-
-VARIABLE: Final = "CORNERCASE_ESMINI"
-_MISSING: Final = (
-    f"esmini's library is not known; download esmini from github.com/esmini/esmini and set {VARIABLE} to its"
-    " libesminiLib.so, esminiLib.dll or libesminiLib.dylib."
+from cornercase.simulators.esmini.library import (
+    CALLBACK,
+    MISSING,
+    State,
+    encoded_path,
+    library_path,
+    load_library,
+    require_layout,
+    set_parameter,
+    state_of,
 )
+
 _CATEGORIES: Final = (
     "car", "van", "truck", "semitrailer", "trailer", "bus", "motorbike", "bicycle", "train", "tram",
 )  # fmt: skip
 _VEHICLE, _PEDESTRIAN = 1, 2
-_FILL: Final = 0xAA
-
-
-class _State(ctypes.Structure):
-    """State of an object, as of esmini 3.6."""
-
-    _fields_ = (
-        ("id", ctypes.c_int), ("model_id", ctypes.c_int), ("ctrl_type", ctypes.c_int), ("timestamp", ctypes.c_double),
-        ("x", ctypes.c_double), ("y", ctypes.c_double), ("z", ctypes.c_double), ("h", ctypes.c_double),
-        ("p", ctypes.c_double), ("r", ctypes.c_double), ("road", ctypes.c_uint32), ("junction", ctypes.c_uint32),
-        ("t", ctypes.c_double), ("lane", ctypes.c_int), ("lane_offset", ctypes.c_double), ("s", ctypes.c_double),
-        ("speed", ctypes.c_double), ("center_x", ctypes.c_double), ("center_y", ctypes.c_double),
-        ("center_z", ctypes.c_double), ("width", ctypes.c_double), ("length", ctypes.c_double),
-        ("height", ctypes.c_double), ("kind", ctypes.c_int), ("category", ctypes.c_int),
-        ("wheel_angle", ctypes.c_double), ("wheel_rotation", ctypes.c_double), ("visible", ctypes.c_int),
-    )  # fmt: skip
 
 
 class EsminiSimulator(Simulator):
@@ -87,7 +74,7 @@ class EsminiSimulator(Simulator):
     ) -> None:
         if drivers:
             raise InputError("`drivers`: esmini has no drivers of cornercase; its own stand in the scenario file.")
-        self._path = _library(library)
+        self._path = library_path(library)
         self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
         self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)
         self._loaded: ctypes.CDLL | None = None
@@ -105,7 +92,7 @@ class EsminiSimulator(Simulator):
     def availability(cls) -> Availability:
         """Say whether it can run here."""
         try:
-            missing = "" if _library(None) else _MISSING
+            missing = "" if library_path(None) else MISSING
         except InputError as error:
             missing = str(error)
         abilities = ("pedestrians", "its own controllers", "collisions go on or end the run", "deterministic")
@@ -129,7 +116,7 @@ class EsminiSimulator(Simulator):
             The scenario file cannot be used, or the library has another layout.
         """
         if self._loaded is None:
-            self._loaded = _load(self._path)
+            self._loaded = load_library(self._path)
         for concrete in concretes:
             scenario = self._read = concrete.scenario(self._read)
             self.require_means(scenario)
@@ -167,20 +154,20 @@ class EsminiSimulator(Simulator):
 
         def declare(_: object) -> None:
             for name, value in values.items():
-                if _set(lib, name, value, kinds.get(name, "")) != 0:
+                if set_parameter(lib, name, value, kinds.get(name, "")) != 0:
                     refused.append(name)
 
         # Has to live until the run is over, as esmini keeps only its address.
-        callback = _CALLBACK(declare)
+        callback = CALLBACK(declare)
         lib.SE_RegisterParameterDeclarationCallback(callback, None)
         lib.SE_SetSeed(self._seed)
         lib.SE_CollisionDetection(True)
-        if lib.SE_Init(_encoded(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
+        if lib.SE_Init(encoded_path(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
             return SimulationError("esmini cannot load the scenario; run it with esmini to see why")
         if refused:
             return SimulationError(f"esmini does not take the parameter {refused[0]}")
         if not self._fits and lib.SE_GetNumberOfObjects() > 0:
-            _require_layout(lib, lib.SE_GetId(0))
+            require_layout(lib, lib.SE_GetId(0))
             self._fits = True
         log = _Log(lib)
         steps = round(self._duration / self._time_step)
@@ -193,13 +180,6 @@ class EsminiSimulator(Simulator):
             if lib.SE_GetQuitFlag() != 0:
                 break
         return log.recording(self._time_step)
-
-
-def _encoded(path: Path) -> bytes:
-    try:
-        return bytes_of_path(path)
-    except UnicodeEncodeError:
-        raise InputError(f"{path}: esmini cannot open a path with such characters here; move the scenario.") from None
 
 
 class _Log:
@@ -217,7 +197,7 @@ class _Log:
         lib, row, names = self._lib, {}, {}
         ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
         for one in ids:
-            state = _state(lib, one)
+            state = state_of(lib, one)
             name = names[one] = (lib.SE_GetObjectName(one) or b"").decode("utf-8", "replace")
             row[name] = (state.x, state.y, state.h, state.speed)
             self._about.setdefault(name, (_kind(state), state.length, state.width, state.center_x))
@@ -264,94 +244,9 @@ class _Log:
         )
 
 
-_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
-
-
-def _library(given: str | None) -> Path:
-    text = given or os.environ.get(VARIABLE, "")
-    if not text:
-        raise InputError(_MISSING)
-    path = Path(text)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file; {VARIABLE} has to be the path of esmini's library.")
-    return path.resolve()
-
-
-def _load(path: Path) -> ctypes.CDLL:
-    try:
-        lib = ctypes.CDLL(str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be loaded ({error}).") from error
-    text, number = ctypes.c_char_p, ctypes.c_int
-    signatures: dict[str, tuple[Any, list[Any]]] = {
-        "SE_Init": (number, [text, number, number, number, number]),
-        "SE_StepDT": (number, [ctypes.c_double]),
-        "SE_Close": (None, []),
-        "SE_GetQuitFlag": (number, []),
-        "SE_GetNumberOfObjects": (number, []),
-        "SE_GetId": (number, [number]),
-        "SE_GetObjectName": (text, [number]),
-        "SE_GetObjectState": (number, [number, ctypes.c_void_p]),
-        "SE_GetObjectNumberOfCollisions": (number, [number]),
-        "SE_GetObjectCollision": (number, [number, number]),
-        "SE_SetSeed": (None, [ctypes.c_uint]),
-        "SE_CollisionDetection": (None, [ctypes.c_bool]),
-        "SE_SetOptionPersistent": (number, [text]),
-        "SE_RegisterParameterDeclarationCallback": (None, [_CALLBACK, ctypes.c_void_p]),
-        "SE_SetParameterString": (number, [text, text]),
-        "SE_SetParameterDouble": (number, [text, ctypes.c_double]),
-        "SE_SetParameterInt": (number, [text, number]),
-        "SE_SetParameterBool": (number, [text, ctypes.c_bool]),
-    }
-    for name, (result, arguments) in signatures.items():
-        try:
-            function = getattr(lib, name)
-        except AttributeError:
-            raise InputError(f"{path}: has no function {name}; take esmini 3.6 or a version close to it.") from None
-        function.restype, function.argtypes = result, arguments
-    lib.SE_SetOptionPersistent(b"disable_stdout")
-    lib.SE_SetOptionPersistent(b"disable_log")
-    return lib
-
-
-def _state(lib: ctypes.CDLL, one: int) -> _State:
-    state = _State()
-    if lib.SE_GetObjectState(one, ctypes.addressof(state)) != 0:
-        raise InputError("esmini does not tell the state of one of its objects; take another version of it.")
-    return state
-
-
-def _require_layout(lib: ctypes.CDLL, one: int) -> None:
-    """Refuse a library that writes more or less of a state than is expected."""
-    size = ctypes.sizeof(_State)
-    buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL]) * (2 * size))
-    if lib.SE_GetObjectState(one, ctypes.addressof(buffer)) != 0:
-        raise InputError("esmini does not tell the state of one of its objects; take another version of it.")
-    written = bytes(buffer)
-    # The last field is an int, which is followed by padding up to the next multiple of 8.
-    if written[size - 8 : size - 4] == bytes([_FILL]) * 4 or written[size:] != bytes([_FILL]) * size:
-        raise InputError(
-            "esmini's library has another layout than that of esmini 3.6, which this cornercase knows; take that one."
-        )
-    if _State.from_buffer_copy(written[:size]).id != one:
-        raise InputError("esmini's library has another layout than that of esmini 3.6; take that one.")
-
-
-def _kind(state: _State) -> str:
+def _kind(state: State) -> str:
     if state.kind == _PEDESTRIAN:
         return "pedestrian"
     if state.kind != _VEHICLE:
         return "misc"
     return _CATEGORIES[state.category] if 0 <= state.category < len(_CATEGORIES) else "car"
-
-
-def _set(lib: ctypes.CDLL, name: str, value: Value, kind: str) -> int:
-    key = name.encode()
-    if kind == "double":
-        return int(lib.SE_SetParameterDouble(key, float(value)))
-    if kind in ("integer", "int", "unsignedInt", "unsignedShort"):
-        return int(lib.SE_SetParameterInt(key, round(float(value))))
-    if kind == "boolean":
-        return int(lib.SE_SetParameterBool(key, str(value).lower() in ("true", "1")))
-    text = f"{value:g}" if isinstance(value, float) else str(value)
-    return int(lib.SE_SetParameterString(key, text.encode()))

@@ -1,0 +1,1 @@
+"""esmini by its library."""
