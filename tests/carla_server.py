@@ -129,7 +129,7 @@ class Server:
     def push(self):
         head = struct.pack("<Qdf3iI", self.episode, time.time(), self.step, 0, 0, 0, 0) + bytes(HEADER_PAD)
         body = b"".join(actor.state() for actor in self.actors.values())
-        if self.frame == int(self.wrong.get("cut-at", -1)):
+        if self.stepped == int(self.wrong.get("cut-at", -1)):
             # Who comes later gets it whole.
             del self.wrong["cut-at"]
             body = body[:-7]
