@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 import cornercase
 from conftest import EXAMPLES
 from cornercase.cli import app
+from cornercase.drivers import DRIVERS
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.simulators import SIMULATORS
@@ -169,3 +170,16 @@ def exists(name: str) -> bool:
 )
 def test_the_names_that_are_named_exist(file):
     assert [name for name in names_in(file.read_text("utf-8")) if not exists(name) and name not in NO_MODULES] == []
+
+
+@pytest.mark.parametrize(
+    ("registry", "page"), [(METRICS, "metrics.md"), (OPTIMIZERS, "exploration.md"), (DRIVERS, "drivers.md")]
+)
+def test_all_that_has_a_name_is_described(registry, page):
+    described = set(inline_code_of(ROOT / "docs" / page))
+    assert [name for name in registry.names() if name not in described] == []
+
+
+def test_every_simulator_has_a_page():
+    pages = {page.stem for page in (ROOT / "docs" / "simulators").glob("*.md")} | {"builtin"}
+    assert [name for name in SIMULATORS.names() if name not in pages] == []
