@@ -248,7 +248,8 @@ def first_contact(
         gain = np.where(np.abs(gain) <= _STEADY, 0.0, gain)
         exact, _ = _open_quadratic(low, high, speed, gain)
         starts, ends = _open_quadratic(low - _CONTACT, high + _CONTACT, speed, gain)
-    # The allowance shall find a contact, not bring it forward. Both are infinite along an axis without motion.
+    # The tolerance only decides whether there is a contact, not when: where there is an exact time, that one is taken.
+    # Along an axis without motion both times are infinite.
     with np.errstate(invalid="ignore"):
         starts = np.where((exact >= starts) & (exact - starts <= 1e-3), exact, starts)
     horizon = np.asarray(horizon, dtype=np.float64)

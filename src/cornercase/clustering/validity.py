@@ -80,14 +80,14 @@ def density_validity(distances: FloatArray, labels: IntArray, *, dimensions: flo
     inner, sparseness = [], []
     groups = [np.flatnonzero(labels == name) for name in range(int(labels.max()) + 1)]
     for members in groups:
-        # Scenarios that are the same would be infinitely dense, and no edge to the tree.
+        # Identical scenarios would be infinitely dense, and without an edge in the tree.
         between = np.maximum(distances[np.ix_(members, members)], _CLOSEST)
         np.fill_diagonal(between, np.inf)
         mean = (between**-dimensions).sum(axis=1) / (len(members) - 1)
         core[members] = mean ** (-1.0 / dimensions)
         reach = np.maximum(between, np.maximum(core[members][:, None], core[members]))
-        # Many reaches are equal, as one core distance holds for many neighbours. The tree, and with it the
-        # index, would depend on the order of the scenarios; so the nearer neighbour comes first.
+        # One core distance can decide the reach of many neighbours. Many reaches then are equal, and the tree would
+        # depend on the order of the scenarios. The small term lets the nearer neighbour come first.
         reach += 1e-6 * between
         np.fill_diagonal(reach, 0.0)
         tree = minimum_spanning_tree(reach).tocoo()

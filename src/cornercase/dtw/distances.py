@@ -206,7 +206,7 @@ def kernel_matrix(
     if len(arrays) < 2:
         return np.ones((len(arrays), len(arrays)), dtype=settings.dtype)
     arrays = _centred(arrays, settings.dtype, len(arrays))
-    # Below the logarithm of half the smallest number there is, exp gives 0.
+    # exp underflows to 0 below the logarithm of half the smallest positive number.
     vanishes = 1.0 + np.log(2.0) - np.log(float(np.finfo(settings.dtype).smallest_subnormal))
     with _shown(progress, pairs.cells(arrays, None)) as advance:
         found = pairs.distances(arrays, None, settings, advance, beyond=float(np.sqrt(vanishes / gamma)))

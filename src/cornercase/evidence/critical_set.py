@@ -136,7 +136,7 @@ class CriticalSet:
 
     def _limit(self, part: slice) -> FloatArray:
         """Normal deviate up to which a place is critical in each draw; infinite where it was run."""
-        # Copies: see the logarithm in cornercase.evidence.gaussian_process.
+        # Copies, since NumPy's results for strided arrays depend, in the last digit, on where they lie in memory.
         a, log_b = self._correction.T.copy()
         limit = -(a + np.exp(log_b) * self._t[part, None])
         return np.where(self._certain[part, None] == 0.0, limit, self._certain[part, None])

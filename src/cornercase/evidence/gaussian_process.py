@@ -329,8 +329,7 @@ def _loss(parameters: FloatArray, squares: FloatArray, values: FloatArray) -> tu
     gradient[: len(widths)] = [0.5 * np.sum(common * scaled[..., j]) for j in range(len(widths))]
     gradient[-2] = np.sum(outer * correlation) * signal2
     gradient[-1] = np.trace(outer) * noise2
-    # A copy: of numbers that are strewn over memory, NumPy's logarithm has other last digits where its result comes to
-    # lie behind them.
+    # Of a copy: NumPy's logarithm of a strided array depends, in its last digit, on where its result lies in memory.
     likelihood = -0.5 * values @ weights - np.log(np.diag(lower).copy()).sum()
     away = np.asarray(logs) - np.log(0.5)
     gradient[: len(widths)] -= away

@@ -169,7 +169,7 @@ def explore_configuration(configuration: Configuration, study: Path | str, progr
     try:
         return _explore(configuration, path, progress)
     except KeyboardInterrupt:
-        # While the explorer does not listen, at its very beginning or end.
+        # Interrupted at the very beginning or end, when the explorer does not handle it itself.
         with suppress(InputError), Study.open(path, readonly=True) as opened:
             return ExplorationResult.of(opened, "it was interrupted", interrupted=True)
         raise
@@ -183,7 +183,7 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
     if one.pareto and not optimizer.takes_several:
         raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     with _simulator(one) as simulator:
-        # Before there is a study, as nothing of the scenario could be run.
+        # Asked before a study is made, since without these means no scenario can be run.
         simulator.require_means(one.logical.scenario)
         meta = one.meta(objective, simulator.settings)
         with Study.open(path) if path.exists() else Study.create(path, meta) as study:

@@ -82,7 +82,7 @@ class Objective:
         -------
         ndarray of float64, shape (m,), or (m, metrics) for a Pareto front
         """
-        # A metric that does not count must not make anything of it undefined.
+        # Left out of the sum, since NaN times 0 is NaN.
         used = self._factors.any(axis=1)
         values = scores[:, used] @ self._factors[used]
         return np.asarray(values if self.pareto else values[:, 0])

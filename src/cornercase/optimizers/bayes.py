@@ -57,13 +57,13 @@ class BayesOptimizer(CandidateOptimizer):
         self._features = features
 
     def _choose(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
-        # Each is the best of its share of the candidates by a sample of its own.
+        # Thompson sampling: each point is the best of its share of the candidates, by its own sample of the process.
         import physbo
 
         points, scores = self._points[self._known], self._scores[self._known]
         # PHYSBO maximises.
         target = -(scores - scores.mean()) / scores.std()
-        # As many gradient steps for many points as for few: the learning sees them in batches.
+        # An epoch has a gradient step for each batch of points; fewer epochs with more points keep the number of steps.
         config = physbo.misc.SetConfig()
         learning = config.learning
         batches = max(1, len(points) // learning.batch_size)
@@ -79,7 +79,7 @@ class BayesOptimizer(CandidateOptimizer):
                 num_rand_basis=self._features,
                 is_disp=False,
             )
-            # Runs of a Sobol' sequence fill the space; every n-th of its points need not.
+            # Consecutive points of a Sobol' sequence fill the space, which every n-th point need not do.
             shares = np.array_split(np.arange(len(candidates)), n)
             chosen = [share[np.argmax(policy.get_score("TS", actions=share))] for share in shares]
         return np.array(chosen, dtype=np.int64)

@@ -63,7 +63,8 @@ class LevelSetOptimizer(CandidateOptimizer):
         while True:
             some = best[:most]
             chosen, least = _straddle(process, places[some], encoded(self._space, filling), n)
-            # Gains only fall; what was not looked at could not have been chosen if its first gain is lower.
+            # Gains only fall while points are chosen. So a candidate that was left out would not have been chosen if
+            # its gain at the beginning is below the least one that was.
             if most >= len(best) or least >= _gain(mean, deviation)[best[most]]:
                 return some[chosen]
             most *= 4
@@ -78,7 +79,7 @@ def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArra
     places = np.concatenate([candidates, known])
     mean, deviation = process.predict(places)
     rows, variance = process.projections(places), deviation**2
-    # Below what single precision tells from zero there is nothing to learn.
+    # The process is computed in single precision, which cannot tell a lower variance from 0.
     lowest, noise = 1e-5 * process.signal**2, process.noise**2
     learned: list[FloatArray] = []
     chosen: list[int] = []
@@ -89,7 +90,7 @@ def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArra
         for earlier in learned:
             shared = shared - earlier * earlier[i]
         step = shared / math.sqrt(max(variance[i], lowest) + noise)
-        # Nothing can be learned beyond what is not known; rounding must not say otherwise.
+        # A point cannot explain more than the variance that is left; rounding errors are cut off.
         most = np.sqrt(variance)
         learned.append(np.clip(step, -most, most))
         np.maximum(variance - learned[-1] ** 2, 0.0, out=variance)

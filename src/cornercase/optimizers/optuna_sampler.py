@@ -93,7 +93,7 @@ class OptunaOptimizer(Optimizer):
                         params=self._parameters(point), distributions=self._distributions(), values=score
                     )
                 )
-        # What was asked for and is not told in this round never will be.
+        # A point that was asked for and gets no score in this round will never get one.
         for trial in self._asked.values():
             if trial is not None:
                 self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)

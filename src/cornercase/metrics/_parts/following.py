@@ -46,7 +46,7 @@ class Following:
         sign = np.where(recording.speed[i] < 0.0, -1.0, 1.0)
         heading = recording.heading[i]
         direction = sign[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
-        # Seen from an ego that moves on by 1 m/s the other comes nearer by as much; time is then the gap in m.
+        # At 1 m/s, the time to contact in s is the gap in m.
         gap = first_contact(boxes(recording, ego), boxes(recording, other), -direction)
         along = sign * np.cos(recording.heading[j] - heading)
         return cls(

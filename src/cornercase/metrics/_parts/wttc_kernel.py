@@ -69,7 +69,7 @@ def _solve(position, velocity, radius, growth, count, out):
         square, t = size[k], top[k]
         peak = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - apart[k]
         squares = apart[k] + radius[k] * radius[k]
-        # A grazing contact is one: what rounding may have taken from the maximum is given back.
+        # Circles that only graze do touch: the tolerance makes up for rounding errors in the maximum.
         rises = (bend[k] > 0.0) & (closing[k] > 0.0)
         grazes = rises & (peak >= -1e-14 * (squares + square * t * t))
         early[k] = 1.0 if grazes else 0.0
@@ -89,7 +89,7 @@ def _solve(position, velocity, radius, growth, count, out):
             left = early[k] > 0.0
             step = value / slope if (value < 0.0) == left else 0.0
             moved = t - step
-            # Never beyond the maximum, nor before now; what is not a number stays where it is.
+            # Newton's step stays below the maximum and above 0; one that is NaN is not taken.
             bounded = (top[k] if moved > top[k] else moved) if left else (0.0 if moved < 0.0 else moved)
             bounded = bounded if bounded == bounded else t
             moves += 1 if (abs(bounded - t) > 4e-15 * t) & (apart[k] > 0.0) else 0
