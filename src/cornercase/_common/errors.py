@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class InputError(ValueError):
-    """What was handed in cannot be used.
+    """Input that cannot be used.
 
     The message is one sentence that names the file, the element and the fix. A parameter of a public function
     stands in it between backticks (```stop_when```), where the command line puts its option (``--stop-when``). The

@@ -266,7 +266,7 @@ def first_contact(
 
 
 def _open_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """When low <= speed t <= high, from and to; from > to where never."""
+    """Interval of time in which low <= speed t <= high; where there is none it begins after it ends."""
     moves = speed != 0.0
     divisor = np.where(moves, speed, 1.0)
     with np.errstate(over="ignore"):

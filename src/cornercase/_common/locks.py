@@ -43,7 +43,7 @@ def taken_lock(path: Path) -> BaseFileLock | None:
 
 @contextmanager
 def held_lock(path: Path) -> Iterator[None]:
-    """Wait for a lock and hold it meanwhile; a thread that holds it already goes on at once.
+    """Wait for a lock and hold it within the block; a thread that holds it already goes on at once.
 
     Where its file cannot be written there is nothing to protect, and nothing is held. A holder that has not come back
     after a minute has been stopped, and is waited for no longer.

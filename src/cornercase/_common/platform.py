@@ -102,7 +102,7 @@ def bytes_of_path(path: Path) -> bytes:
 
 
 def leave_terminal() -> None:
-    """Let Ctrl-C pass this process by; with all that it will start it is a group, where there are groups."""
+    """Keep Ctrl-C from this process, and make it and all that it will start a group where the platform has groups."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "setsid"):
         os.setsid()

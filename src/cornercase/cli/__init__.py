@@ -15,7 +15,7 @@ __all__ = ["app", "main", "running", "studies"]
 
 
 def main() -> None:
-    """Run the command line; what a user can mend becomes one sentence and exit code 2."""
+    """Run the command line; an `InputError` becomes one sentence and exit code 2."""
     forgive_narrow_output()
     try:
         app(standalone_mode=True)

@@ -391,7 +391,7 @@ def _refine(ahead, k, ego, margin, other, horizon):
 
 @_kernel
 def meeting(places, row, ego, margin, other, horizon):
-    """When the other touches the driven entity if this were at a place.
+    """When the other would touch the driven entity, if that were at a place.
 
     Separating axes: on each of the four, the projections overlap during one interval; the boxes do in what
     is common to all.

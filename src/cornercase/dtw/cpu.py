@@ -325,7 +325,7 @@ class _Announcement(Listener):
 
 
 def compiled(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
-    """Kernel that is ready to run: known, else loaded from disk, else compiled, and then it says so.
+    """Return a kernel that is ready to run; where it has to be compiled, say so.
 
     The message is a warning of the logger ``cornercase.dtw``, which Python shows on standard error where no
     logging is set up.

@@ -233,7 +233,7 @@ def _settings(local_cost: str, window: int | None, dtype: npt.DTypeLike, n_jobs:
 def _centred(
     arrays: list[npt.NDArray[np.float64]], dtype: np.dtype[Any], n_series: int
 ) -> list[npt.NDArray[np.float64]]:
-    """Take the common mean off where digits are few; behind `n_series` series stand landmarks."""
+    """Subtract the common mean in single precision; after `n_series` series come landmarks."""
     if dtype != np.float32 or not arrays:
         return arrays
     points = np.concatenate(arrays)

@@ -152,7 +152,7 @@ def distinct(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
 def without_common_rests(
     rows: Sequence[Floats], columns: Sequence[Floats] | None
 ) -> tuple[Sequence[Floats], Sequence[Floats] | None]:
-    """Shorten a rest at the point where all series begin, and one where all end, to that point.
+    """Where all series begin, or end, with a rest at one point, shorten the rest to that point.
 
     A course at its cap is such a rest. Without a window the distances stay the same to the bit. Let x begin
     with p and y with q times the point c. A path that leaves the square of the two rests before both are

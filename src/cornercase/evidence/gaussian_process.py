@@ -26,7 +26,7 @@ _WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-6
 
 
 def encoded(space: ParameterSpace, points: FloatArray) -> FloatArray:
-    """Points for a kernel: a choice among names becomes a corner of a simplex, as far from each other one.
+    """Encode points for a kernel: choices become corners of a simplex, which are equally far from each other.
 
     Parameters
     ----------

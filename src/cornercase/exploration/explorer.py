@@ -170,7 +170,7 @@ class ScenarioExplorer:
             return self._stopping.reason()
 
     def _go_on(self, bar: ProgressBar | None) -> tuple[int, int]:
-        """Finish what a killed explorer left pending, and tell the optimizer all; how many scenarios and rounds."""
+        """Finish what a killed explorer left pending, tell the optimizer everything, and count scenarios and rounds."""
         rows = self._study.rows()
         known = self._objective.oriented_of(self._study)
         scores = dict(zip((row.id for row in rows if row.state == "done"), known, strict=True))

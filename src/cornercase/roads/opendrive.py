@@ -412,7 +412,7 @@ class RoadNetwork:
         along: bool,
         via: tuple[tuple[int, int, float], ...] = (),
     ) -> LanePath | None:
-        """Centre line of a lane and of those that follow it, and of those before it for who drives backwards.
+        """Centre line of a lane and those that follow it, and of those before it for an entity that drives backwards.
 
         Parameters
         ----------

@@ -133,7 +133,7 @@ class Database:
             self._lock.release()
 
     def found(self, question: str, *values: Any) -> list[Any]:
-        """Rows that answer a question.
+        """Return the rows that a query finds.
 
         Parameters
         ----------
@@ -156,7 +156,7 @@ class Database:
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
-        """Let all questions within it be answered by what the file holds at one moment."""
+        """Let all queries within the block see the file as it is at one moment."""
         if self.connection.in_transaction:
             yield
             return

@@ -80,7 +80,7 @@ def read_carla_log(path: Path | str) -> Recording:
 
 
 def _actors(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:
-    """All that ever appear, and which of them touch when."""
+    """All actors that appear, and their collisions."""
     # A version, the magic words, a date, and the name of the map.
     _, at = _text(data, 2 + 2 + len(_MAGIC) + 8)
     present: dict[int, _Actor] = {}

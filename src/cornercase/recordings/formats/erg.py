@@ -126,7 +126,7 @@ def _track(time: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray, 
 
 
 def _course(time: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Direction of the way, kept while it stands."""
+    """Direction of motion; while the entity stands, the direction before."""
     if len(time) < 2:
         return np.zeros(len(time))
     dx, dy = np.gradient(x.astype(np.float64), time), np.gradient(y.astype(np.float64), time)

@@ -163,7 +163,7 @@ def _watch(
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Let ScenarioRunner clear up, where a program can be asked to; else, or if it does not end, make it."""
+    """Ask ScenarioRunner to clear up and end, where the platform can ask; end it by force if it does not."""
     if process.poll() is None:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
@@ -174,7 +174,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def _last_words(said: str) -> str:
-    """What ScenarioRunner said last of an error, or of anything."""
+    """Last line that ScenarioRunner printed about an error, else its last line."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     errors = [line for line in lines if _ERROR.match(line)]
     return (errors or lines or ["it said nothing"])[-1][:300]

@@ -12,7 +12,7 @@ _MESH: Final = {"vertex_distance": 2.0, "wall_height": 1.0, "additional_width": 
 
 
 class Server:
-    """A CARLA that is there for nothing else.
+    """A CARLA server that nothing else uses.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Server:
                 actor.destroy()
 
     def calm(self) -> None:
-        """Let it run by itself again, as it would wait for ticks of a ScenarioRunner that is no more."""
+        """Let the server run at its own pace again, since nobody sends it ticks any more."""
         world = self.client().get_world()
         settings = world.get_settings()
         if settings.synchronous_mode:

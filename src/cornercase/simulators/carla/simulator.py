@@ -35,7 +35,7 @@ _SILENCE: Final = 3
 
 
 class CarlaSimulator(Simulator):
-    """Runs concrete scenarios on a CARLA that is there for nothing else, by ScenarioRunner in synchronous mode.
+    """Runs concrete scenarios by ScenarioRunner in synchronous mode, on a CARLA server that nothing else uses.
 
     Each is written as OpenSCENARIO 1.0 and run by a ScenarioRunner of its own, in its own environment. A second client
     notes how the entities move. An entity with the driver ``cautious``, ``normal`` or ``aggressive`` is driven by

@@ -182,7 +182,7 @@ class Tracker:
         return recording_of(source, tracks, ended)
 
     def _run(self) -> list[_Frame]:
-        """Frames of the scenario: from all entities' being there on, while the ego is, in even steps."""
+        """Frames of the scenario, in equal steps: from the first with all entities on, as long as the ego exists."""
         if not self._ids:
             return []
         ego = self._ids[self._ego]

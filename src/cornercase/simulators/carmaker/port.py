@@ -94,7 +94,7 @@ class CommandPort:
         return whole.decode("utf-8", "replace")
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
     def __enter__(self) -> Self:

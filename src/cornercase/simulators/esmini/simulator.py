@@ -32,7 +32,7 @@ _VEHICLE, _PEDESTRIAN = 1, 2
 
 
 class EsminiSimulator(Simulator):
-    """Runs concrete scenarios with esmini, whose state there is once in a process.
+    """Runs concrete scenarios with esmini, of which a process can hold only one.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class _Log:
         self._collisions: dict[tuple[str, str], float] = {}
 
     def note(self, time: float) -> bool:
-        """Note the present instant; whether two begin to collide."""
+        """Note the present instant; return whether two entities begin to collide."""
         lib, row, names = self._lib, {}, {}
         ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
         for one in ids:

@@ -152,7 +152,7 @@ class SumoSimulator(Simulator):
             yield coupling.error or batch.result(0)
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario that asks for a driver that nobody knows.
+        """Refuse a scenario that asks for a driver that does not exist.
 
         Parameters
         ----------
@@ -178,7 +178,7 @@ class SumoSimulator(Simulator):
 
 
 class _LeftToSumo(Driver):
-    """Driver that keeps the storyboard's hands off an entity."""
+    """Driver that decides nothing, so that the storyboard leaves an entity to SUMO."""
 
     def acceleration(self, situation: Situation) -> FloatArray:
         """Give none, as the coupling sets the speed; shape (1,)."""

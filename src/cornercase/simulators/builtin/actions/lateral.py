@@ -33,7 +33,7 @@ _REACHED: Final = 0.01
 
 
 class LaneChangeAction:
-    """Moves an entity to another lane; what it moves sideways it does not move ahead."""
+    """Moves an entity to another lane; part of its speed goes into the motion sideways."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity, self._id = entity, world.number_action()
@@ -109,7 +109,7 @@ class LaneChangeAction:
 
 
 class LaneOffsetAction:
-    """Moves an entity within its lane, without a loss of way."""
+    """Moves an entity within its lane; the motion sideways does not slow it down."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity, self._id = entity, world.number_action()
