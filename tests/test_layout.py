@@ -139,3 +139,12 @@ def test_no_name_of_an_optimizer_or_simulator_is_asked_for_outside_its_room():
                 for node in ast.walk(module):
                     if isinstance(node, ast.Compare):
                         assert not set(texts(node)) & set(registry.names()), (path, ast.unparse(node))
+
+
+def test_told_is_what_an_optimizer_was_told_and_a_metric_has_a_most_critical_value():
+    """Scores that a search sees are oriented, and the ends of a course are the cap and the most critical value."""
+    for path, module in MODULES.items():
+        names = {node.id for node in ast.walk(module) if isinstance(node, ast.Name)}
+        names |= {node.attr for node in ast.walk(module) if isinstance(node, ast.Attribute)}
+        assert path.startswith("optimizers/") or not {"told", "_told"} & names, path
+        assert not path.startswith("metrics/") or "limit" not in names, path

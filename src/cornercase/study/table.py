@@ -66,25 +66,25 @@ def scenario_table(
     DataFrame
         As `cornercase.study.Study.table`.
     """
-    # Loaded here, so that who only opens a study does not wait for it.
+    # Loaded here, since opening a study does not need it.
     import pandas as pd
 
     ids = np.array([row.id for row in rows], dtype=np.int64)
     done = np.array([row.state == "done" for row in rows], dtype=np.bool_)
-    told: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for name, values in scores.items():
-        told[name] = np.full(len(rows), np.nan)
-        told[name][done] = values
+        found[name] = np.full(len(rows), np.nan)
+        found[name][done] = values
     for name, (members, labels) in clusters.items():
         column = pd.Series(pd.NA, index=ids, dtype="Int64")
         column.loc[members] = labels
-        told[f"cluster by {name}"] = column.array
+        found[f"cluster by {name}"] = column.array
     if outcomes:
-        told["outcome"] = [outcomes.get(row.id) for row in rows]
-    told["error"] = [row.error for row in rows]
+        found["outcome"] = [outcomes.get(row.id) for row in rows]
+    found["error"] = [row.error for row in rows]
     first: dict[str, Any] = {"id": ids, "round": np.array([row.round for row in rows], dtype=np.int64)}
     first["state"] = [row.state for row in rows]
     varied = {parameter.name: [parameter.read(row.values) for row in rows] for parameter in space.parameters}
-    # A parameter may be called as something else is here.
-    varied = {f"parameter {name}" if name in first or name in told else name: each for name, each in varied.items()}
-    return pd.DataFrame(first | varied | told)
+    # A parameter may have the name of another column.
+    varied = {f"parameter {name}" if name in first or name in found else name: each for name, each in varied.items()}
+    return pd.DataFrame(first | varied | found)
