@@ -183,3 +183,15 @@ def test_all_that_has_a_name_is_described(registry, page):
 def test_every_simulator_has_a_page():
     pages = {page.stem for page in (ROOT / "docs" / "simulators").glob("*.md")} | {"builtin"}
     assert [name for name in SIMULATORS.names() if name not in pages] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_files_that_are_named_exist(page):
+    """Relative to the repository, to the package, or to the builtin simulator."""
+    places = (ROOT, ROOT / "src", ROOT / "src" / "cornercase", ROOT / "src" / "cornercase" / "simulators" / "builtin")
+    files = [
+        code
+        for code in inline_code_of(page)
+        if re.fullmatch(r"(src|tests|docs|benchmarks|[a-z_]+)/[\w/]*(\.py|\.pyi|\.md)?", code)
+    ]
+    assert [code for code in files if "NAME" not in code and not any((place / code).exists() for place in places)] == []
