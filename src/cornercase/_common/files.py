@@ -46,7 +46,7 @@ def written_whole(path: Path | str) -> Iterator[Path]:
     Parameters
     ----------
     path : path
-        Where the file shall be. Missing folders are made.
+        Where the file is to be. Missing folders are made.
 
     Yields
     ------

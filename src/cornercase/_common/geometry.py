@@ -55,7 +55,7 @@ def boxes_overlap(a: FloatArray, b: FloatArray) -> BoolArray:
     Parameters
     ----------
     a, b : ndarray of float64, shape (..., 4, 2)
-        Corners as of `box_corners`; leading axes broadcast. A box with a NaN corner overlaps nothing.
+        Corners as in `box_corners`; leading axes broadcast. A box with a NaN corner overlaps nothing.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def box_distance(a: FloatArray, b: FloatArray) -> FloatArray:
     Parameters
     ----------
     a, b : ndarray of float64, shape (..., 4, 2)
-        Corners as of `box_corners`; leading axes broadcast.
+        Corners as in `box_corners`; leading axes broadcast.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def box_axes(box: FloatArray) -> FloatArray:
     Parameters
     ----------
     box : ndarray of float64, shape (..., 4, 2)
-        Corners as of `box_corners`. Boxes without width or length keep both directions, points get +x and +y.
+        Corners as in `box_corners`. Boxes without width or length keep both directions, points get +x and +y.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def first_contact(
     Parameters
     ----------
     a, b : ndarray of float64, shape (..., 4, 2)
-        Corners at time 0 as of `box_corners`; leading axes broadcast.
+        Corners at time 0 as in `box_corners`; leading axes broadcast.
     velocity : ndarray of float64, shape (..., 2)
         Of `b` relative to `a` at time 0, in m/s.
     acceleration : ndarray of float64, shape (..., 2), optional

@@ -136,7 +136,7 @@ def words_of_exit_code(code: int | None) -> str:
     Parameters
     ----------
     code : int or None
-        As of `multiprocessing.Process.exitcode`.
+        As in `multiprocessing.Process.exitcode`.
 
     Returns
     -------

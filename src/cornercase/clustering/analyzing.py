@@ -51,7 +51,7 @@ def analyze(
     method : {"dbscan", "hdbscan"}, default "dbscan"
         Algorithm that finds the clusters.
     keep : bool, default False
-        Keep the clusters that the study has, and let the scenarios that were run since join them, as of
+        Keep the clusters that the study has, and let the scenarios that were run since join them, as in
         `ScenarioClustering.predict`.
     progress : bool, default False
         Show a progress bar.

@@ -297,7 +297,7 @@ def cluster(
     method : {"dbscan", "hdbscan"}
         Algorithm that finds the clusters.
     landmarks : int, "auto" or None
-        Number of scenarios that span the kernel space. All settings as of `ScenarioClustering`.
+        Number of scenarios that span the kernel space. All settings as in `ScenarioClustering`.
 
     Returns
     -------

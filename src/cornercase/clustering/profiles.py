@@ -46,7 +46,7 @@ def describe_clusters(study: Study, labels: IntArray, outcomes: Sequence[str]) -
     labels : ndarray of int64, shape (n,)
         Cluster of each scenario that ended.
     outcomes : sequence of str, length n
-        How each ended, as of `cornercase.clustering.outcomes.tell_outcome`.
+        How each ended, as in `cornercase.clustering.outcomes.tell_outcome`.
 
     Returns
     -------

@@ -46,7 +46,7 @@ class Behaviour(NamedTuple):
     reaction_time : float
         s for which it has to see an entity, and see that their ways conflict, before it reacts.
     memory : float
-        s for which it reckons with an entity that it sees no more.
+        s for which it remembers an entity that it no longer sees.
     field_of_view : float
         rad, full angle.
     sight_range : float

@@ -1,4 +1,4 @@
-"""Who is on the road, as the compiled decisions of a driver take it."""
+"""The driven entity and the others, in the form that a driver's compiled decisions take."""
 
 from __future__ import annotations
 

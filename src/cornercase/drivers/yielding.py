@@ -302,7 +302,7 @@ def _give_way(behaviour, time_step, ahead, ego, margin, v, other, in_corridor, y
 def _find_conflict(behaviour, ahead, ego, margin, other, gap_first, gap_after, past_choice):
     """First place that both want within the gaps.
 
-    A driver who is past the choice leaves it to those who come up behind it in the same direction to brake.
+    Past the point of choice, the driver expects those behind it in the same direction to brake.
     Returns the row where the stretch that holds the place begins, and its own row (-1: there is none).
     """
     start = -1
@@ -406,7 +406,7 @@ def meeting(places, row, ego, margin, other, horizon):
     margin : float
         m on either side by which the driven entity counts as wider.
     other : tuple
-        Legs (L, 6) as of `_foresee`, half length, half width, speed.
+        Legs (L, 6) as in `_foresee`, half length, half width, speed.
     horizon : float
         s; 0 for the other where it is now.
 

@@ -34,7 +34,7 @@ class Metric(ABC):
         The most critical value that a course keeps apart from others, for metrics that can be infinitely critical;
         what is more critical counts as this value. None where the metric is bounded by itself.
     critical : float or None, default None
-        Threshold: score from which a scenario counts as critical where nobody says otherwise. None where the
+        Threshold: score from which a scenario counts as critical unless the user gives another. None where the
         literature knows none.
     source : str
         Where the definition stands.

@@ -154,7 +154,7 @@ def longitudinal_minimum(
     rear, front : ndarray of float64, shape (...)
         Speeds in m/s; a negative one of the front counts as 0.
     response_time, acceleration, min_braking, max_braking : float
-        As of `Rss`.
+        As in `Rss`.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def opposite_minimum(
     correct, wrong : ndarray of float64, shape (...)
         Speeds towards each other in m/s, of the one on its own side and of the other.
     response_time, acceleration, correct_braking, min_braking : float
-        As of `Rss`.
+        As in `Rss`.
 
     Returns
     -------

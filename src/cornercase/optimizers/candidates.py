@@ -38,7 +38,7 @@ class CandidateOptimizer(Optimizer):
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
 
     def ask(self, n: int) -> FloatArray:
-        """Propose at most `n` points, shape (m, d), as of `Optimizer.ask`."""
+        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
         told, scores = len(self._points), self._scores[self._known]
         if told < self._initial or len(scores) < 3 or np.ptp(scores) == 0.0:
             return self._sequence.ask(n)
@@ -51,7 +51,7 @@ class CandidateOptimizer(Optimizer):
         return np.concatenate([candidates[:wanted], filling])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, shape (m,), of points, shape (m, d), as of `Optimizer.tell`."""
+        """Take scores, shape (m,), of points, shape (m, d), as in `Optimizer.tell`."""
         self._points = np.concatenate([self._points, points])
         self._scores = np.concatenate([self._scores, scores])
         self._sequence.tell(points, scores)

@@ -56,14 +56,14 @@ class EvolutionaryOptimizer(Optimizer):
         self._scores: FloatArray | None = None
 
     def ask(self, n: int) -> FloatArray:
-        """Propose at most `n` points, shape (m, d), as of `Optimizer.ask`."""
+        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
         if self._scores is None or np.isfinite(self._scores).all(axis=1).sum() < self._population:
             return self._sequence.ask(n)
         children = self._children(n)
         return np.concatenate([children, self._sequence.ask(n - len(children), besides=children)])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, shape (m,) or (m, k), of points, shape (m, d), as of `Optimizer.tell`."""
+        """Take scores, shape (m,) or (m, k), of points, shape (m, d), as in `Optimizer.tell`."""
         columns = scores.reshape(len(points), -1)
         self._points = np.concatenate([self._points, points])
         self._scores = columns if self._scores is None else np.concatenate([self._scores, columns])

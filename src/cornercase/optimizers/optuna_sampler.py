@@ -58,7 +58,7 @@ class OptunaOptimizer(Optimizer):
         self._sampler = self._made()
 
     def ask(self, n: int) -> FloatArray:
-        """Propose at most `n` points, shape (m, d), as of `Optimizer.ask`."""
+        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
         if self._study is None:
             # Optuna has to know the number of scores, which comes with the first.
             return self._sequence.ask(n)
@@ -75,7 +75,7 @@ class OptunaOptimizer(Optimizer):
         return np.array(points).reshape(-1, self._space.dimension)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, shape (m,) or (m, k), of points, shape (m, d), as of `Optimizer.tell`."""
+        """Take scores, shape (m,) or (m, k), of points, shape (m, d), as in `Optimizer.tell`."""
         columns = scores.reshape(len(points), -1)
         if self._study is None:
             self._study = self._optuna.create_study(directions=["minimize"] * columns.shape[1], sampler=self._sampler)

@@ -54,7 +54,7 @@ def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: 
     space : ParameterSpace
     seed : int
     threshold : float or None
-        Oriented score up to which a scenario is critical; None where nobody says.
+        Oriented score up to which a scenario is critical; None where it is not known.
     budget : int
         Scenarios in all.
 

@@ -29,7 +29,7 @@ def read_csv(path: Path) -> Recording:
     Raises
     ------
     InputError
-        As of `read_recording`.
+        As in `read_recording`.
     """
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:

@@ -21,7 +21,7 @@ class EntitySamples:
     Attributes
     ----------
     kind : str
-        As of `Recording`.
+        As in `Recording`.
     length, width : float
         Bounding box in m.
     samples : dict of float to tuple of float

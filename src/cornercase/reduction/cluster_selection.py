@@ -41,7 +41,7 @@ def choose_by_cluster(
         Most archetypes of each cluster. ``"auto"`` keeps about a tenth of all scenarios, prototypes included:
         ``n // (10 * clusters) - 1``, but at least d + 1, as a hull of fewer is flat, and at most 15, as the paper.
     shaped : sequence of ShapedCluster, optional
-        How archetypes are found for each cluster, as of `cornercase.reduction.cluster_shapes.find_shapes`; by the
+        How archetypes are found for each cluster, as in `cornercase.reduction.cluster_shapes.find_shapes`; by the
         paper's hulls by default.
 
     Returns

@@ -25,7 +25,7 @@ class ClusterShape:
     ----------
     cluster : int
     convexity : float
-        In the parameter space, 0 to 1, as of `cornercase.reduction.convexity.measure_convexity`.
+        In the parameter space, 0 to 1, as in `cornercase.reduction.convexity.measure_convexity`.
     kernel_convexity : float
         The same in the kernel space of the distances; NaN where that is not known.
     method : {"hull", "pcha", "parts", "kernel"}

@@ -116,7 +116,7 @@ def measure_coverage(
     ids : array_like of int, shape (n,), optional
         Names of the scenarios; indices by default.
     draws : int, default 100
-        Number of random choices to compare with, as of `measure_gaps`.
+        Number of random choices to compare with, as in `measure_gaps`.
     seed : int, default 0
         Of the random choices.
 

@@ -83,7 +83,7 @@ def measure_critical_coverage(
     kept : ndarray of int64, shape (m,)
         Indices of the kept scenarios.
     within : float
-        Distance up to which scenarios are alike, as of `distance_alike`.
+        Distance up to which scenarios are alike, as in `distance_alike`.
     seed : int, default 0
         Of the random choices and of the draws of critical sets.
     critical_set : CriticalSet, optional

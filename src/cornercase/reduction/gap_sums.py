@@ -77,7 +77,7 @@ class GapSums:
         Parameters
         ----------
         left : sequence of ndarray of float64, each (n,)
-            As of `left`.
+            As in `left`.
         candidates : ndarray of int64, shape (m,)
             Indices.
 
@@ -141,7 +141,7 @@ class GapSums:
         fixed : int
             Number of the first ones that stay.
         apart : ndarray of float64, shape (n, n)
-            As of `Selection`.
+            As in `Selection`.
 
         Returns
         -------

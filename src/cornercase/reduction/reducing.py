@@ -72,10 +72,10 @@ def reduce(
     cover : float, optional
         Keep as few as leave no scenario farther from a kept one than this share of the largest distance.
     archetypes : int or "auto", optional
-        Keep nothing but the prototype of each cluster and so many archetypes at most, as of
+        Keep nothing but the prototype of each cluster and so many archetypes at most, as in
         `cornercase.reduction.cluster_selection.choose_by_cluster`.
     archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
-        How archetypes are found, as of `cornercase.reduction.cluster_shapes.find_shapes`.
+        How archetypes are found, as in `cornercase.reduction.cluster_shapes.find_shapes`.
     within : float, default 0.5
         Share of the median distance within clusters up to which two scenarios are alike; for the coverage of the
         critical scenarios.

@@ -72,7 +72,7 @@ def choose_scenarios(
         distance, in each clustering; above 0 and up to 1. After the prototypes, the scenario that is least like all
         kept ones is added again and again (farthest-first traversal [2]_).
     shaped : sequence of ShapedCluster, optional
-        How archetypes are found for each cluster, as of `cornercase.reduction.cluster_shapes.find_shapes`; by its
+        How archetypes are found for each cluster, as in `cornercase.reduction.cluster_shapes.find_shapes`; by its
         convexity by default.
 
     Returns

@@ -131,8 +131,8 @@ class LaneGraph:
             return []
         if link.kind == "road":
             return self._enter(link.element, linked, link.contact)
-        # A connecting road's own links tell more than the junction's: at which end of this road they are, and they
-        # hold for who drives against the traffic, too.
+        # A connecting road's own links tell more than the junction's: at which end of this road it meets it, and they
+        # also hold for an entity that drives against the traffic.
         end = "end" if here.along else "start"
         found = list[Stretch]()
         for name, contact in self._connecting.get((link.element, one.name, end), ()):

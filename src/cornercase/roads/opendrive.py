@@ -95,7 +95,7 @@ class RoadNetwork:
         Raises
         ------
         InputError
-            As of `read`.
+            As in `read`.
         """
         for element in root.iter():
             if isinstance(element.tag, str) and "}" in element.tag:

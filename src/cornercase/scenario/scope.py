@@ -77,7 +77,7 @@ class Scope:
         Returns
         -------
         Scope
-            As of `of_declarations`.
+            As in `of_declarations`.
         """
         return cls.of_declarations(source, read_declarations(root, source), concretes, catalogs)
 

@@ -114,7 +114,7 @@ class XmlFiles:
         return hashlib.sha256(self._content(path)).digest()
 
     def root(self, path: Path) -> etree._Element:
-        """Root of a file, as of `read_xml`; the same object each time, which is not to be changed."""
+        """Root of a file, as in `read_xml`; the same object each time, which is not to be changed."""
         if path not in self._roots:
             self._roots[path] = parse_xml(self._content(path), path)
         return self._roots[path]

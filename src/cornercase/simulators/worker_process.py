@@ -71,7 +71,7 @@ class Worker:
         The last one that it was given.
     connection : Connection
     deadline : float
-        When its time is up, as of `time.monotonic`.
+        When its time is up, as in `time.monotonic`.
     """
 
     connection: Connection

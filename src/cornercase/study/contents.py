@@ -326,7 +326,7 @@ class StudyContents:
         Parameters
         ----------
         folder : path
-            Gets ``scenarios.csv`` as of `table`, ``recordings/ID.csv`` and ``courses/ID.csv``.
+            Gets ``scenarios.csv`` as in `table`, ``recordings/ID.csv`` and ``courses/ID.csv``.
         parquet : bool, default False
             Write ``scenarios.parquet`` too.
 

@@ -119,7 +119,7 @@ def write_1_0(
     Raises
     ------
     InputError
-        As of `convert`.
+        As in `convert`.
     """
     scenario.require_parameters(list(values))
     scenario.require_entity(ego, "ego")

@@ -35,7 +35,7 @@ class ScenarioRunner:
     Parameters
     ----------
     folder, python, carla_root : str
-        As of `cornercase.simulators.CarlaSimulator`; empty for those of the environment variables.
+        As in `cornercase.simulators.CarlaSimulator`; empty for those of the environment variables.
 
     Raises
     ------

@@ -55,7 +55,7 @@ class CarlaSimulator(Simulator):
     ego : str, default "Ego"
         Which entity becomes ScenarioRunner's ego vehicle.
     hosts : str, default "localhost"
-        Where CARLA listens, as of `cornercase.simulators.hosts.address`.
+        Where CARLA listens, as in `cornercase.simulators.hosts.address`.
     port : int, default 2000
         Of the first worker; each further one on a host takes the port 4 above.
     worker : int, default 0

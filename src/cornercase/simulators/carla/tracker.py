@@ -130,7 +130,7 @@ class Tracker:
         time : float
             Of the run so far, in s.
         ended : bool
-            Whether the ego was there and is no more.
+            Whether the ego was there and is gone.
         """
         run = self._run()
         if not run:

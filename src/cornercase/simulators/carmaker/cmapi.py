@@ -122,7 +122,7 @@ class CarMakerApi:
         if len(written) != 1:
             raise SimulationError(
                 f"CarMaker wrote {len(written)} result files in SimOutput, where one was awaited; let the TestRun store"
-                " its results, and nobody else use the project"
+                " its results, and let nothing else use the project"
             )
         return written[0]
 

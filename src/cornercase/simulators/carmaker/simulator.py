@@ -48,7 +48,7 @@ class CarMakerSimulator(Simulator):
         Folder of the CarMaker project, in which the result files lie; several, separated by ``+``, are taken in turn by
         the workers. By ``cmapi`` each worker needs one of its own.
     hosts : str, default "localhost"
-        Where ``CM.exe -cmdport`` runs, as of `cornercase.simulators.hosts.address`.
+        Where ``CM.exe -cmdport`` runs, as in `cornercase.simulators.hosts.address`.
     port : int, default 16660
         Of the first worker; the next one on a host uses the next port, so that each has a CarMaker of its own.
     worker : int, default 0

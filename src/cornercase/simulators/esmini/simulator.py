@@ -46,7 +46,7 @@ class EsminiSimulator(Simulator):
         None: esmini has controllers of its own, which the scenario file names.
     seed : int, default 0
     controllers : bool, default True
-        Whether esmini's controllers drive who has one; else all follow the storyboard alone.
+        Whether esmini's controllers drive the entities that have one; else all follow the storyboard alone.
     undriven : bool, default False
         Whether a scenario may run here that asks for a driver of cornercase, which esmini does not have.
     library : str, optional

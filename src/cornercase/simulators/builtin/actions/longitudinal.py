@@ -24,7 +24,7 @@ _SPRING: Final = 0.4
 
 
 class SpeedAction:
-    """Brings an entity to a speed; for one with a driver, it says what speed the driver shall want."""
+    """Brings an entity to a speed; where it has a driver, tells the driver which speed to aim for."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity, self._id = entity, world.number_action()

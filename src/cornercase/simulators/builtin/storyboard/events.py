@@ -107,7 +107,7 @@ class Group(Element):
     Parameters
     ----------
     kind, name, scenarios
-        As of `Element`.
+        As in `Element`.
     children : list of Group or Event
     start, stop : Trigger, optional
         Without a start trigger it starts with its parent.
