@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase.scenario import ParameterSpace, read_xml
+from cornercase.scenario import Parameter, ParameterSpace, read_xml
 from cornercase.scenario.expressions import evaluate
 
 
@@ -256,3 +256,31 @@ def test_entities_are_never_expanded(tmp_path, name):
     )
     with pytest.raises(InputError, match=r"bomb\.xosc"):
         read_xml(path)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ((1, 0), "`low` 1, `high` 0"),
+        ((1, 1), "`low` 1, `high` 1"),
+        ((1, 0, 1), "`low` 1, `high` 0"),
+        ((0, float("nan")), "`high` nan"),
+        ((float("-inf"), 0), "`low` -inf"),
+        (("0", 1), "`low` '0'"),
+        ((0, None), "`high` None"),
+        ((0, 1, 0), "`step` 0"),
+        ((0, 1, -1), "`step` -1"),
+        ((0, 1, float("nan")), "`step` nan"),
+        ((0, 1, "1"), "`step` '1'"),
+    ],
+)
+def test_a_parameter_without_a_range_is_refused(given, named):
+    with pytest.raises(InputError) as refused:
+        Parameter("a", *given)
+    assert str(refused.value).startswith(f"{named}: ")
+
+
+def test_a_parameter_may_have_a_single_value():
+    one = Parameter("a", 2.0, 2.0, 1.0)
+    assert (one.size, one.value(0.7), one.unit_place(2.0)) == (1, 2.0, 0.5)
+    assert ParameterSpace([one]).continuous().parameters == (one,)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from cornercase._common.arguments import number
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.scenario.distributions import Distribution
@@ -36,6 +37,12 @@ class Parameter:
     sets : tuple of tuple of (str, str)
         For each choice, the scenario's parameters that it sets together, and their values; empty where it sets but the
         one of its own name.
+
+    Raises
+    ------
+    InputError
+        A bound or the step is no finite number, the step is not above 0, or the bounds are not in order; a range with a
+        step may have a single value.
     """
 
     name: str
@@ -46,6 +53,19 @@ class Parameter:
     unit: str = ""
     distribution: Distribution | None = None
     sets: tuple[tuple[tuple[str, str], ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        number("low", self.low)
+        number("high", self.high)
+        if self.step is not None:
+            number("step", self.step, above=0.0)
+        # Choices and steps may be a single one.
+        single = bool(self.choices) or self.step is not None
+        if self.low > self.high or (self.low == self.high and not single):
+            raise InputError(
+                f"`low` {self.low:g}, `high` {self.high:g}: the lower bound of the parameter {self.name} must be below"
+                " the upper."
+            )
 
     def __repr__(self) -> str:
         law = "" if self.distribution is None else f", {self.distribution.kind}"

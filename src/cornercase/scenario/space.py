@@ -189,13 +189,15 @@ class ParameterSpace:
         return ParameterSpace(list(merged.values()), self.declarations)
 
     def continuous(self) -> ParameterSpace:
-        """Space in which ranges with steps are intervals.
+        """Space in which ranges with steps are intervals; a range of a single value stays what it is.
 
         Returns
         -------
         ParameterSpace
         """
-        parameters = [replace(one, step=None) if not one.choices else one for one in self.parameters]
+        parameters = [
+            replace(one, step=None) if one.low < one.high and not one.choices else one for one in self.parameters
+        ]
         return ParameterSpace(parameters, self.declarations)
 
     def constrained(self, declarations: Sequence[Declaration], source: str = "the scenario") -> ParameterSpace:
