@@ -289,3 +289,26 @@ def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(
         with pytest.raises(InputError, match=r"another threshold of what is critical \(0.5\)"):
             again.continue_with(META)
         assert again.meta == known
+
+
+def test_a_scenario_is_found_by_the_number_in_the_table(study):
+    number = study.table().id.to_numpy()[0]
+    assert isinstance(number, np.integer)
+    assert study.recording(number).names == study.recording(1).names
+    np.testing.assert_array_equal(study.course(number, "wttc"), study.course(1, "wttc"))
+
+
+@pytest.mark.parametrize("number", [1.0, "1", None, True, -1, 2**70])
+def test_what_is_no_id_of_a_scenario_is_said(study, number):
+    for ask in (study.recording, lambda one: study.course(one, "wttc")):
+        with pytest.raises(InputError, match=r"`scenario` .*: give a whole number"):
+            ask(number)
+
+
+def test_a_study_that_is_closed_says_so(study):
+    study.close()
+    asks = (study.table, study.rows, lambda: study.fail(3, SimulationError("the road ends")))
+    for ask in asks:
+        with pytest.raises(InputError, match="is closed; open it again"):
+            ask()
+    study.close()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
+from cornercase._common.arguments import whole_number
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _SHOWN: Final = 10
+# SQLite counts no further.
+_LARGEST_ID: Final = 2**63 - 1
 
 
 class StudyContents:
@@ -184,12 +187,13 @@ class StudyContents:
         Raises
         ------
         InputError
-            The scenario was not run, or the study has no such metric.
+            The scenario was not run, its id is no whole number, or the study has no such metric.
         """
         self._require_metric(metric)
-        found = self._database.found("SELECT course FROM courses WHERE scenario = ? AND metric = ?", scenario, metric)
+        one = whole_number("scenario", scenario, most=_LARGEST_ID)
+        found = self._database.found("SELECT course FROM courses WHERE scenario = ? AND metric = ?", one, metric)
         if not found:
-            raise InputError(f"{self.path}: the scenario {scenario} was not run.")
+            raise InputError(f"{self.path}: the scenario {one} was not run.")
         return np.asarray(unpack_arrays(found[0][0])["course"])
 
     def recording(self, scenario: int) -> Recording:
@@ -207,11 +211,12 @@ class StudyContents:
         Raises
         ------
         InputError
-            The scenario was not run.
+            The scenario was not run, or its id is no whole number.
         """
-        found = self._database.found("SELECT recording FROM scenarios WHERE id = ? AND recording IS NOT NULL", scenario)
+        one = whole_number("scenario", scenario, most=_LARGEST_ID)
+        found = self._database.found("SELECT recording FROM scenarios WHERE id = ? AND recording IS NOT NULL", one)
         if not found:
-            raise InputError(f"{self.path}: the scenario {scenario} was not run.")
+            raise InputError(f"{self.path}: the scenario {one} was not run.")
         return unpack_recording(found[0][0])
 
     def outcomes(self) -> dict[int, str]:

@@ -35,6 +35,7 @@ class Database:
         self.path = path
         self.connection = connection
         self._lock = lock
+        self._closed = False
 
     @classmethod
     def create(cls, path: Path, meta: Iterable[tuple[str, str]]) -> Database:
@@ -128,6 +129,7 @@ class Database:
 
     def close(self) -> None:
         """Close the file."""
+        self._closed = True
         self.connection.close()
         if self._lock is not None:
             self._lock.release()
@@ -149,18 +151,31 @@ class Database:
         Raises
         ------
         InputError
-            The file cannot be read.
+            The file is closed, or cannot be read.
         """
+        self._require_open()
         with _sentences(self.path):
             return self.connection.execute(question, values).fetchall()
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
-        """Let all queries within the block see the file as it is at one moment."""
+        """Let all queries within the block see the file as it is at one moment.
+
+        Yields
+        ------
+        None
+
+        Raises
+        ------
+        InputError
+            The file is closed, or cannot be read.
+        """
+        self._require_open()
         if self.connection.in_transaction:
             yield
             return
-        self.connection.execute("BEGIN")
+        with _sentences(self.path):
+            self.connection.execute("BEGIN")
         try:
             yield
         finally:
@@ -178,10 +193,15 @@ class Database:
         Raises
         ------
         InputError
-            The file cannot be written.
+            The file is closed, or cannot be written.
         """
+        self._require_open()
         with _sentences(self.path), self.connection:
             yield self.connection
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise InputError(f"{self.path}: is closed; open it again with `Study.open`.")
 
 
 @contextmanager
