@@ -80,3 +80,21 @@ def written_whole(path: Path | str) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def require_other_file(output: Path | str, source: Path | str) -> None:
+    """Refuse to write a file over the one that it is made from.
+
+    Parameters
+    ----------
+    output, source : path
+        What will be written, and what it is made from.
+
+    Raises
+    ------
+    InputError
+        Both are the same file, by whatever names.
+    """
+    output, source = Path(output), Path(source)
+    if output.exists() and source.exists() and output.samefile(source):
+        raise InputError(f"`output` {output}: is the file that is read; choose another name.")

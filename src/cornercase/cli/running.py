@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Column, Table
 
+from cornercase._common.files import require_other_file
 from cornercase.cli import parsing
 from cornercase.cli.options import (
     Critical,
@@ -226,6 +227,7 @@ def simulate(
     from cornercase import simulators
     from cornercase.scenario import Scenario
 
+    require_other_file(output, scenario)
     read = Scenario.read(scenario)
     _notice(read, "builtin")
     recording = simulators.simulate(
@@ -269,6 +271,7 @@ def measure(
     from cornercase.metrics import measure as measure_recording
     from cornercase.recordings import write_courses
 
+    require_other_file(output, recording)
     found = measure_recording(recording, ego, other, metric)
     write_courses(output, found.time, found.courses)
     table = Table("metric", "score", "unit", "critical is", box=None)

@@ -64,7 +64,8 @@ def analyze(
     Raises
     ------
     InputError
-        Fewer than two scenarios were run, the study holds no such metric, or a setting is out of range.
+        Fewer than two scenarios were run, the study holds no such metric, a setting is out of range, or given for
+        clusters that are kept.
 
     See Also
     --------
@@ -82,6 +83,8 @@ def analyze(
         aspects = aspects_of(opened) if by is None else (by,) if isinstance(by, str) else tuple(dict.fromkeys(by))
         for one in aspects:
             require_aspect(opened, one)
+        if keep and set(aspects) & set(opened.analyses()) and {gamma, eps, min_samples} != {"auto"}:
+            raise InputError("`keep`: kept clusters keep their settings; leave out `gamma`, `eps` and `min_samples`.")
         return _analyzed(opened, aspects, model, keep, progress)
 
 

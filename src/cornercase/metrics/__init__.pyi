@@ -22,6 +22,7 @@ from .lateral import Stn as Stn
 from .measuring import Measurement as Measurement
 from .measuring import measure as measure
 from .measuring import measured as measured
+from .measuring import require_another as require_another
 from .pet import EncroachmentTime as EncroachmentTime
 from .pet import Pet as Pet
 from .registry import METRICS as METRICS

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.registry import METRICS
@@ -89,7 +90,7 @@ def measure(
     Raises
     ------
     InputError
-        The recording cannot be read, or there is no such entity or metric.
+        The recording cannot be read, there is no such entity or metric, or the two are one entity.
 
     Examples
     --------
@@ -108,6 +109,7 @@ def measure(
     ttc     1.4    s     low
     drac    3.571  m/s²  high
     """
+    require_another(ego, other)
     read = recording if isinstance(recording, Recording) else read_recording(recording)
     names = [metrics] if isinstance(metrics, str) else metrics
     made = [METRICS.create(name) for name in dict.fromkeys(METRICS.names() if names is None else names)]
@@ -119,6 +121,22 @@ def measure(
         units={metric.name: metric.unit for metric in made},
         lower_is_critical={metric.name: metric.lower_is_critical for metric in made},
     )
+
+
+def require_another(ego: str, other: str) -> None:
+    """Refuse to measure an entity against itself.
+
+    Parameters
+    ----------
+    ego, other : str
+
+    Raises
+    ------
+    InputError
+        They are the same.
+    """
+    if ego == other:
+        raise InputError(f"`other` {other}: is the ego itself; name the entity that it meets.")
 
 
 def measured(

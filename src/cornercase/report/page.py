@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NoReturn
 
 from cornercase._common.errors import InputError
-from cornercase._common.files import written_whole
+from cornercase._common.files import require_other_file, written_whole
 from cornercase.report.album import Album
 from cornercase.report.data import read_report_data
 from cornercase.report.sections import kept, kinds, knowledge, overview
@@ -31,7 +32,7 @@ def write_report(study: Study | Path | str, path: Path | str) -> Path:
     Raises
     ------
     InputError
-        Nothing was run yet, or the page cannot be written.
+        No scenario has ended without failing, the page is the study itself, or it cannot be written.
 
     See Also
     --------
@@ -39,8 +40,9 @@ def write_report(study: Study | Path | str, path: Path | str) -> Path:
     """
     path = Path(path)
     with open_study(study, readonly=True) as opened:
+        require_other_file(path, opened.path)
         if not opened.done():
-            raise InputError(f"{opened.path}: no scenario was run yet, so there is nothing to report.")
+            _tell_why_empty(opened)
         data = read_report_data(opened)
     album = Album(path)
     parts = [
@@ -57,3 +59,13 @@ def write_report(study: Study | Path | str, path: Path | str) -> Path:
     with written_whole(path) as temporary:
         temporary.write_text(fill_page(title, "\n".join(parts)), encoding="utf-8", newline="\n")
     return path
+
+
+def _tell_why_empty(study: Study) -> NoReturn:
+    failed = study.failed()
+    if not failed:
+        raise InputError(f"{study.path}: no scenario was run yet, so there is nothing to report.")
+    raise InputError(
+        f"{study.path}: all {len(failed)} scenarios failed, so there is nothing to report; the first one as"
+        f" {failed[0].error}"
+    )

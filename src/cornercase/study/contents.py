@@ -54,6 +54,11 @@ class StudyContents:
         )
         self.space = self.meta.space
 
+    @property
+    def readonly(self) -> bool:
+        """Whether the study is open for reading only."""
+        return self._database.readonly
+
     def close(self) -> None:
         """Close the file."""
         self._database.close()

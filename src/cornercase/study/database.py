@@ -127,6 +127,11 @@ class Database:
                 connection.close()
                 raise
 
+    @property
+    def readonly(self) -> bool:
+        """Whether the file is open for reading only."""
+        return self._lock is None
+
     def close(self) -> None:
         """Close the file."""
         self._closed = True

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import track
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.metrics import METRICS, Metric, measured
+from cornercase.metrics import METRICS, Metric, measured, require_another
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study.meta import StudyMeta
@@ -95,7 +95,9 @@ def import_recordings(
     folder, path = Path(folder), Path(study)
     table = folder / TABLE if table is None else Path(table)
     files, values = _read_table(folder, table)
-    built = [METRICS.create(name) for name in dict.fromkeys(metrics)]
+    require_another(ego, other)
+    names = [metrics] if isinstance(metrics, str) else metrics
+    built = [METRICS.create(name) for name in dict.fromkeys(names)]
     if not built:
         raise InputError("`metrics`: there is none; name one at least.")
     known = critical is not None or built[0].critical is not None

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from cornercase._common.errors import InputError
 from cornercase.study.store import Study
 
 
@@ -17,7 +18,7 @@ def open_study(study: Study | Path | str, readonly: bool = False) -> Iterator[St
     ----------
     study : Study or path
     readonly : bool, default False
-        How to open a path.
+        Whether reading is enough.
 
     Yields
     ------
@@ -26,9 +27,11 @@ def open_study(study: Study | Path | str, readonly: bool = False) -> Iterator[St
     Raises
     ------
     InputError
-        As `Study.open`.
+        As `Study.open`; or a study that is to be written is open for reading only.
     """
     if isinstance(study, Study):
+        if study.readonly and not readonly:
+            raise InputError(f"{study.path}: is open for reading only; open it for writing, or give its path.")
         yield study
         return
     with Study.open(study, readonly) as opened:

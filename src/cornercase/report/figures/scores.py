@@ -47,7 +47,9 @@ def draw_courses(time: Sequence[FloatArray], values: Sequence[FloatArray], label
         axis.plot(longest[there], middle, style, color=colour, label=name, linewidth=1.8)
     axis.set_xlabel("time [s]")
     axis.set_ylabel(f"{metric.name} [{metric.unit}]")
-    axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    # Where all scenarios are noise, there is no cluster to name.
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     axis.grid(alpha=0.3)
     return figure
 

@@ -11,7 +11,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.files import written_whole
+from cornercase._common.files import require_other_file, written_whole
 from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside
 from cornercase.simulators.builtin.checking import schema_errors
 
@@ -89,6 +89,7 @@ def convert(
     """
     if not isinstance(scenario, Scenario):
         scenario = Scenario.read(scenario)
+    require_other_file(output, scenario.path)
     return Conversion(Path(output), write_1_0(scenario, values or {}, output, ego=ego))
 
 
