@@ -29,6 +29,10 @@ def test_options_stand_behind_a_colon():
         ("drac:x=1", "drac"),
         ("delta-v:masses=5", "delta-v"),
         ("rss:term=sideways", "rss has no term"),
+        ("ttc:accelerating=no", "'ttc' takes true or false for 'accelerating', not 'no'"),
+        ("ttc:accelerating=1", "takes true or false"),
+        ("tet:threshold=true", "'tet' takes a number for 'threshold', not 'true'"),
+        ("tet:threshold=three", "takes a number"),
     ):
         with pytest.raises(InputError, match=sentence):
             METRICS.create(name)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
-from inspect import signature
-from typing import Any, Generic, TypeVar, cast
+from inspect import Parameter, signature
+from typing import Any, Final, Generic, TypeVar, cast
 
 from cornercase._common.errors import InputError, suggestion
 
 T = TypeVar("T")
+
+# What is annotated so, or is so by default, takes nothing else; for the rest, a value is what it looks like.
+_PLAIN: Final[dict[str, type[Any]]] = {one.__name__: one for one in (bool, int, float, str)}
 
 
 class Registry(Generic[T]):
@@ -103,7 +106,10 @@ class Registry(Generic[T]):
             if key not in taken and not any(one.kind is one.VAR_KEYWORD for one in taken.values()):
                 own = [name for name in taken if name not in given]
                 raise InputError(f"The {self._kind} '{base}' has no option '{key}'; {suggestion(key, own)}")
-            options[key] = _value(value)
+            try:
+                options[key] = _value(value, _taken_by(taken.get(key)))
+            except ValueError as error:
+                raise InputError(f"The {self._kind} '{base}' takes {error} for '{key}', not '{value}'.") from None
         try:
             made: Any = factory(**options)
         except (TypeError, AttributeError) as error:
@@ -170,11 +176,31 @@ class Registry(Generic[T]):
         return loaded
 
 
-def _value(text: str) -> bool | float | str:
-    if text.lower() in ("true", "false"):
+def _taken_by(parameter: Parameter | None) -> type[Any] | None:
+    """Find the plain type that a parameter takes; None where it says none, or another one."""
+    if parameter is None:
+        return None
+    if parameter.annotation is not parameter.empty:
+        # Where annotations are not evaluated they are texts.
+        return _PLAIN.get(getattr(parameter.annotation, "__name__", str(parameter.annotation)))
+    # What is 100 by default may be 2.5.
+    return float if type(parameter.default) is int else _PLAIN.get(type(parameter.default).__name__)
+
+
+def _value(text: str, taken: type[Any] | None) -> bool | float | str:
+    """Read the value of an option; a `ValueError` says what its type takes instead."""
+    if taken is str:
+        return text
+    if text.lower() in ("true", "false") and taken in (bool, None):
         return text.lower() == "true"
+    if taken is bool:
+        raise ValueError("true or false")
     try:
         number = float(text)
     except ValueError:
-        return text
-    return int(number) if number.is_integer() and "." not in text else number
+        if taken is None:
+            return text
+        raise ValueError("a whole number" if taken is int else "a number") from None
+    if taken is int and not number.is_integer():
+        raise ValueError("a whole number")
+    return int(number) if number.is_integer() and (taken is int or "." not in text) else number

@@ -1,0 +1,61 @@
+"""Options of what is found by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cornercase._common.errors import InputError
+from cornercase._common.registry import Registry
+
+
+class Annotated:
+    def __init__(
+        self, fast: bool = False, count: int = 1, width: float = 1.0, text: str = "", free: Any = None
+    ) -> None:
+        self.given = (fast, count, width, text, free)
+
+
+class Plain:
+    def __init__(self, fast=False, count=1, width=1.0, text="", free=None):
+        self.given = (fast, count, width, text, free)
+
+
+def registry(factory: Any) -> Registry[Any]:
+    made: Registry[Any] = Registry("thing", "cornercase.none")
+    made.register("thing", factory)
+    return made
+
+
+@pytest.mark.parametrize("factory", [Annotated, Plain])
+def test_an_option_has_the_type_of_its_parameter(factory):
+    made = registry(factory).create("thing:fast=True,count=3,width=2,text=7,free=7")
+    assert made.given == (True, 3, 2, "7", 7)
+    assert made.given[0] is True
+    assert registry(factory).create("thing:width=2.5,free=true").given == (False, 1, 2.5, "", True)
+
+
+@pytest.mark.parametrize(
+    ("option", "taken"),
+    [
+        ("fast=no", "true or false"),
+        ("fast=maybe", "true or false"),
+        ("fast=0", "true or false"),
+        ("count=true", "a (whole )?number"),
+        ("count=many", "a (whole )?number"),
+        ("width=false", "a number"),
+        ("width=wide", "a number"),
+    ],
+)
+@pytest.mark.parametrize("factory", [Annotated, Plain])
+def test_a_value_of_another_type_is_refused(factory, option, taken):
+    name, _, value = option.partition("=")
+    with pytest.raises(InputError, match=f"The thing 'thing' takes {taken} for '{name}', not '{value}'"):
+        registry(factory).create(f"thing:{option}")
+
+
+def test_what_takes_whole_numbers_takes_no_others():
+    with pytest.raises(InputError, match="takes a whole number for 'count'"):
+        registry(Annotated).create("thing:count=2.5")
+    assert registry(Plain).create("thing:count=2.5").given[1] == 2.5
