@@ -82,6 +82,10 @@ def test_files_of_all_kinds_and_one_that_cannot_be_read(tmp_path):
         "-o", tmp_path / "s.db",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    said = " ".join(done.stdout.split())
+    assert said.startswith("1 scenarios in")
+    assert "3 recordings could not be read or measured; the first:" in said
+    assert "The recording has no entity 'Other'" in said
     with Study.open(tmp_path / "s.db", readonly=True) as study:
         assert [row.state for row in study.rows()] == ["done", "failed", "failed", "failed"]
         errors = [str(row.error) for row in study.failed()]
@@ -94,10 +98,35 @@ def test_the_function_says_what_it_made(exported, tmp_path):
         exported / "runs", tmp_path / "s.db", ego="Ego", other="Pedestrian", metrics=["wttc"], critical=0.7
     )
     assert result == ImportResult(tmp_path / "s.db", 40, 0)
-    assert "40 recordings in" in repr(result)
-    assert "0 could not be read" in repr(result)
+    assert "40 recordings measured, in" in repr(result)
+    assert "could not" not in repr(result)
     with Study.open(tmp_path / "s.db", readonly=True) as study:
         assert study.meta.critical == 0.7
+
+
+def test_the_result_says_what_failed_and_why(exported, tmp_path):
+    (tmp_path / "runs").mkdir()
+    for name in ("run1.csv", "run2.csv"):
+        (tmp_path / "runs" / name).write_bytes((exported / "runs" / name).read_bytes())
+    (tmp_path / "runs" / "odd.csv").write_text("nothing\n")
+    (tmp_path / "runs" / "parameters.csv").write_text("file,v\nodd.csv,1\nrun1.csv,2\nrun2.csv,3\n")
+    result = import_recordings(
+        tmp_path / "runs", tmp_path / "s.db", ego="Ego", other="Pedestrian", metrics=["wttc"], critical=0.7
+    )
+    assert (result.done, result.failed) == (2, 1)
+    assert "odd.csv" in result.reason
+    assert f"1 could not be read or measured, the first: {result.reason}" in repr(result)
+
+
+def test_a_name_that_no_recording_has_leaves_no_study_in_the_way(exported, tmp_path):
+    study = tmp_path / "s.db"
+    done = cornercase("import", exported / "runs", "--ego", "Nope", *EXPLORED[2:], "-o", study)
+    assert done.returncode == 2
+    said = " ".join(done.stderr.split())
+    assert "None of the 40 recordings can be read and measured; the first:" in said
+    assert "has no entity 'Nope'" in said
+    assert not study.exists()
+    assert cornercase("import", exported / "runs", *EXPLORED, "-o", study).returncode == 0
 
 
 @pytest.mark.parametrize(

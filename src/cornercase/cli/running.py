@@ -310,6 +310,8 @@ def import_(
         folder, output, ego=ego, other=other, metrics=metric, table=table, critical=critical, progress=True
     )
     out.print(f"{result.done} scenarios in {output}")
+    if result.failed:
+        out.print(f"{result.failed} recordings could not be read or measured; the first: {result.reason}", markup=False)
 
 
 @app.command()

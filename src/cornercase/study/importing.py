@@ -41,15 +41,19 @@ class ImportResult:
     done : int
         Recordings that could be read and measured.
     failed : int
-        Those that could not; the study tells why.
+        Those that could not.
+    reason : str
+        Why the first of those could not, in a sentence; empty where all could. The study tells of each.
     """
 
     study: Path
     done: int
     failed: int
+    reason: str = ""
 
     def __repr__(self) -> str:
-        return f"<ImportResult: {self.done} recordings in {str(self.study)!r}, {self.failed} could not be read>"
+        failures = f"; {self.failed} could not be read or measured, the first: {self.reason}" if self.failed else ""
+        return f"<ImportResult: {self.done} recordings measured, in {str(self.study)!r}{failures}>"
 
 
 def import_recordings(
@@ -90,7 +94,7 @@ def import_recordings(
     Raises
     ------
     InputError
-        The table cannot be used, or the study is of something else.
+        The table cannot be used, no recording at all can be read and measured, or the study is of something else.
     """
     folder, path = Path(folder), Path(study)
     table = folder / TABLE if table is None else Path(table)
@@ -116,6 +120,9 @@ def import_recordings(
         batch=len(files),
         files=tuple(files),
     )
+    if not path.exists():
+        # A study of a name that is misspelt would have to be removed before the right one can be made.
+        _require_measurable([folder / file for file in files], built, ego, other)
     with Study.open(path) if path.exists() else Study.create(path, meta) as opened:
         # The table may lie elsewhere now; the fingerprint tells whether it is the same.
         opened.continue_with(replace(meta, settings=opened.meta.settings))
@@ -126,7 +133,26 @@ def import_recordings(
         for row in shown:
             _measure(opened, row, folder / files[row.id - 1], built)
         opened.add_elapsed("measure", time.monotonic() - begun)
-        return ImportResult(path, len(opened.done()), len(opened.failed()))
+        failed = opened.failed()
+        return ImportResult(path, len(opened.done()), len(failed), failed[0].error or "" if failed else "")
+
+
+def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: str, other: str) -> None:
+    """Refuse recordings none of which can be read and measured; one that can ends the search."""
+    reasons = []
+    for file in files:
+        try:
+            measured(metrics, read_recording(file), ego, other)
+        except InputError as error:
+            reasons.append(_said_of(file, error))
+        else:
+            return
+    raise InputError(f"None of the {len(files)} recordings can be read and measured; the first: {reasons[0]}")
+
+
+def _said_of(file: Path, error: InputError) -> str:
+    """Put the file before what went wrong, where it is not named there."""
+    return str(error) if str(file) in str(error) else f"{file}: {error}"
 
 
 def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> None:
@@ -134,7 +160,7 @@ def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> N
         recording = read_recording(file)
         courses = measured(metrics, recording, study.meta.ego, study.meta.other)
     except InputError as error:
-        study.fail(row.id, SimulationError(str(error)))
+        study.fail(row.id, SimulationError(_said_of(file, error)))
         return
     study.finish(row.id, recording, courses)
 
