@@ -24,6 +24,9 @@ def test_a_number_is_one_whoever_made_it(given):
     assert taken == 0.5
     assert type(taken) is float
     assert number("critical", -3) == -3.0
+    assert number("max_seconds", 0, least=0.0) == 0.0
+    with pytest.raises(InputError, match="`max_seconds` -1: give a number of 0 or more"):
+        number("max_seconds", -1, least=0.0)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -430,3 +431,81 @@ def test_numbers_out_of_range_are_refused(given):
     (name,) = given
     with pytest.raises(InputError, match=f"`{name}`"):
         Configuration(demonstration("t-intersection").logical, "Ego", "C", ("distance",), **given)
+
+
+NAN = float("nan")
+T_SEARCH = {
+    "scenario": T / "t_intersection.xosc",
+    "space": T / "t_intersection.space.xosc",
+    "ego": "Ego",
+    "other": "C",
+    "metrics": ["distance"],
+    "optimizer": "sobol",
+    "budget": 2,
+}
+WRONG = {
+    "scenario": (3,),
+    "space": (3, ["a"]),
+    "ego": (None, 3),
+    "other": (None, 3),
+    "metrics": (None, [3], [None], 3),
+    "ranges": ([("a", 0, 1)], None, 3),
+    "continuous": ("yes",),
+    "optimizer": (None, 3),
+    "critical": ("x", NAN),
+    "weights": ({"distance": "x"}, [("distance", 1)], "distance", {3: 1.0}),
+    "pareto": ("yes",),
+    "stop_when": (None, [3]),
+    "budget": (NAN, "4", None, 2.5, True, float("inf")),
+    "batch": ("4", 1.5, None),
+    "patience": ("4", 1.5),
+    "max_seconds": (NAN, -1, "4"),
+    "seed": ("4", 1.5, None),
+    "simulator": (None, 3),
+    "workers": ("4", 1.5, None, 99_999_999),
+    "timeout": ("4", NAN, 0),
+    "retries": ("4", 1.5),
+    "repeats": ("4", 1.5),
+    "time_step": ("4", None, NAN),
+    "duration": ("4", None, NAN),
+    "on_collision": (None, 3, "stopp"),
+    "drivers": ("normal", ["normal"], {"Ego": 3}, {"Ego": type(named_driver("normal"))}, {"Ego": None}, {3: "normal"}),
+    "progress": ("yes",),
+}
+
+
+@pytest.mark.parametrize(("name", "wrong"), [(name, wrong) for name, several in WRONG.items() for wrong in several])
+def test_what_is_of_another_type_is_refused_in_one_sentence_and_nothing_is_written(tmp_path, name, wrong):
+    given: dict[str, Any] = T_SEARCH | {name: wrong}
+    with pytest.raises(InputError, match=f"^`{name}` .*: .*[.?]$"):
+        explore(given.pop("scenario"), tmp_path / "s.db", **given)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("study", [None, 3])
+def test_a_study_without_a_path_is_refused(study):
+    given: dict[str, Any] = dict(T_SEARCH)
+    with pytest.raises(InputError, match=r"^`study` .*: give the path"):
+        explore(given.pop("scenario"), study, **given)
+
+
+def test_numbers_of_numpy_are_numbers(tmp_path):
+    of_numpy: dict[str, Any] = {
+        "seed": np.int64(3), "budget": np.int32(2), "batch": np.uint8(2), "critical": np.float32(2.5),
+        "time_step": np.float64(0.1), "duration": np.int64(5),
+    }  # fmt: skip
+    usual = {name: value.item() for name, value in of_numpy.items()}
+    for name, numbers in (("a.db", of_numpy), ("b.db", usual)):
+        given: dict[str, Any] = T_SEARCH | numbers
+        explore(given.pop("scenario"), tmp_path / name, **given)
+    with Study.open(tmp_path / "a.db", readonly=True) as one, Study.open(tmp_path / "b.db", readonly=True) as two:
+        assert one.meta == two.meta
+
+
+def test_a_driven_entity_that_is_not_there_is_refused_before_there_is_a_study(tmp_path):
+    given: dict[str, Any] = dict(T_SEARCH)
+    scenario = given.pop("scenario")
+    with pytest.raises(InputError, match="has no entity 'Nobody' to be the driven entity"):
+        explore(scenario, tmp_path / "typo.db", drivers={"Nobody": "normal"}, **given)
+    assert not list(tmp_path.iterdir())
+    assert explore(scenario, tmp_path / "typo.db", drivers={"Ego": "normal"}, **given).ended == 2

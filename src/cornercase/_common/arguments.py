@@ -48,7 +48,7 @@ def whole_number(name: str, value: object, least: int = 0, most: int | None = No
     raise InputError(f"`{name}` {shown(value)}: give a whole number {bounds}.")
 
 
-def number(name: str, value: object, *, above: float | None = None) -> float:
+def number(name: str, value: object, *, above: float | None = None, least: float | None = None) -> float:
     """Take a finite number, also a whole one or one of NumPy's.
 
     Parameters
@@ -56,8 +56,8 @@ def number(name: str, value: object, *, above: float | None = None) -> float:
     name : str
         Parameter that the value was given for.
     value : object
-    above : float, optional
-        Bound that it may not reach.
+    above, least : float, optional
+        Bound that it may not reach, and one that it may.
 
     Returns
     -------
@@ -70,9 +70,9 @@ def number(name: str, value: object, *, above: float | None = None) -> float:
     """
     if isinstance(value, Real) and not isinstance(value, bool):
         found = float(value)
-        if isfinite(found) and (above is None or found > above):
+        if isfinite(found) and (above is None or found > above) and (least is None or found >= least):
             return found
-    bound = "" if above is None else f" above {above:g}"
+    bound = f" above {above:g}" if above is not None else f" of {least:g} or more" if least is not None else ""
     raise InputError(f"`{name}` {shown(value)}: give a number{bound}.")
 
 

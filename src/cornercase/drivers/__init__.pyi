@@ -6,6 +6,7 @@ from .behaviour import CAUTIOUS as CAUTIOUS
 from .behaviour import NORMAL as NORMAL
 from .behaviour import Behaviour as Behaviour
 from .behaviour import BehaviourDriver as BehaviourDriver
+from .loading import is_driver as is_driver
 from .loading import load_driver as load_driver
 from .loading import named_driver as named_driver
 from .registry import DRIVERS as DRIVERS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 from pathlib import Path
-from typing import Protocol, cast, runtime_checkable
+from typing import Protocol, TypeGuard, runtime_checkable
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
@@ -22,6 +22,21 @@ class _Drives(Protocol):
     def start(self, scenarios: int, others: int) -> None: ...
 
     def acceleration(self, situation: Situation) -> FloatArray: ...
+
+
+def is_driver(made: object) -> TypeGuard[Driver]:
+    """Whether something can drive: it derives from `Driver`, or has all that one has.
+
+    Parameters
+    ----------
+    made : object
+
+    Returns
+    -------
+    bool
+        False for a class, of which a driver is still to be made.
+    """
+    return not isinstance(made, type) and isinstance(made, _Drives) and isinstance(made.settings, dict)
 
 
 def load_driver(name: str) -> Driver:
@@ -68,12 +83,12 @@ def load_driver(name: str) -> Driver:
         driver = made()
     except Exception as error:
         raise InputError(f"The driver '{name}' cannot be made without arguments: {_one_line(error)}.") from error
-    if not isinstance(driver, _Drives) or not isinstance(driver.settings, dict):
+    if not is_driver(driver):
         raise InputError(
             f"The class '{name}' is no driver: it neither derives from cornercase.drivers.Driver nor has start(),"
             " acceleration() and a dict called settings."
         )
-    return cast(Driver, driver)
+    return driver
 
 
 def named_driver(name: str) -> Driver:

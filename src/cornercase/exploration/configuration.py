@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 
+from cornercase._common.arguments import by_name, flag, number, shown, text, texts, whole_number
 from cornercase._common.errors import InputError
-from cornercase.drivers import Driver
+from cornercase.drivers import Driver, is_driver
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
 from cornercase.metrics import METRICS
 from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
+from cornercase.simulators import MOST_WORKERS
 from cornercase.study import StudyMeta
+
+# Whole numbers, and the least that each may be.
+_LEAST: Final = {"budget": 1, "batch": 1, "patience": 1, "seed": 0, "retries": 0, "repeats": 1}
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class Configuration:
     Raises
     ------
     InputError
-        A number is out of range, or what `stop_when` says is no criterion.
+        Something is of another type or out of range, or what `stop_when` says is no criterion.
     """
 
     logical: LogicalScenario
@@ -89,15 +95,35 @@ class Configuration:
     drivers: Mapping[str, str | Driver] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, least in (("budget", 1), ("batch", 1), ("repeats", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise InputError(f"`{name}` {getattr(self, name)}: give {least} or more.")
-        if self.patience is not None and self.patience < 1:
-            raise InputError(f"`patience` {self.patience}: give 1 or more.")
+        given = vars(self)
+        taken: dict[str, object] = {
+            name: text(name, given[name]) for name in ("ego", "other", "optimizer", "simulator")
+        }
+        taken |= {name: texts(name, given[name]) for name in ("metrics", "stop_when")}
+        taken |= {
+            name: whole_number(name, given[name], least)
+            for name, least in _LEAST.items()
+            if not (name == "patience" and self.patience is None)
+        }
+        taken["workers"] = whole_number("workers", self.workers, 1, MOST_WORKERS)
+        taken["pareto"] = flag("pareto", self.pareto)
+        taken["on_collision"] = text("on_collision", self.on_collision, ("continue", "stop"))
+        taken |= {name: number(name, given[name], above=0.0) for name in ("time_step", "duration")}
+        if self.critical is not None:
+            taken["critical"] = number("critical", self.critical)
+        if self.max_seconds is not None:
+            taken["max_seconds"] = number("max_seconds", self.max_seconds, least=0.0)
+        if self.timeout is not None:
+            taken["timeout"] = number("timeout", self.timeout, above=0.0)
+        weights = by_name("weights", self.weights)
+        taken["weights"] = {name: number("weights", weight) for name, weight in weights.items()}
+        taken["drivers"] = {name: _driver(name, driver) for name, driver in by_name("drivers", self.drivers).items()}
+        for name, value in taken.items():
+            object.__setattr__(self, name, value)
         self.criteria()
 
     def require_entities(self) -> None:
-        """Refuse an ego or other entity that the scenario does not have.
+        """Refuse an ego, other or driven entity that the scenario does not have.
 
         Raises
         ------
@@ -107,6 +133,8 @@ class Configuration:
         self.logical.scenario.require_entity(self.other, "other")
         if self.ego == self.other:
             raise InputError(f"`other` {self.other}: is the ego itself; name the entity that it meets.")
+        for entity in self.drivers:
+            self.logical.scenario.require_entity(entity, "driven entity")
 
     def objective(self) -> Objective:
         """What is searched.
@@ -190,3 +218,11 @@ class Configuration:
             batch=self.batch,
             repeats=self.repeats,
         )
+
+
+def _driver(entity: str, driver: object) -> str | Driver:
+    if isinstance(driver, str) and driver:
+        return driver
+    if not is_driver(driver):
+        raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or one that is made.")
+    return driver

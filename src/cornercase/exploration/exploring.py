@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from cornercase._common.arguments import flag, path, texts
 from cornercase._common.errors import InputError
 from cornercase.drivers import Driver, named_driver
 from cornercase.exploration.configuration import Configuration
@@ -115,6 +116,7 @@ def explore(
     InputError
         Something cannot be used, or the study is of another exploration; it is left as it is.
     """
+    path("study", study)
     if not isinstance(scenario, LogicalScenario):
         scenario = LogicalScenario.read(scenario, space, ranges, continuous)
     elif space is not None or ranges or continuous:
@@ -123,12 +125,12 @@ def explore(
         logical=scenario,
         ego=ego,
         other=other,
-        metrics=(metrics,) if isinstance(metrics, str) else tuple(metrics),
+        metrics=texts("metrics", metrics),
         optimizer=optimizer,
         critical=critical,
-        weights=dict(weights or {}),
+        weights={} if weights is None else weights,
         pareto=pareto,
-        stop_when=(stop_when,) if isinstance(stop_when, str) else tuple(stop_when),
+        stop_when=texts("stop_when", stop_when),
         budget=budget,
         batch=batch,
         patience=patience,
@@ -142,7 +144,7 @@ def explore(
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,
-        drivers=dict(drivers or {}),
+        drivers={} if drivers is None else drivers,
     )
     return explore_configuration(configuration, study, progress)
 
@@ -165,12 +167,13 @@ def explore_configuration(configuration: Configuration, study: Path | str, progr
     InputError
         Something cannot be used, or the study is of another exploration; it is left as it is.
     """
-    path = Path(study)
+    file = path("study", study)
+    flag("progress", progress)
     try:
-        return _explore(configuration, path, progress)
+        return _explore(configuration, file, progress)
     except KeyboardInterrupt:
         # Interrupted at the very beginning or end, when the explorer does not handle it itself.
-        with suppress(InputError), Study.open(path, readonly=True) as opened:
+        with suppress(InputError), Study.open(file, readonly=True) as opened:
             return ExplorationResult.of(opened, "it was interrupted", interrupted=True)
         raise
 

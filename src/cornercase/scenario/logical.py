@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from cornercase._common.arguments import flag, path, texts
 from cornercase._common.errors import InputError
 from cornercase.scenario.constraints import read_declarations
 from cornercase.scenario.openscenario import Scenario
@@ -120,7 +121,8 @@ class LogicalScenario:
         >>> [parameter.name for parameter in logical.space.parameters]
         ['ego_start', 'pedestrian_wait', 'p1_speed']
         """
-        varied = ParameterSpace.from_file(space) if space is not None else None
+        ranges = texts("ranges", ranges)
+        varied = None if space is None else ParameterSpace.from_file(path("space", space))
         if scenario is None:
             if space is None:
                 raise InputError("There is no scenario; name an OpenSCENARIO file, or a `space` file that names one.")
@@ -130,9 +132,9 @@ class LogicalScenario:
         if varied is None:
             where = scenario.path if isinstance(scenario, Scenario) else scenario
             raise InputError(f"{where}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
-        file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+        file = scenario if isinstance(scenario, Scenario) else Scenario.read(path("scenario", scenario))
         file.require_parameters(list(varied.assigns))
-        varied = varied.continuous() if continuous else varied
+        varied = varied.continuous() if flag("continuous", continuous) else varied
         varied = varied.constrained(read_declarations(file.root, str(file.path)), str(file.path))
         return cls(file.path, varied, file.fingerprint(), file)
 

@@ -13,4 +13,5 @@ from .registry import SIMULATORS as SIMULATORS
 from .registry import availabilities as availabilities
 from .starting import start_simulator as start_simulator
 from .sumo.simulator import SumoSimulator as SumoSimulator
+from .workers import MOST_WORKERS as MOST_WORKERS
 from .workers import WorkerSimulator as WorkerSimulator

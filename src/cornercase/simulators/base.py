@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from cornercase._common.errors import InputError, SimulationError, suggestion
+from cornercase._common.arguments import number, text
+from cornercase._common.errors import InputError, SimulationError
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario
@@ -198,12 +199,12 @@ def checked_settings(
     InputError
         One is out of range.
     """
+    time_step, duration = number("time_step", time_step), number("duration", duration)
     if not 0.001 <= time_step <= 1.0:
         raise InputError(f"`time_step` {time_step:g}: choose a time from 0.001 s to 1 s.")
     if not time_step <= duration <= 3600.0:
         raise InputError(f"`duration` {duration:g}: choose a time from one time step to 3600 s.")
-    if on_collision not in ("continue", "stop"):
-        raise InputError(f"`on_collision` {on_collision}: {suggestion(on_collision, ('continue', 'stop'))}")
+    text("on_collision", on_collision, ("continue", "stop"))
     return {
         "time_step": time_step,
         "duration": duration,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from cornercase._common.errors import InputError
+from cornercase._common.arguments import number, text, whole_number
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.registry import SIMULATORS
-from cornercase.simulators.workers import WorkerSimulator
+from cornercase.simulators.workers import MOST_WORKERS, WorkerSimulator
 
 
 def start_simulator(
@@ -58,13 +58,10 @@ def start_simulator(
     ...     simulator.settings["duration"]
     20.0
     """
-    if timeout is not None and not 0.0 < timeout < float("inf"):
-        raise InputError(f"`timeout` {timeout:g}: give a time above 0 s.")
-    if workers < 1:
-        raise InputError(f"`workers` {workers}: give 1 or more.")
-    if retries < 0:
-        raise InputError(f"`retries` {retries}: give 0 or more.")
-    declared = SIMULATORS.class_of(name)
+    timeout = None if timeout is None else number("timeout", timeout, above=0.0)
+    workers = whole_number("workers", workers, 1, MOST_WORKERS)
+    retries = whole_number("retries", retries)
+    declared = SIMULATORS.class_of(text("simulator", name))
     given = dict(options or {}) | ({"ego": ego} if "ego" in declared.needs else {})
     if declared.in_process and workers == 1 and timeout is None:
         return SIMULATORS.create(name, **given)

@@ -16,6 +16,11 @@ from cornercase.simulators.worker_process import Outcome, Raised, Task, Worker
 
 # If so many scenarios in a row end without a result, the simulator is at fault, not they.
 _MOST_LOST: Final = 5
+# s.
+_LONGEST_WAIT: Final = 3600.0
+
+MOST_WORKERS: Final = 1024
+"""Worker processes side by side: more than there are cores anywhere, and few enough to be started."""
 
 
 class WorkerSimulator(Simulator):
@@ -136,7 +141,8 @@ class WorkerSimulator(Simulator):
         """Wait for the workers that have an answer, and those whose time is up."""
         busy = [worker for worker in self._workers if worker.waiting]
         deadline = min(worker.deadline for worker in busy)
-        remaining = None if deadline == float("inf") else max(0.0, deadline - time.monotonic())
+        # No system waits for any length of time in one go.
+        remaining = None if deadline == float("inf") else min(max(0.0, deadline - time.monotonic()), _LONGEST_WAIT)
         heard = wait([worker.connection for worker in busy], remaining)
         return [worker for worker in busy if worker.connection in heard or worker.deadline <= time.monotonic()]
 
