@@ -15,9 +15,12 @@ from cornercase.recordings import Recording
 from cornercase.simulators import SIMULATORS, Simulator
 
 
-class Unsendable:
+class UnsendableError(SimulationError):
     def __reduce__(self):
         os._exit(7)
+
+
+END = object()
 
 
 class Plan:
@@ -40,7 +43,10 @@ class FailingSimulator(Simulator):
     def run(self, concretes):
         self._begin()
         for concrete in concretes:
-            yield self._outcome(int(concrete.values["k"]))
+            found = self._outcome(int(concrete.values["k"]))
+            if found is END:
+                return
+            yield found
 
     def close(self):
         if self._begun:
@@ -64,11 +70,17 @@ class FailingSimulator(Simulator):
         elif what == "refuse":
             raise InputError("The licence server is gone; start it.")
         elif what == "cut":
-            return Unsendable()
+            return UnsendableError()
         elif what == "fail":
             return SimulationError("it cannot be")
         elif what == "lose":
             return SimulatorError("the program is gone")
+        elif what == "none":
+            return None
+        elif what == "junk":
+            return {"x": 1}
+        elif what == "end":
+            return END
         elif what == "nap":
             time.sleep(0.3)
         elif what == "child":
@@ -94,7 +106,8 @@ class BatchSimulator(FailingSimulator):
         self._begin()
         with (self._plan.folder / "batches").open("a") as file:
             file.write(f"{len(concretes)} ")
-        yield from [self._outcome(int(concrete.values["k"])) for concrete in concretes]
+        found = [self._outcome(int(concrete.values["k"])) for concrete in concretes]
+        yield from found[: found.index(END)] if END in found else found
 
 
 class NoisySimulator(Simulator):

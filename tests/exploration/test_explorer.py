@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import signal
 import sqlite3
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -221,14 +223,17 @@ def test_interrupted_it_keeps_what_ended_and_says_so(tmp_path):
         assert explorer(study, optimizer="sobol").run().ended == 47
 
 
-def test_a_simulator_that_ends_early_fails_the_rest_of_its_round(tmp_path):
+def test_a_simulator_that_ends_early_fails_only_the_scenario_where_it_ends(tmp_path):
     class Short(Synthetic):
         def run(self, concretes):
-            yield from super().run(concretes[:4])
+            runs = zip(concretes, super().run(concretes), strict=True)
+            yield from (run for _, run in takewhile(lambda one: one[0].values["a"] > 0.2, runs))
 
     with opened(tmp_path / "s.db") as study:
         assert explorer(study, Short(), "sobol", budget=20).run().ended == 20
-        assert all("without a result" in row.error for row in study.rows() if (row.id - 1) % 10 >= 4)
+        early = {row.id for row in study.rows() if row.values["a"] <= 0.2}
+        assert early
+        assert {row.id for row in study.failed() if "without a result" in row.error} == early
 
 
 class Largest(Metric):
@@ -509,3 +514,35 @@ def test_a_driven_entity_that_is_not_there_is_refused_before_there_is_a_study(tm
         explore(scenario, tmp_path / "typo.db", drivers={"Nobody": "normal"}, **given)
     assert not list(tmp_path.iterdir())
     assert explore(scenario, tmp_path / "typo.db", drivers={"Ego": "normal"}, **given).ended == 2
+
+
+def test_a_simulator_that_raises_in_the_same_process_is_named_and_what_has_ended_is_kept(tmp_path):
+    class Broken(Synthetic):
+        def run(self, concretes):
+            for number, run in enumerate(super().run(concretes)):
+                if number == 4:
+                    raise KeyError("of the\nadapter")
+                yield run
+
+    with opened(tmp_path / "s.db") as study:
+        with pytest.raises(InputError, match=r"^The simulator 'builtin' failed \(KeyError: .*\); mend it.*\.$"):
+            explorer(study, Broken(), "sobol", budget=10).run()
+        assert [row.state == "pending" for row in study.rows()] == [False] * 4 + [True] * 6
+    with opened(tmp_path / "s.db") as study:
+        assert explorer(study, Synthetic(), "sobol", budget=10).run().ended == 10
+
+
+def test_a_study_whose_budget_grew_is_that_of_the_larger_budget_byte_for_byte(tmp_path):
+    def stored(name, *budgets):
+        for budget in budgets:
+            given: dict[str, Any] = T_SEARCH | {"budget": budget, "batch": 2}
+            explore(given.pop("scenario"), tmp_path / name, **given)
+        with contextlib.closing(sqlite3.connect(tmp_path / name)) as connection:
+            return [
+                sorted(connection.execute(f"SELECT * FROM {table}").fetchall())
+                for table in ("meta", "scenarios", "courses")
+            ]
+
+    grown = stored("grown.db", 2, 5)
+    assert grown == stored("at_once.db", 5)
+    assert grown == stored("grown.db", 3)

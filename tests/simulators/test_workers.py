@@ -14,8 +14,8 @@ import pytest
 from conftest import same_recording
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import WorkerSimulator
-from fake_simulators import Plan
+from cornercase.simulators import WorkerSimulator, outcomes_of
+from fake_simulators import BatchSimulator, FailingSimulator, Plan
 
 
 def concretes(count):
@@ -126,6 +126,9 @@ def test_each_worker_gets_an_equal_share_in_one_batch(tmp_path, workers, batches
         ("raise", "the simulator failed (ZeroDivisionError: of the adapter)"),
         ("fail", "it cannot be"),
         ("lose", "the program is gone, tried 2 times"),
+        ("end", "the simulator ended without a result"),
+        ("none", "the simulator gave None instead of a recording"),
+        ("junk", "the simulator gave a dict instead of a recording"),
     ],
 )
 def test_what_goes_wrong_in_a_batch_costs_the_one_at_fault_whatever_the_number_of_workers(
@@ -158,6 +161,27 @@ def test_builtin_batches_give_the_same_bytes_in_any_number_of_workers(x_intersec
     for workers in (1, 2):
         with WorkerSimulator("builtin", {}, workers, timeout=120.0) as simulator:
             assert all(map(same_recording, alone, simulator.run(wanted)))
+
+
+@pytest.mark.parametrize(
+    ("does", "words"),
+    [
+        ("end", "the simulator ended without a result"),
+        ("none", "the simulator gave None instead of a recording"),
+        ("junk", "the simulator gave a dict instead of a recording"),
+    ],
+)
+@pytest.mark.parametrize("made", [FailingSimulator, BatchSimulator])
+def test_in_the_same_process_what_is_no_recording_costs_itself_alone_as_well(tmp_path, made, does, words):
+    simulator = made(plan=Plan(tmp_path, {2: [does], 5: [does]}))
+    assert list(places(outcomes_of(simulator, concretes(6)))) == [0, 1, words, 3, 4, words]
+
+
+@pytest.mark.parametrize("does", ["end", "none", "junk"])
+def test_what_is_no_recording_costs_itself_alone_without_batches(tmp_path, does):
+    found = results(tmp_path, {1: [does]}, count=3)
+    assert [found[0], found[2]] == [0, 2]
+    assert str(found[1]).startswith("the simulator ")
 
 
 def test_a_simulator_is_closed_when_nothing_follows(tmp_path):

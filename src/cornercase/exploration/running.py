@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from cornercase._common.errors import SimulationError
+from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.objective import Objective
 from cornercase.metrics import measured
-from cornercase.simulators import Simulator
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import Simulator, outcomes_of
 from cornercase.study import Row, Study
 
 
@@ -85,16 +87,20 @@ class ScenarioRunner:
         ------
         tuple of int and float, or ndarray of float64, shape (metrics,)
             Id and oriented score of each that did not fail, once it is stored; several scores for a Pareto front.
+
+        Raises
+        ------
+        InputError
+            None of them can be run, or the simulator itself failed.
         """
         if not rows:
             return
         about = self._configuration
         concretes = [about.logical.concrete(row.values) for row in rows for _ in range(about.repeats)]
-        results = self._simulator.run(concretes)
-        nothing = SimulationError("the simulator ended without a result")
+        results = self._outcomes(concretes)
         for row in rows:
             with self._clock("simulate"):
-                outcomes = [next(results, nothing) for _ in range(about.repeats)]
+                outcomes = [next(results) for _ in range(about.repeats)]
             with self._clock("measure"):
                 runs = [
                     (one, measured(self._objective.metrics, one, about.ego, about.other))
@@ -112,6 +118,18 @@ class ScenarioRunner:
                 repeats = {name: [one[name][1] for _, one in runs] for name in courses}
             self._study.finish(row.id, recording, courses, repeats)
             yield row.id, scores[middle]
+
+    def _outcomes(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+        try:
+            yield from outcomes_of(self._simulator, concretes)
+        except InputError:
+            raise
+        except Exception as error:
+            words = " ".join(f"{type(error).__name__}: {error}".split())
+            raise InputError(
+                f"The simulator '{self._configuration.simulator}' failed ({words}); mend it, and run the same command"
+                " again to go on."
+            ) from error
 
 
 def _middle(scores: FloatArray) -> int:

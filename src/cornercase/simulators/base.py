@@ -97,7 +97,8 @@ class Simulator(ABC):
         Yields
         ------
         Recording or SimulationError
-            One for each scenario, in order.
+            One for each scenario, in order, by which they are told apart: a scenario that cannot be run gives an error,
+            never nothing. Where fewer come than there are scenarios, the rest is run again, one by one.
 
         Raises
         ------

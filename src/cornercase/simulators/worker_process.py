@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -15,12 +15,11 @@ from cornercase._common.platform import end_process_tree, leave_terminal, words_
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.base import Simulator
+from cornercase.simulators.outcomes import Outcome, outcomes_of
 from cornercase.simulators.registry import SIMULATORS
 
 # s that a simulator may take to start, for its exit code to arrive, and to end by itself.
 _STARTED, _DIED, _ENDED = 60.0, 0.2, 10.0
-
-Outcome = Recording | SimulationError
 
 
 @dataclass(frozen=True)
@@ -208,7 +207,7 @@ def _serve(connection: Connection, name: str, options: dict[str, Any]) -> None:
 
 
 def _answer(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
-    results = _results(simulator, concretes)
+    results = outcomes_of(simulator, concretes)
     while True:
         try:
             found: Outcome | InputError | Raised | None = next(results, None)
@@ -221,14 +220,3 @@ def _answer(connection: Connection, simulator: Simulator, concretes: list[Concre
         connection.send(found)
         if isinstance(found, InputError | Raised):
             return
-
-
-def _results(simulator: Simulator, concretes: list[ConcreteScenario]) -> Iterator[Outcome]:
-    results = simulator.run(concretes)
-    nothing = SimulationError("the simulator ended without a result")
-    for k in range(len(concretes)):
-        found = next(results, nothing)
-        if k == len(concretes) - 1:
-            # Let it clear up before its last result counts: if that fails, the scenario is run again.
-            next(results, None)
-        yield found

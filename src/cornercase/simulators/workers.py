@@ -11,8 +11,9 @@ from typing import Any, Final
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators.base import Simulator
+from cornercase.simulators.outcomes import Outcome
 from cornercase.simulators.registry import SIMULATORS
-from cornercase.simulators.worker_process import Outcome, Raised, Task, Worker
+from cornercase.simulators.worker_process import Raised, Task, Worker
 
 # If so many scenarios in a row end without a result, the simulator is at fault, not they.
 _MOST_LOST: Final = 5

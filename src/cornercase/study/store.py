@@ -97,9 +97,10 @@ class Study(StudyContents):
             raise InputError(f"{path}: cannot be used as a study ({error!r}).") from error
 
     def continue_with(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
-        """Refuse to go on with a study of something else, and note what an earlier version did not write.
+        """Refuse to go on with a study of something else, and note what has changed.
 
-        That is the constraints of the space, which follow from the same scenario file, and a threshold.
+        That is the budget, and what an earlier version did not write: the constraints of the space, which follow from
+        the same scenario file, and a threshold.
 
         Parameters
         ----------
@@ -118,6 +119,8 @@ class Study(StudyContents):
             self.meta,
             space=self.space if self.space.declarations else meta.space,
             critical=meta.critical if self.meta.critical is None else self.meta.critical,
+            # Scenarios that are there already stay, also where the new budget is smaller.
+            budget=max(meta.budget, min(self.meta.budget, len(self.rows()))),
         )
         if known == self.meta:
             return
@@ -125,7 +128,7 @@ class Study(StudyContents):
             plain = known.to_json()
             connection.executemany(
                 "UPDATE meta SET value = ? WHERE key = ?",
-                [(json.dumps(plain[key], sort_keys=True), key) for key in ("space", "critical")],
+                [(json.dumps(plain[key], sort_keys=True), key) for key in ("space", "critical", "budget")],
             )
         self.meta, self.space = known, known.space
 
