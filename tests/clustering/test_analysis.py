@@ -89,6 +89,7 @@ def test_the_study_tells_how_each_scenario_ended(path):
     [
         ({"by": "distanc"}, "`by` distanc: .* did you mean 'distance'"),
         ({"by": ["distance", "pet"]}, "`by` pet: "),
+        ({"by": 3}, "`by` 3: give a list of texts"),
         ({"gamma": -1.0}, "`gamma` -1.0: give a number above 0"),
         ({"method": "dbscn"}, "`method` dbscn: did you mean 'dbscan'"),
     ],
@@ -98,3 +99,9 @@ def test_refuses_before_it_begins(path, options, words):
         analyze(path, **options)
     with Study.open(path, readonly=True) as study:
         assert study.analyses() == []
+
+
+@pytest.mark.parametrize("wrong", [None, 3])
+def test_what_is_no_study_is_refused(wrong):
+    with pytest.raises(InputError, match=r"`study` .*: give the path of a file"):
+        analyze(wrong)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cornercase._common.errors import InputError
+from cornercase.metrics import measure
 from cornercase.recordings import EntitySamples, read_recording, recording_of
 from cornercase.recordings.formats.esmini import FIRST_WORDS
 
@@ -49,3 +50,11 @@ def test_one_sample_is_a_recording_without_speed(tmp_path):
     track.samples[1.0] = (3.0, 4.0, 0.0, float("nan"), float("nan"))
     read = recording_of(tmp_path / "one", {"A": track})
     assert (read.x[0, 0], read.y[0, 0], read.time.tolist()) == (3.0, 4.0, [1.0])
+
+
+@pytest.mark.parametrize("wrong", [None, 3, ""])
+def test_what_is_no_path_is_refused(wrong):
+    with pytest.raises(InputError, match="`path` "):
+        read_recording(wrong)
+    with pytest.raises(InputError, match="`recording` "):
+        measure(wrong, "Ego", "Other")

@@ -154,6 +154,27 @@ def test_the_command_line_keeps_as_many_as_it_is_told(tmp_path):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"size": 2.5}, {"size": "3"}, {"size": True}, {"share": "x"}, {"share": float("nan")}, {"cover": "x"},
+        {"within": "x"}, {"within": None}, {"archetypes_by": None}, {"by": ["wttc"]}, {"folder": None}, {"folder": 3},
+    ],
+)  # fmt: skip
+def test_what_has_another_type_is_refused(wrong, tmp_path):
+    (name,) = wrong
+    with pytest.raises(InputError, match=f"^`{name}` .*: give "):
+        reduce(**{"study": tmp_path / "s.db", "folder": tmp_path / "reduced", **wrong})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_in_the_way_of_the_folder_is_said(tmp_path):
+    (tmp_path / "file").write_text("")
+    for folder in ("file", "file/below/it"):
+        with pytest.raises(InputError, match=r"^`folder` .*file is a file, not a folder; choose another name"):
+            reduce(tmp_path / "s.db", tmp_path / folder)
+
+
 @pytest.fixture(scope="module")
 def explored(tmp_path_factory):
     """Study of 120 scenarios of the X-intersection, analysed, reduced and reported, and its folder."""

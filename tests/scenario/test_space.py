@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase.scenario import Parameter, ParameterSpace, read_xml
+from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace, read_xml
 from cornercase.scenario.expressions import evaluate
 
 
@@ -284,3 +284,12 @@ def test_a_parameter_may_have_a_single_value():
     one = Parameter("a", 2.0, 2.0, 1.0)
     assert (one.size, one.value(0.7), one.unit_place(2.0)) == (1, 2.0, 0.5)
     assert ParameterSpace([one]).continuous().parameters == (one,)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"), [("nofile.xosc", "cannot be read"), ("", "`scenario`"), (".", "is not a file")]
+)
+def test_a_scenario_that_is_not_there_is_said_before_its_space(name, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=says):
+        LogicalScenario.read(name)

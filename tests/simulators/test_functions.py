@@ -9,7 +9,7 @@ import pytest
 from conftest import EXAMPLES, car, same_recording, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario, Scenario
-from cornercase.simulators import BuiltinSimulator, check, simulate
+from cornercase.simulators import BuiltinSimulator, check, convert, simulate
 
 X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 SPACE = EXAMPLES / "x_intersection" / "x_intersection.space.xosc"
@@ -63,3 +63,18 @@ def test_simulate_gives_the_recording_that_the_simulator_gives():
 def test_simulate_refuses_what_cannot_be_run(values, options, says):
     with pytest.raises(InputError, match=says):
         simulate(X, values, **options)
+
+
+@pytest.mark.parametrize("wrong", [None, 3, ""])
+@pytest.mark.parametrize("call", [simulate, check, lambda one: convert(one, "never.xosc", ego="Ego")])
+def test_what_is_no_path_is_refused(call, wrong):
+    with pytest.raises(InputError, match=r"`scenario` .*: give the path of a file"):
+        call(wrong)
+
+
+@pytest.mark.parametrize("values", [{"ego_start": None}, {"ego_start": [1.0]}, {3: 1.0}, 3])
+def test_values_that_are_none_are_refused(values, tmp_path):
+    for call in (simulate, lambda one, given: convert(one, tmp_path / "c.xosc", ego="Ego", values=given)):
+        with pytest.raises(InputError, match="`values`"):
+            call(X, values)
+    assert not list(tmp_path.iterdir())

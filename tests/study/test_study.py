@@ -312,3 +312,20 @@ def test_a_study_that_is_closed_says_so(study):
         with pytest.raises(InputError, match="is closed; open it again"):
             ask()
     study.close()
+
+
+@pytest.mark.parametrize("wrong", [None, 3, ""])
+def test_what_is_no_path_is_refused(wrong):
+    with pytest.raises(InputError, match=r"`path` .*: give the path of a file"):
+        Study.open(wrong)
+
+
+def test_a_folder_is_no_study(tmp_path):
+    with pytest.raises(InputError, match="is not a file; name the file of a study"):
+        Study.open(tmp_path)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs a folder in which nobody can make files")
+def test_a_folder_that_cannot_be_written_is_said():
+    with pytest.raises(InputError, match="cannot be written"):
+        Study.create("/proc/study.db", META)

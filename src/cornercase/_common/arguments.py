@@ -174,6 +174,32 @@ def by_name(name: str, value: object) -> dict[str, Any]:
     return {text(name, key): one for key, one in value.items()}
 
 
+def numbers_or_texts(name: str, value: object) -> dict[str, float | str]:
+    """Take the values of a scenario's parameters.
+
+    Parameters
+    ----------
+    name : str
+        Parameter that they were given for.
+    value : object
+        None for none.
+
+    Returns
+    -------
+    dict of str to float or str
+
+    Raises
+    ------
+    InputError
+        It is no mapping, a key is no text, or a value is neither a number nor a text.
+    """
+    found = {} if value is None else by_name(name, value)
+    for key, one in found.items():
+        if not isinstance(one, str | Real):
+            raise InputError(f"`{name}` {key}={shown(one)}: give a number or a text.")
+    return found
+
+
 def path(name: str, value: object) -> Path:
     """Take the path of a file or folder.
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
+from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
 from cornercase._common.platform import new_file_mode, replace_file
 
@@ -98,3 +99,32 @@ def require_other_file(output: Path | str, source: Path | str) -> None:
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
         raise InputError(f"`output` {output}: is the file that is read; choose another name.")
+
+
+def require_folder(name: str, folder: Path | str) -> Path:
+    """Refuse a folder that cannot be made because a file is in its way.
+
+    Parameters
+    ----------
+    name : str
+        Parameter that it was given for.
+    folder : path
+        That is there or will be made.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        It, or one that it lies in, is no folder, or it is no path.
+    """
+    folder = path_argument(name, folder)
+    for one in (folder, *folder.parents):
+        if one.is_dir():
+            break
+        if one.exists():
+            raise InputError(f"`{name}` {folder}: {one} is a file, not a folder; choose another name.")
+    return folder

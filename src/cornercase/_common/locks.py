@@ -35,6 +35,9 @@ def taken_lock(path: Path) -> BaseFileLock | None:
     try:
         lock.acquire(blocking=False)
     except Timeout:
+        # Where the file cannot be made, filelock says the same as where another one holds it.
+        if not path.exists():
+            path.touch()
         return None
     except NotImplementedError as error:
         raise OSError(None, "its file system has no locks") from error

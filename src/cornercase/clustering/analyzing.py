@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.analysis import Analysis, read_analysis, save_analysis
@@ -79,8 +80,9 @@ def analyze(
     """
     model = ScenarioClustering(gamma, eps, min_samples, method=method)
     model.require_settings()
+    chosen = None if by is None else tuple(dict.fromkeys(texts("by", by)))
     with open_study(study) as opened:
-        aspects = aspects_of(opened) if by is None else (by,) if isinstance(by, str) else tuple(dict.fromkeys(by))
+        aspects = aspects_of(opened) if chosen is None else chosen
         for one in aspects:
             require_aspect(opened, one)
         if keep and set(aspects) & set(opened.analyses()) and {gamma, eps, min_samples} != {"auto"}:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cornercase._common.arguments import path
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
@@ -110,7 +111,7 @@ def measure(
     drac    3.571  m/s²  high
     """
     require_another(ego, other)
-    read = recording if isinstance(recording, Recording) else read_recording(recording)
+    read = recording if isinstance(recording, Recording) else read_recording(path("recording", recording))
     names = [metrics] if isinstance(metrics, str) else metrics
     made = [METRICS.create(name) for name in dict.fromkeys(METRICS.names() if names is None else names)]
     found = measured(made, read, ego, other)

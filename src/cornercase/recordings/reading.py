@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cornercase._common import arguments
 from cornercase.recordings.csv import read_csv
 from cornercase.recordings.formats.carla_log import read_carla_log
 from cornercase.recordings.formats.commonroad import read_commonroad
@@ -35,7 +36,7 @@ def read_recording(path: Path | str) -> Recording:
         The file cannot be read, a column is missing, a field is no number, or an entity has two rows of one
         time; the message names the line. Or the extra that reads it is not installed.
     """
-    path = Path(path)
+    path = arguments.path("path", path)
     if path.suffix.lower() in (".osi", ".mcap", ".xz", ".lzma"):
         return read_osi(path)
     if path.suffix.lower() == ".erg":

@@ -68,7 +68,7 @@ def choose_by_cluster(
     if archetypes == "auto":
         lowest = min(points.shape[1] + 1, MOST_ARCHETYPES)
         most = int(np.clip(n // (PER_KEPT * max(1, len(found))) - 1, lowest, MOST_ARCHETYPES))
-    elif isinstance(archetypes, (int, np.integer)) and archetypes >= 1:
+    elif isinstance(archetypes, (int, np.integer)) and not isinstance(archetypes, bool) and archetypes >= 1:
         most = int(archetypes)
     else:
         raise InputError(f"`archetypes` {archetypes!r}: give a whole number of at least 1, or 'auto'.")

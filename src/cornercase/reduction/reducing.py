@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
 
+from cornercase._common.arguments import number, text, whole_number
 from cornercase._common.errors import InputError
-from cornercase._common.files import written_whole
+from cornercase._common.files import require_folder, written_whole
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, read_analysis
 from cornercase.reduction.cluster_selection import PER_KEPT, choose_by_cluster
@@ -98,10 +99,15 @@ def reduce(
     """
     if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
         raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
-    if share is not None and not 0.0 < share <= 1.0:
+    size = None if size is None else whole_number("size", size, least=1)
+    share = None if share is None else number("share", share, above=0.0)
+    cover = None if cover is None else number("cover", cover, above=0.0)
+    if share is not None and share > 1.0:
         raise InputError(f"`share` {share:g}: give a number above 0 and up to 1.")
-    require_archetype_method(archetypes_by)
-    require_within(within)
+    require_archetype_method(text("archetypes_by", archetypes_by))
+    require_within(number("within", within))
+    by = None if by is None else text("by", by)
+    folder = require_folder("folder", folder)
     with open_study(study) as opened:
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
         # Looked at before anything is written or takes time.
@@ -128,7 +134,7 @@ def reduce(
                 shaped=shaped,
             )
         reduced = _described(ran, analysis, kept, shaped, within)
-        _write(opened, scenario, reduced, Path(folder))
+        _write(opened, scenario, reduced, folder)
         save_reduction(opened, reduced)
     return reduced
 

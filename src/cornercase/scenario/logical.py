@@ -129,10 +129,9 @@ class LogicalScenario:
             scenario = ParameterSpace.scenario_file(space)
         if ranges:
             varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
+        file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
         if varied is None:
-            where = scenario.path if isinstance(scenario, Scenario) else scenario
-            raise InputError(f"{where}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
-        file = scenario if isinstance(scenario, Scenario) else Scenario.read(path("scenario", scenario))
+            raise InputError(f"{file.path}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
         file.require_parameters(list(varied.assigns))
         varied = varied.continuous() if flag("continuous", continuous) else varied
         varied = varied.constrained(read_declarations(file.root, str(file.path)), str(file.path))

@@ -11,6 +11,7 @@ from shutil import copyfile
 
 from lxml import etree
 
+from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import written_whole
 from cornercase.scenario.expressions import names_in
@@ -59,7 +60,7 @@ class Scenario:
         InputError
             The file is missing, is not XML, or is not a scenario.
         """
-        scenario = cls(path)
+        scenario = cls(arguments.path("scenario", path))
         scenario._require_scenario(scenario.root)
         return scenario
 

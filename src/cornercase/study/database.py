@@ -93,6 +93,8 @@ class Database:
         InputError
             There is none, it is none, another program writes to it, or it is of a later schema version.
         """
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is not a file; name the file of a study.")
         if not path.is_file():
             raise InputError(f"{path}: there is no such study; make one with `explore`.")
         # What is no study gets no lock beside it.

@@ -14,6 +14,7 @@ from typing import Final
 from rich.console import Console
 from rich.progress import track
 
+from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.metrics import METRICS, Metric, measured, require_another
 from cornercase.recordings import read_recording
@@ -96,12 +97,11 @@ def import_recordings(
     InputError
         The table cannot be used, no recording at all can be read and measured, or the study is of something else.
     """
-    folder, path = Path(folder), Path(study)
-    table = folder / TABLE if table is None else Path(table)
+    folder, path = arguments.path("folder", folder), arguments.path("study", study)
+    table = folder / TABLE if table is None else arguments.path("table", table)
     files, values = _read_table(folder, table)
     require_another(ego, other)
-    names = [metrics] if isinstance(metrics, str) else metrics
-    built = [METRICS.create(name) for name in dict.fromkeys(names)]
+    built = [METRICS.create(name) for name in dict.fromkeys(arguments.texts("metrics", metrics))]
     if not built:
         raise InputError("`metrics`: there is none; name one at least.")
     known = critical is not None or built[0].critical is not None

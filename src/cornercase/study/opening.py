@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from cornercase._common.arguments import path
 from cornercase._common.errors import InputError
 from cornercase.study.store import Study
 
@@ -34,5 +35,5 @@ def open_study(study: Study | Path | str, readonly: bool = False) -> Iterator[St
             raise InputError(f"{study.path}: is open for reading only; open it for writing, or give its path.")
         yield study
         return
-    with Study.open(study, readonly) as opened:
+    with Study.open(path("study", study), readonly) as opened:
         yield opened

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy.typing as npt
 
+from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
@@ -86,7 +87,7 @@ class Study(StudyContents):
         """
         database: Database | None = None
         try:
-            database = Database.open(Path(path), readonly)
+            database = Database.open(arguments.path("path", path), readonly)
             return cls(database)
         except InputError:
             raise

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from cornercase._common.arguments import numbers_or_texts
 from cornercase._common.errors import InputError
 from cornercase.drivers import Driver, named_driver
 from cornercase.recordings import Recording
@@ -59,7 +60,8 @@ def simulate(
     ('Ego', 'Truck', 'C', 'Pedestrian')
     """
     file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
-    file.require_parameters(list(values or {}))
+    given = numbers_or_texts("values", values)
+    file.require_parameters(list(given))
     simulator = BuiltinSimulator(
         time_step=time_step,
         duration=duration,
@@ -69,7 +71,7 @@ def simulate(
             for entity, driver in (drivers or {}).items()
         },
     )
-    (result,) = simulator.run([ConcreteScenario(file.path, dict(values or {}), file)])
+    (result,) = simulator.run([ConcreteScenario(file.path, given, file)])
     if isinstance(result, Exception):
         raise InputError(f"{file.path}: {result}.")
     return result

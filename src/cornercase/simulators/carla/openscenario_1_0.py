@@ -10,6 +10,7 @@ from typing import Final
 
 from lxml import etree
 
+from cornercase._common.arguments import numbers_or_texts, path
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
 from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside
@@ -89,8 +90,9 @@ def convert(
     """
     if not isinstance(scenario, Scenario):
         scenario = Scenario.read(scenario)
+    output, given = path("output", output), numbers_or_texts("values", values)
     require_other_file(output, scenario.path)
-    return Conversion(Path(output), write_1_0(scenario, values or {}, output, ego=ego))
+    return Conversion(output, write_1_0(scenario, given, output, ego=ego))
 
 
 def write_1_0(
