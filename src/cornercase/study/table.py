@@ -80,8 +80,9 @@ def scenario_table(
         column.loc[members] = labels
         found[f"cluster by {name}"] = column.array
     if outcomes:
-        found["outcome"] = [outcomes.get(row.id) for row in rows]
-    found["error"] = [row.error for row in rows]
+        found["outcome"] = pd.Series([outcomes.get(row.id) for row in rows], dtype=object)
+    # As objects, so that None stays None, whatever the version of pandas makes of texts.
+    found["error"] = pd.Series([row.error for row in rows], dtype=object)
     first: dict[str, Any] = {"id": ids, "round": np.array([row.round for row in rows], dtype=np.int64)}
     first["state"] = [row.state for row in rows]
     varied = {parameter.name: [parameter.read(row.values) for row in rows] for parameter in space.parameters}
