@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase.drivers import Driver, is_driver
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
-from cornercase.metrics import METRICS
+from cornercase.metrics import METRICS, require_another
 from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import MOST_WORKERS
@@ -131,8 +131,7 @@ class Configuration:
         """
         self.logical.scenario.require_entity(self.ego, "ego")
         self.logical.scenario.require_entity(self.other, "other")
-        if self.ego == self.other:
-            raise InputError(f"`other` {self.other}: is the ego itself; name the entity that it meets.")
+        require_another(self.ego, self.other)
         for entity in self.drivers:
             self.logical.scenario.require_entity(entity, "driven entity")
 

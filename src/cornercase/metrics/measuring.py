@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cornercase._common.arguments import path
+from cornercase._common.arguments import path, texts
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
@@ -112,8 +112,8 @@ def measure(
     """
     require_another(ego, other)
     read = recording if isinstance(recording, Recording) else read_recording(path("recording", recording))
-    names = [metrics] if isinstance(metrics, str) else metrics
-    made = [METRICS.create(name) for name in dict.fromkeys(METRICS.names() if names is None else names)]
+    names = METRICS.names() if metrics is None else texts("metrics", metrics)
+    made = [METRICS.create(name) for name in dict.fromkeys(names)]
     found = measured(made, read, ego, other)
     return Measurement(
         time=read.time,
