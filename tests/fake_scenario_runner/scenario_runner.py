@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ElementTree
 
 import carla
 
+assert not [folder for folder in sys.path if os.path.exists(os.path.join(folder, "road.xodr"))]
 parser = argparse.ArgumentParser()
 for name in ("host", "port", "timeout", "frameRate", "openscenario", "trafficManagerPort", "trafficManagerSeed"):
     parser.add_argument(f"--{name}", required=True)

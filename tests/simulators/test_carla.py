@@ -175,6 +175,10 @@ def test_the_recorders_file_tells_the_same(scenario, tmp_path):
     assert [c.entities for c in other.collisions] == [("Ego", "C")]
     (kept,) = (tmp_path / "kept").iterdir()
     assert {"cornercase.xosc", "cornercase.log", "scenario_runner.log"} <= {file.name for file in kept.iterdir()}
+    # What a scenario names lies on no path of Python's modules.
+    assert [file.name for file in (kept / "road").iterdir()] == ["road.xodr"]
+    assert [file.name for file in (kept / "drivers").iterdir() if file.suffix] == ["cornercase_driver.py"]
+    assert not [file for file in kept.iterdir() if file.suffix in (".py", ".xodr")]
 
 
 def test_the_recorders_file_is_cut_as_well(scenario, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +52,7 @@ def test_asams_checker_finds_nothing_and_no_parameter_is_left(path, tmp_path):
     others = root.xpath("Entities/ScenarioObject[Vehicle and @name!='Ego']/@name")
     assert isinstance(others, list)
     assert root.xpath(kind.format("!=")) == ["simulation"] * len(others)
-    assert (tmp_path / f"{path.stem}.xodr").exists()
+    assert (tmp_path / "one.xodr").read_bytes() == path.with_suffix(".xodr").read_bytes()
 
 
 def test_the_checker_would_find_something(tmp_path):
@@ -83,8 +84,8 @@ def test_a_road_that_a_parameter_names_is_that_of_the_concrete_scenario(tmp_path
     (tmp_path / "other.xodr").write_bytes(T.with_suffix(".xodr").read_bytes())
     convert(path, tmp_path / "out" / "one.xosc", ego="Ego", values={"Road": "other.xodr"})
     written = read_xml(tmp_path / "out" / "one.xosc")
-    assert written.xpath("RoadNetwork/LogicFile/@filepath") == ["other.xodr"]
-    assert (tmp_path / "out" / "other.xodr").exists()
+    assert written.xpath("RoadNetwork/LogicFile/@filepath") == ["one.xodr"]
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["one.xodr", "one.xosc"]
 
 
 def test_what_is_not_the_same_is_said(tmp_path):
@@ -118,6 +119,114 @@ def test_what_cannot_be_said_is_refused_and_nothing_is_written(tmp_path, old, ne
         convert(path, tmp_path / "out" / "one.xosc", ego="Ego")
     assert words in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def changed(tmp_path, *pairs):
+    """The T-intersection with something of it replaced."""
+    path, text = tmp_path / "in" / "t_intersection.xosc", T.read_text()
+    path.parent.mkdir()
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path.write_text(text)
+    path.with_suffix(".xodr").write_bytes(T.with_suffix(".xodr").read_bytes())
+    return path
+
+
+COMMAND = """<Event name="run" priority="parallel"><Action name="run"><UserDefinedAction>
+<CustomCommandAction type="python evil.py">x</CustomCommandAction></UserDefinedAction></Action><StartTrigger/></Event>"""
+MODULE = """<PrivateAction><ControllerAction><AssignControllerAction><Controller name="c"><Properties>
+<Property name="module" value="/tmp/evil.py"/></Properties></Controller></AssignControllerAction></ControllerAction>
+</PrivateAction>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("</Event>", f"</Event>{COMMAND}", "<UserDefinedAction> with the <CustomCommandAction> 'python evil.py'"),
+        ("</Private>", f"{MODULE}</Private>", "names the module '/tmp/evil.py'"),
+        ('<Condition name="', '<Condition name="criteria_', "would be the name of a class"),
+    ],
+)
+def test_code_that_a_scenario_names_is_refused_by_name(tmp_path, old, new, words):
+    path = changed(tmp_path, (old, new))
+    with pytest.raises(InputError) as caught:
+        convert(path, tmp_path / "out" / "one.xosc", ego="Ego")
+    assert words in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_code_in_a_catalog_is_refused_too(tmp_path):
+    maneuver = f'<Maneuver name="m"><ParameterDeclarations/>{COMMAND}</Maneuver>'
+    header = T.read_text().partition("<FileHeader")[2].partition("/>")[0]
+    reference = '<CatalogReference catalogName="c" entryName="m"/>'
+    path = changed(
+        tmp_path,
+        ("<CatalogLocations/>", '<CatalogLocations><ManeuverCatalog><Directory path="catalogs"/></ManeuverCatalog></CatalogLocations>'),
+        ("</Maneuver>", f"</Maneuver>{reference}"),
+    )  # fmt: skip
+    (path.parent / "catalogs").mkdir()
+    (path.parent / "catalogs" / "c.xosc").write_text(
+        f'<OpenSCENARIO><FileHeader{header}/><Catalog name="c">{maneuver}</Catalog></OpenSCENARIO>'
+    )
+    with pytest.raises(InputError, match=r"<CustomCommandAction> 'python evil\.py'"):
+        convert(path, tmp_path / "one.xosc", ego="Ego")
+
+
+@pytest.mark.parametrize("kind", ["text", "other XML", "missing"])
+def test_only_a_road_file_is_copied(tmp_path, kind):
+    secret = tmp_path / "secret"
+    if kind != "missing":
+        secret.write_text({"text": "host", "other XML": "<keys>1</keys>"}[kind])
+    path = changed(tmp_path, ('filepath="t_intersection.xodr"', f'filepath="{secret}.xodr"'))
+    if kind != "missing":
+        secret.rename(f"{secret}.xodr")
+    with pytest.raises(InputError, match=r"secret\.xodr: "):
+        convert(path, tmp_path / "out" / "one.xosc", ego="Ego")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scenario_chooses_neither_names_of_files_nor_the_ego(tmp_path):
+    kind = '<ObjectController><Controller name="k"><Properties><Property name="type" value="ego_vehicle"/></Properties></Controller></ObjectController>'
+    path = changed(
+        tmp_path,
+        ('filepath="t_intersection.xodr"', 'filepath="carla.py"'),
+        ("</ScenarioObject>", f"{kind}</ScenarioObject>"),
+    )
+    path.with_suffix(".xodr").rename(path.parent / "carla.py")
+    text = path.read_text()
+    start = text.index('description="') + len('description="')
+    path.write_text(text[:start] + "CARLA:../../victim" + text[text.index('"', start) :])
+    found = convert(path, tmp_path / "out" / "one.xosc", ego="C")
+    root = read_xml(found.path)
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {"one.xosc", "one.xodr"}
+    assert root.xpath("FileHeader/@description") == ["cornercase"]
+    assert len(root.findall(".//Property[@value='ego_vehicle']")) == 1
+    assert any("<ObjectController> of Ego has no effect" in note for note in found.notes)
+
+
+class Eight(float):
+    """A number as NumPy 2 has them: a float that writes itself with its type."""
+
+    def __repr__(self):
+        return f"np.float64({float(self)})"
+
+
+def test_numbers_are_written_plainly_with_every_version_of_numpy(tmp_path, monkeypatch):
+    from cornercase.scenario import scope
+    from cornercase.scenario.expressions import evaluate as exact
+
+    monkeypatch.setattr(
+        scope, "evaluate", lambda *given: Eight(exact(*given)) if isinstance(exact(*given), float) else exact(*given)
+    )
+    monkeypatch.setattr(scope, "rounded", lambda value: value)
+    scenario = changed(
+        tmp_path, ('<SimulationTimeCondition value="', '<SimulationTimeCondition value="${8.33 * 2}" was="')
+    )
+    scenario.write_text(re.sub(r' was="[^"]*"', "", scenario.read_text()))
+    convert(scenario, tmp_path / "one.xosc", ego="Ego")
+    assert 'value="16.66"' in (tmp_path / "one.xosc").read_text()
+    assert "np.float64" not in (tmp_path / "one.xosc").read_text()
 
 
 def test_the_command(tmp_path):

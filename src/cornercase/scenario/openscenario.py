@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from shutil import copyfile
 
 from lxml import etree
 
@@ -16,7 +15,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import written_whole
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.parameter import Value
-from cornercase.scenario.xml import XmlFiles
+from cornercase.scenario.xml import XmlFiles, parse_xml, read_file
 
 DRIVER_PROPERTY = "cornercase.driver"
 
@@ -372,13 +371,13 @@ def write_concrete(
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _holder(root, logic_file, "filepath")
         source = scenario.beside(holder.get(attribute, ""), "road file")
-        copy_beside(source, target.parent / source.name)
+        copy_beside(source, target.parent / source.name, "OpenDRIVE")
         holder.set(attribute, source.name)
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _holder(root, directory, "path")
         folder = scenario.beside(holder.get(attribute, ""), "catalog location")
         for file in sorted(folder.glob("*.xosc")):
-            copy_beside(file, target.parent / "catalogs" / folder.name / file.name)
+            copy_beside(file, target.parent / "catalogs" / folder.name / file.name, "OpenSCENARIO")
         holder.set(attribute, f"catalogs/{folder.name}")
 
     with written_whole(target) as temporary:
@@ -410,21 +409,29 @@ def _set_driver(scenario_object: etree._Element, driver: str) -> None:
     etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver)
 
 
-def copy_beside(source: Path, target: Path) -> None:
-    """Copy a file that a scenario needs, unless it is there already.
+def copy_beside(source: Path, target: Path, root: str) -> None:
+    """Copy an XML file that a scenario needs, unless it is there already.
+
+    A scenario may come from a stranger and name any file, so only one that is what it is needed for is copied.
 
     Parameters
     ----------
     source, target : Path
+    root : str
+        Tag of its root element.
 
     Raises
     ------
     InputError
-        There is no such file.
+        There is no such file, or it is of another kind.
     """
     if not source.is_file():
         raise InputError(f"{source}: is needed by the scenario but is not there.")
-    if target.exists() and target.read_bytes() == source.read_bytes():
+    content = read_file(source)
+    found = parse_xml(content, source).tag
+    if found != root:
+        raise InputError(f"{source}: the root element is <{found}>; the scenario needs a file with <{root}> there.")
+    if target.exists() and target.read_bytes() == content:
         return
     with written_whole(target) as temporary:
-        copyfile(source, temporary)
+        temporary.write_bytes(content)

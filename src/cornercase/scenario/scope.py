@@ -426,7 +426,8 @@ class Scope:
         if isinstance(value, bool | np.bool_):
             return "true" if value else "false"
         if isinstance(value, float):
-            return str(int(value)) if value.is_integer() else repr(value)
+            # NumPy's own numbers are written as 'np.float64(8.33)'.
+            return str(int(value)) if value.is_integer() else repr(float(value))
         return str(value)
 
     def flag(self, element: etree._Element, attribute: str, default: bool) -> bool:

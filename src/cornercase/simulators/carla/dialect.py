@@ -12,11 +12,6 @@ from cornercase._common.errors import InputError
 
 DRIVER: Final = Path(__file__).with_name("cornercase_driver.py")
 BEHAVIORS: Final = ("aggressive", "cautious", "normal")
-# ScenarioRunner's own; any other module would be code that a scenario file names.
-_KNOWN: Final = (
-    "carla_autopilot", "external_control", "npc_vehicle_control", "pedestrian_control", "simple_vehicle_control",
-    "vehicle_longitudinal_control",
-)  # fmt: skip
 _UNTOUCHED: Final = (
     ("Throttle", "value"), ("Brake", "value"), ("Clutch", "value"), ("ParkingBrake", "value"),
     ("SteeringWheel", "value"), ("Gear", "number"),
@@ -46,18 +41,8 @@ def adapt(
     Raises
     ------
     InputError
-        The file names code of its own, or an entity with a behaviour agent has no route.
+        An entity with a behaviour agent has no route.
     """
-    for module in root.iterfind(".//Property[@name='module']"):
-        if module.get("value") not in _KNOWN:
-            raise InputError(
-                f"{source}: a controller names the module '{module.get('value')}'; code that a scenario names is not"
-                " run, give your own as `simulator` carla:agent=FILE."
-            )
-    header = root.find("FileHeader")
-    assert header is not None
-    # It becomes the name of the recording, and 'CARLA:' at its beginning would turn the axes.
-    header.set("description", "cornercase")
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         entity = private.get("entityRef", "")
         route = _taken_route(private)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
 from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside
 from cornercase.simulators.builtin.checking import schema_errors
+from cornercase.simulators.carla.foreign_code import refuse_code
 
 _MINOR: Final = 0
 # Attributes that are newer than 1.0, and without which the rest means the same.
@@ -58,8 +60,8 @@ def convert(
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 
     All parameters and expressions become their values, as 1.0 has no expressions, and what stands in catalogs comes
-    into the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the new file, unless
-    it is the name of one of CARLA's maps (``Town01``).
+    into the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the new file and
+    named after it (``t10.xodr`` beside ``t10.xosc``), unless it is the name of one of CARLA's maps (``Town01``).
 
     Parameters
     ----------
@@ -101,6 +103,7 @@ def write_1_0(
     target: Path | str,
     *,
     ego: str,
+    road_file: str = "",
     adapt: Callable[[etree._Element], None] | None = None,
 ) -> tuple[str, ...]:
     """Write a concrete scenario for ScenarioRunner, as `convert` does.
@@ -111,6 +114,8 @@ def write_1_0(
     values : mapping of str to float or str
     target : path
     ego : str
+    road_file : str, optional
+        Path of the copied road file, relative to that of the new file; by default beside it, named after it.
     adapt : callable, optional
         Changes the tree before it is held against the schema and written.
 
@@ -128,11 +133,12 @@ def write_1_0(
     scenario.require_entity(ego, "ego")
     root, notes = _tree_1_0(scenario, values, ego)
     target, road = Path(target), scenario.road_file(values)
-    # A name without an ending that is no file is one of CARLA's maps.
-    is_map = road is not None and not road.suffix and not road.exists()
+    town = carla_map(road)
+    # A scenario must not choose the name of a file that is written: ScenarioRunner would import 'carla.py'.
+    road_file = road_file or f"{target.stem}.xodr"
     file = root.find("RoadNetwork/LogicFile")
     if road is not None and file is not None:
-        file.set("filepath", road.name)
+        file.set("filepath", town or road_file)
     if adapt is not None:
         adapt(root)
     wrong = schema_errors(root)
@@ -140,11 +146,28 @@ def write_1_0(
         notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
     elif wrong:
         raise InputError(f"{scenario.path}: cannot be said in OpenSCENARIO 1.0 ({wrong[0]}).")
-    if road is not None and not is_map:
-        copy_beside(road, target.parent / road.name)
+    if road is not None and not town:
+        copy_beside(road, target.parent / road_file, "OpenDRIVE")
     with written_whole(target) as temporary:
         etree.ElementTree(root).write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
     return tuple(dict.fromkeys(notes))
+
+
+def carla_map(road: Path | None) -> str:
+    """Return the name of CARLA's map that a road file stands for.
+
+    Parameters
+    ----------
+    road : Path or None
+
+    Returns
+    -------
+    str
+        Empty where it is a file, or there is none.
+    """
+    if road is None or road.exists() or not re.fullmatch(r"\w+", road.name, re.ASCII):
+        return ""
+    return road.name
 
 
 def _tree_1_0(scenario: Scenario, values: Mapping[str, Value], ego: str) -> tuple[etree._Element, list[str]]:
@@ -164,9 +187,12 @@ def _tree_1_0(scenario: Scenario, values: Mapping[str, Value], ego: str) -> tupl
         raise InputError(f"{scenario.path}: has no <FileHeader>.")
     header.set("revMajor", "1")
     header.set("revMinor", str(_MINOR))
+    # ScenarioRunner names files after the description, and 'CARLA:' at its beginning would turn the axes.
+    header.set("description", "cornercase")
     for child in list(header):
         header.remove(child)
     header.text = None
+    refuse_code(root, scenario.path)
     _entities(root, ego, notes)
     _trajectories(root)
     _conditions(root, notes)
@@ -224,8 +250,11 @@ def _entities(root: etree._Element, ego: str, notes: list[str]) -> None:
         name = holder.get("name", "")
         for controlled in holder.findall("ObjectController"):
             driver = controlled.find(f"Controller/Properties/Property[@name='{DRIVER_PROPERTY}']")
-            if driver is not None:
-                holder.remove(controlled)
+            # ScenarioRunner does not run these, but would take their properties for the entity's own.
+            holder.remove(controlled)
+            if driver is None:
+                notes.append(f"The <ObjectController> of {name} has no effect on ScenarioRunner.")
+            else:
                 who = "the agent that ScenarioRunner gives it" if name == ego else "the storyboard alone"
                 notes.append(f"{name} is driven by {who}, not by cornercase's driver '{driver.get('value')}'.")
         vehicle, walker = holder.find("Vehicle"), holder.find("Pedestrian")

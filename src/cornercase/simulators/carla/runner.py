@@ -51,6 +51,7 @@ class ScenarioRunner:
     def run(
         self,
         file: Path,
+        drivers: Path,
         options: Mapping[str, object],
         tracker: Tracker,
         *,
@@ -64,6 +65,8 @@ class ScenarioRunner:
         ----------
         file : Path
             What it says goes to ``scenario_runner.log`` beside it.
+        drivers : Path
+            Folder with the controllers that the scenario names; nothing else is on the path of Python's modules.
         options : mapping of str to object
             Further ones of its command line.
         tracker : Tracker
@@ -85,8 +88,8 @@ class ScenarioRunner:
         log = file.with_name("scenario_runner.log")
         with log.open("wb") as output:
             process = subprocess.Popen(
-                command, cwd=file.parent, env=self._environment(file.parent), stdin=subprocess.DEVNULL, stdout=output,
-                stderr=subprocess.STDOUT,
+                command, cwd=file.parent, env=self._environment(file.parent, drivers), stdin=subprocess.DEVNULL,
+                stdout=output, stderr=subprocess.STDOUT,
             )  # fmt: skip
             try:
                 stopped = _watch(process, tracker, duration, until_collision, silence)
@@ -99,8 +102,8 @@ class ScenarioRunner:
             kind = SimulatorError if "time-out of" in words else SimulationError
             raise kind(f"ScenarioRunner did not run it to the end: {words}")
 
-    def _environment(self, folder: Path) -> dict[str, str]:
-        roots = [self._folder, folder]
+    def _environment(self, folder: Path, drivers: Path) -> dict[str, str]:
+        roots = [self._folder, drivers]
         if self._carla_root:
             roots.append(Path(self._carla_root) / "PythonAPI" / "carla")
         known = os.environ.get("PYTHONPATH", "")

@@ -62,28 +62,28 @@ class Server:
         """Take a new client the next time, as the server may have been started anew."""
         self._client = None
 
-    def prepare(self, road: Path | None) -> None:
+    def prepare(self, road: Path | str | None) -> None:
         """Load a map where another one is there, and clear away what an earlier run has left.
 
         Parameters
         ----------
-        road : Path or None
-            OpenDRIVE file; of one without an ending the name is that of one of CARLA's maps.
+        road : Path, str or None
+            OpenDRIVE file, or the name of one of CARLA's maps.
         """
         import carla
 
         client = self.client()
         world = client.get_world()
-        if road is not None and road.suffix:
+        if isinstance(road, Path):
             text = _opendrive(road.read_text(encoding="utf-8"))
             if _opendrive(world.get_map().to_opendrive()) != text:
                 # The mesh that ScenarioRunner would make, so that it finds its map loaded.
                 mesh = carla.OpendriveGenerationParameters(**_MESH, smooth_junctions=True, enable_mesh_visibility=True)
                 client.set_timeout(_LOADING)
                 world = client.generate_opendrive_world(text, mesh)
-        elif road is not None and world.get_map().name.rpartition("/")[2] != road.name:
+        elif road is not None and world.get_map().name.rpartition("/")[2] != road:
             client.set_timeout(_LOADING)
-            world = client.load_world(road.name)
+            world = client.load_world(road)
         client.set_timeout(self.patience)
         self.calm()
         for actor in world.get_actors():

@@ -19,7 +19,7 @@ from cornercase.recordings import Recording, read_carla_log
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 from cornercase.simulators.carla.dialect import BEHAVIORS, DRIVER, adapt
-from cornercase.simulators.carla.openscenario_1_0 import write_1_0
+from cornercase.simulators.carla.openscenario_1_0 import carla_map, write_1_0
 from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
 from cornercase.simulators.carla.server import Server
 from cornercase.simulators.carla.tracker import Tracker
@@ -28,6 +28,8 @@ from cornercase.simulators.hosts import address
 _MISSING: Final = "CARLA's client is not installed; pip install 'cornercase[carla]' with a Python of 3.10 to 3.12."
 # A server takes its port and the two after it.
 _PORTS_EACH: Final = 4
+# Road file of a run, in a folder that is on no path of Python's.
+_ROAD: Final = "road/road.xodr"
 # Categories for which ScenarioRunner would take any vehicle.
 _UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
 # s without a frame after which the server is taken for gone, in multiples of `patience`.
@@ -244,22 +246,23 @@ class CarlaSimulator(Simulator):
     def _run_in(
         self, folder: Path, scenario: Scenario, concrete: ConcreteScenario, behaviors: Mapping[str, str]
     ) -> Recording:
-        file = folder / "cornercase.xosc"
+        file, drivers = folder / "cornercase.xosc", folder / "drivers"
         write_1_0(
-            scenario, concrete.values, file, ego=self._ego,
+            scenario, concrete.values, file, ego=self._ego, road_file=_ROAD,
             adapt=partial(
                 adapt, source=scenario.path, ego=self._ego, behaviors=behaviors, agent=self._agent,
                 config=self._agent_config,
             ),
         )  # fmt: skip
-        shutil.copyfile(DRIVER, folder / DRIVER.name)
+        drivers.mkdir()
+        shutil.copyfile(DRIVER, drivers / DRIVER.name)
         server, road = self._server, scenario.road_file(concrete.values)
-        # A road file has been copied beside the scenario; the name of a map is no file.
-        server.prepare(None if road is None else folder / road.name)
+        town = carla_map(road)
+        server.prepare(town or (None if road is None else folder / _ROAD))
         with Tracker(server.client(), scenario.entities, self._ego, self._time_step) as tracker:
             try:
                 self._runner.run(
-                    file, self._options(), tracker, duration=self._duration, until_collision=self._stops,
+                    file, drivers, self._options(), tracker, duration=self._duration, until_collision=self._stops,
                     silence=_SILENCE * server.patience,
                 )  # fmt: skip
             finally:
