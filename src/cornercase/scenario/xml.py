@@ -9,6 +9,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import recording_parser
 
 _LARGEST: Final = 200_000_000
 _DEEPEST: Final = 200
@@ -82,7 +83,7 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
     InputError
         It is no XML, has a document type declaration, or is nested more than 200 deep.
     """
-    parser = etree.XMLParser(
+    parser = recording_parser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False
     )
     try:
@@ -102,12 +103,15 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
 class XmlFiles:
     """Files that belong together, each read once and parsed once, when it is first asked for.
 
+    Their elements remember what was read of them; a `Ledger` then names what was not.
+
     What is parsed later is what was there when the file was read, so that it fits its digest.
     """
 
     def __init__(self) -> None:
         self._data: dict[Path, bytes] = {}
         self._roots: dict[Path, etree._Element] = {}
+        self._elements: dict[Path, list[etree._Element]] = {}
 
     def digest(self, path: Path) -> bytes:
         """SHA-256 of a file's content; raises an `InputError` where it cannot be read."""
@@ -116,7 +120,9 @@ class XmlFiles:
     def root(self, path: Path) -> etree._Element:
         """Root of a file, as in `read_xml`; the same object each time, which is not to be changed."""
         if path not in self._roots:
-            self._roots[path] = parse_xml(self._content(path), path)
+            self._roots[path] = root = parse_xml(self._content(path), path)
+            # Elements remember what was read of them as long as somebody holds them.
+            self._elements[path] = list(root.iter())
         return self._roots[path]
 
     def _content(self, path: Path) -> bytes:

@@ -1,0 +1,261 @@
+"""A ledger of a file format: what happens with each of its elements and attributes."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import asked_attributes, children, was_read
+
+# More lines than this are counted, not named.
+_MOST_LINES: Final = 5
+
+# Attributes of XML itself, such as where a schema lies.
+_XML: Final = "{http://www.w3.org/"
+
+
+class Status(StrEnum):
+    """What happens with a part of a file."""
+
+    USED = "used"
+    WITHOUT_EFFECT = "without effect"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What happens with an element, or with an attribute.
+
+    Attributes
+    ----------
+    element : str
+        Name of the element; where one name means different things, with those above it: ``"Init/Actions"``.
+    attribute : str
+        Empty for the element itself.
+    status : Status
+    unless : tuple of str
+        Values of the attribute that change nothing, so that nothing is said about them; numbers count as equal
+        however they are written.
+    note : str
+        What happens instead, or what to do instead: without a capital at its beginning or a full stop at its end.
+    """
+
+    element: str
+    attribute: str
+    status: Status
+    unless: tuple[str, ...]
+    note: str
+
+    def is_silent(self, value: str) -> bool:
+        """Whether a value of the attribute changes nothing."""
+        return any(value == one or _same_number(value, one) for one in self.unless)
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A part of a file that has no effect.
+
+    Attributes
+    ----------
+    what : str
+        The element, or the attribute with its element.
+    why : str
+        In plain words.
+    file : Path
+    lines : tuple of int
+        Where it stands.
+    """
+
+    what: str
+    why: str
+    file: Path
+    lines: tuple[int, ...]
+
+    def __str__(self) -> str:
+        named = ", ".join(map(str, self.lines[:_MOST_LINES]))
+        more = len(self.lines) - _MOST_LINES
+        named += f" and {more} more" if more > 0 else ""
+        place = f"{self.file.name}, line{'s' if len(self.lines) > 1 else ''} {named}"
+        return f"{self.what} ({place}): {self.why}"
+
+
+class Ledger:
+    """What happens with each element and attribute of a file format.
+
+    An element that is without effect, or refused, says so for all that it holds: its attributes and what lies below
+    it need no entries.
+
+    Parameters
+    ----------
+    entries : iterable of Entry
+    """
+
+    def __init__(self, entries: Iterable[Entry]) -> None:
+        self.entries = tuple(entries)
+        self._by_name: dict[tuple[str, str], list[tuple[tuple[str, ...], Entry]]] = {}
+        for entry in self.entries:
+            *above, name = entry.element.split("/")
+            known = self._by_name.setdefault((name, entry.attribute), [])
+            known.append((tuple(above), entry))
+            known.sort(key=lambda one: -len(one[0]))
+        self._refusable = tuple({e.element.split("/")[-1] for e in self.entries if e.status is Status.REFUSED})
+
+    @classmethod
+    def read(cls, package: str, file: str) -> Ledger:
+        """Read a ledger that ships with a package: a CSV with the columns element, attribute, status, unless and note.
+
+        Values in the column unless stand apart by a bar: ``0|false``.
+        """
+        text = (resources.files(package) / file).read_text(encoding="utf-8")
+        return cls(
+            Entry(
+                row["element"],
+                row["attribute"],
+                Status(row["status"]),
+                tuple(row["unless"].split("|")) if row["unless"] else (),
+                row["note"],
+            )
+            for row in csv.DictReader(text.splitlines())
+        )
+
+    def entry(self, path: tuple[str, ...], attribute: str = "") -> Entry | None:
+        """Find the entry of an element or attribute: the one that names most of what stands above it.
+
+        Parameters
+        ----------
+        path : tuple of str
+            Names of the elements from the root on.
+        attribute : str, optional
+
+        Returns
+        -------
+        Entry or None
+            None where the ledger does not know it.
+        """
+        for above, entry in self._by_name.get((path[-1], attribute), ()):
+            if path[len(path) - 1 - len(above) : -1] == above:
+                return entry
+        return None
+
+    def refuse(self, element: etree._Element, file: Path | str) -> None:
+        """Refuse what cannot be used, below an element and in it.
+
+        Parameters
+        ----------
+        element : lxml element
+        file : path
+            For the message.
+
+        Raises
+        ------
+        InputError
+            Names the first such element or attribute, its line, and what to do instead.
+        """
+        if not self._refusable:
+            return
+        every = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
+        for one in every(element, *(f"{{*}}{name}" for name in self._refusable)):
+            path = _path(one)
+            if any(self._ends(path[: k + 1]) for k in range(len(path) - 1)):
+                continue
+            entry = self.entry(path)
+            if entry is not None and entry.status is Status.REFUSED:
+                raise InputError(f"{file}, line {_line(one)}: <{path[-1]}> cannot be used; {entry.note}.")
+            for name, value in _attributes(one):
+                entry = self.entry(path, name)
+                if entry is not None and entry.status is Status.REFUSED and not entry.is_silent(value):
+                    raise InputError(
+                        f"{file}, line {_line(one)}: {name} '{value}' of <{path[-1]}> cannot be used; {entry.note}."
+                    )
+
+    def _ends(self, path: tuple[str, ...]) -> bool:
+        entry = self.entry(path)
+        return entry is not None and entry.status is not Status.USED
+
+    def notices(self, element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
+        """Name what has no effect, below an element and in it, after the file was read.
+
+        Parameters
+        ----------
+        element : lxml element
+        file : path
+
+        Returns
+        -------
+        tuple of Notice
+            Parts without effect by the ledger, parts that the ledger does not know, and parts that it calls used but
+            that nobody read; one for each kind of thing.
+        """
+        lines: dict[tuple[str, str], list[int]] = {}
+        for what, why, line in self._silent(element, _path(element)):
+            lines.setdefault((what, why), []).append(line)
+        return tuple(Notice(what, why, Path(file), tuple(where)) for (what, why), where in lines.items())
+
+    def _silent(self, element: etree._Element, path: tuple[str, ...]) -> Iterator[tuple[str, str, int]]:
+        entry, line = self.entry(path), _line(element)
+        if entry is None:
+            yield f"<{path[-1]}> in <{path[-2]}>" if len(path) > 1 else f"<{path[-1]}>", "is not known here", line
+            return
+        if entry.status is Status.WITHOUT_EFFECT:
+            yield f"<{path[-1]}>", entry.note, line
+            return
+        if entry.status is Status.REFUSED:
+            return
+        if len(path) > 1 and not _anything_read(element):
+            yield f"<{path[-1]}> in <{path[-2]}>", "nothing reads it here", line
+            return
+        asked = asked_attributes(element)
+        for name, value in _attributes(element):
+            entry = self.entry(path, name)
+            if entry is None:
+                yield f"{name} of <{path[-1]}>", "is not known here", line
+            elif entry.status is Status.WITHOUT_EFFECT:
+                if not entry.is_silent(value):
+                    yield f"{name} of <{path[-1]}>", entry.note, line
+            elif entry.status is Status.USED and asked is not None and name not in asked:
+                yield f"{name} of <{path[-1]}>", "nothing reads it here", line
+        for child in children(element):
+            yield from self._silent(child, (*path, local_name(child)))
+
+
+def local_name(element: etree._Element) -> str:
+    """Name of an element without its namespace."""
+    return str(element.tag).rpartition("}")[2]
+
+
+def _attributes(element: etree._Element) -> list[tuple[str, str]]:
+    """Names and values of the attributes, without those of XML itself."""
+    pairs = ((str(name), str(value)) for name, value in element.items())
+    return [(name, value) for name, value in pairs if not name.startswith(_XML)]
+
+
+def _line(element: etree._Element) -> int:
+    return element.sourceline if isinstance(element.sourceline, int) else 0
+
+
+def _path(element: etree._Element) -> tuple[str, ...]:
+    names = [local_name(element)]
+    above = element.getparent()
+    while above is not None:
+        names.append(local_name(above))
+        above = above.getparent()
+    return tuple(reversed(names))
+
+
+def _anything_read(element: etree._Element) -> bool:
+    return was_read(element) or any(_anything_read(child) for child in children(element))
+
+
+def _same_number(one: str, two: str) -> bool:
+    try:
+        return float(one) == float(two)
+    except ValueError:
+        return False

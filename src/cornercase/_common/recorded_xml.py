@@ -1,0 +1,110 @@
+"""XML elements that remember what was read of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from lxml import etree
+
+# Those of the class itself, which record nothing.
+_get = etree.ElementBase.get
+_find = etree.ElementBase.find
+_children = etree.ElementBase.iterchildren
+
+
+class RecordedElement(etree.ElementBase):
+    """An element that remembers whether it was found, and which of its attributes were asked for.
+
+    It is found when `find`, `findall`, `iterfind`, `iterchildren`, `iter` with a name, or a loop over the children
+    gives it. `iter` without a name, `attrib`, `items` and `getparent` record nothing, so that a file can be looked
+    through without counting as read. lxml forgets an element that nobody holds: whoever asks what was read has to
+    hold all of them from the start, as `XmlFiles` does.
+
+    Attributes
+    ----------
+    found : bool
+    asked : set of str or None
+        Names of attributes, whether or not the element has them; None as long as none was asked for.
+    """
+
+    # Of the class as long as nothing was read, so that an element costs nothing to make.
+    found: bool = False
+    asked: set[str] | None = None
+
+    def get(self, key: Any, default: Any = None) -> Any:
+        """Value of an attribute."""
+        if self.asked is None:
+            self.asked = {key}
+        else:
+            self.asked.add(key)
+        return _get(self, key, default)
+
+    def find(self, path: Any, namespaces: Any = None) -> Any:
+        """First element at a path."""
+        element: Any = _find(self, path, namespaces)
+        if element is not None:
+            element.found = True
+        return element
+
+    def findall(self, path: Any, namespaces: Any = None) -> Any:
+        """All elements at a path."""
+        return [_found(one) for one in etree.ElementBase.findall(self, path, namespaces)]
+
+    def iterfind(self, path: Any, namespaces: Any = None) -> Any:
+        """All elements at a path, one after the other."""
+        return map(_found, etree.ElementBase.iterfind(self, path, namespaces))
+
+    def iterchildren(self, *tags: Any, **options: Any) -> Any:
+        """Children, of all names or of some."""
+        return map(_found, _children(self, *tags, **options))
+
+    def iter(self, *tags: Any, **options: Any) -> Any:
+        """The element and all below it; those of some names count as found."""
+        every = etree.ElementBase.iter(self, *tags, **options)
+        return map(_found, every) if tags else every
+
+    def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
+        return map(_found, etree.ElementBase.__iter__(self))
+
+
+def _found(element: Any) -> Any:
+    if isinstance(element, RecordedElement):
+        element.found = True
+    return element
+
+
+def children(element: etree._Element) -> Iterator[etree._Element]:
+    """Give the child elements without recording it."""
+    return _children(element, "*") if isinstance(element, RecordedElement) else element.iterchildren("*")
+
+
+def mark_as_read(element: etree._Element) -> None:
+    """Count an element as found, however it was come by."""
+    _found(element)
+
+
+def was_read(element: etree._Element) -> bool:
+    """Whether an element was found, or something was read of it; always so where nothing is recorded.
+
+    Parameters
+    ----------
+    element : lxml element
+
+    Returns
+    -------
+    bool
+    """
+    return not isinstance(element, RecordedElement) or element.found or element.asked is not None
+
+
+def asked_attributes(element: etree._Element) -> frozenset[str] | None:
+    """Names of the attributes that were asked for; None where nothing is recorded."""
+    return frozenset(element.asked or ()) if isinstance(element, RecordedElement) else None
+
+
+def recording_parser(**options: Any) -> etree.XMLParser:
+    """Make a parser whose elements record what is read of them; `options` are those of ``lxml.etree.XMLParser``."""
+    parser = etree.XMLParser(**options)
+    parser.set_element_class_lookup(etree.ElementDefaultClassLookup(element=RecordedElement))
+    return parser

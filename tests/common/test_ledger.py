@@ -1,0 +1,116 @@
+"""A ledger of a file format, and elements that remember what was read of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.ledger import Entry, Ledger, Status
+from cornercase.scenario.xml import XmlFiles
+
+LEDGER = Ledger(
+    [
+        Entry("House", "", Status.USED, (), ""),
+        Entry("House", "name", Status.USED, (), ""),
+        Entry("House", "colour", Status.WITHOUT_EFFECT, ("white",), "all houses are white"),
+        Entry("House", "floors", Status.REFUSED, ("1",), "give floors='1'"),
+        Entry("Room", "", Status.USED, (), ""),
+        Entry("Room", "size", Status.USED, (), ""),
+        Entry("Cellar/Room", "size", Status.WITHOUT_EFFECT, ("0",), "cellars have no size"),
+        Entry("Cellar", "", Status.USED, (), ""),
+        Entry("Garden", "", Status.WITHOUT_EFFECT, (), "gardens are left out"),
+        Entry("Pool", "", Status.REFUSED, (), "remove it"),
+    ]
+)
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text: str):
+        path = tmp_path / "house.xml"
+        path.write_text(text, encoding="utf-8")
+        files = XmlFiles()
+        return files, files.root(path), path
+
+    return read
+
+
+def _notices(root: etree._Element, path: Path) -> list[str]:
+    return [f"{one.what}: {one.why}; {list(one.lines)}" for one in LEDGER.notices(root, path)]
+
+
+def test_names_what_is_without_effect(read):
+    _, root, path = read("<House colour='red'>\n<Garden><Tree/></Garden>\n<Garden/>\n</House>")
+    root.find("Garden")
+    assert _notices(root, path) == [
+        "colour of <House>: all houses are white; [1]",
+        "<Garden>: gardens are left out; [2, 3]",
+    ]
+
+
+def test_says_nothing_of_values_that_change_nothing(read):
+    _, root, path = read("<House colour='white'><Cellar><Room size='0.0'/></Cellar></House>")
+    root.find("Cellar/Room")
+    assert _notices(root, path) == []
+
+
+def test_names_what_it_does_not_know(read):
+    _, root, path = read("<House rent='3'><Roof/></House>")
+    root.get("name")
+    assert _notices(root, path) == [
+        "rent of <House>: is not known here; [1]",
+        "<Roof> in <House>: is not known here; [1]",
+    ]
+
+
+def test_names_what_is_used_elsewhere_but_nobody_read(read):
+    _, root, path = read("<House name='a'>\n<Room size='1'/>\n<Room size='2'/>\n<Room size='3'/></House>")
+    rooms = root.findall("Room")
+    rooms[0].get("size")
+    assert _notices(root, path) == [
+        "name of <House>: nothing reads it here; [1]",
+        "size of <Room>: nothing reads it here; [3, 4]",
+    ]
+
+
+def test_looking_through_a_file_is_not_reading_it(read):
+    _, root, path = read("<House name='a'><Room size='1'/></House>")
+    assert {e.tag for e in root.iter()} == {"House", "Room"}
+    assert dict(root.attrib) == {"name": "a"}
+    root.get("name")
+    assert _notices(root, path) == ["<Room> in <House>: nothing reads it here; [1]"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["<House><Room><Pool/></Room></House>", "<House floors='2'/>", "<a:House xmlns:a='b'><a:Pool/></a:House>"],
+)
+def test_refuses_by_name(read, text):
+    _, root, path = read(text)
+    with pytest.raises(InputError, match=r"house.xml, line 1: .*(<Pool>|floors '2' of <House>) cannot be used; "):
+        LEDGER.refuse(root, path)
+
+
+@pytest.mark.parametrize("text", ["<House floors='1.0'/>", "<House><Garden><Pool/></Garden></House>"])
+def test_refuses_nothing_that_changes_nothing_or_has_no_effect_anyway(read, text):
+    _, root, path = read(text)
+    LEDGER.refuse(root, path)
+
+
+def test_many_lines_are_counted(read):
+    _, root, path = read("<House>" + "\n<Garden/>" * 9 + "</House>")
+    root.find("Garden")
+    (notice,) = LEDGER.notices(root, path)
+    assert str(notice) == "<Garden> (house.xml, lines 2, 3, 4, 5, 6 and 4 more): gardens are left out"
+
+
+def test_what_was_read_is_kept_however_the_elements_are_reached(read):
+    files, root, path = read("<House><Room size='1'/><Room size='2'/></House>")
+    for room in root:
+        room.get("size")
+    del room
+    assert _notices(root, path) == []
+    assert files.root(path) is root
