@@ -1,0 +1,72 @@
+"""The builtin simulator held against esmini: its recordings of others' scenarios and of random storyboards.
+
+What is known to differ stands in ``data/esmini_differences.json``, each with its reason. A recording that starts to
+match has to leave that list, so that it is held from then on.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from random import Random
+
+import pytest
+
+import cornercase as cc
+from agreement import disagreement, last_instant, tracks_of_file
+from conftest import ran
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import BuiltinSimulator
+from storyboards import storyboard, write_roads
+
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
+DIFFERENCES = json.loads((Path(__file__).parents[1] / "data" / "esmini_differences.json").read_text(encoding="utf-8"))
+
+
+def recorded():
+    """Scenario file, parameters, and esmini's recording of it, with the name of each."""
+    found = []
+    index = REFERENCE / "index.json"
+    for row in json.loads(index.read_text(encoding="utf-8")) if index.is_file() else []:
+        expected = REFERENCE / "expected" / row["expected"]
+        found.append(pytest.param(REFERENCE / row["scenario"], row["parameters"], expected, id=expected.stem))
+    for path in sorted((REFERENCE / "random").glob("*.xosc")):
+        found.append(pytest.param(path, {}, path.parent / "expected" / f"{path.stem}.csv", id=path.stem))
+    return found
+
+
+@pytest.mark.parametrize(("scenario", "values", "expected"), recorded())
+def test_gives_the_recording_of_esmini(scenario, values, expected):
+    tracks = tracks_of_file(expected)
+    simulator = BuiltinSimulator(duration=min(last_instant(tracks) + 1.0, 40.0))
+    try:
+        (recording,) = ran(simulator, [ConcreteScenario(scenario, values)])
+        off = disagreement(tracks, recording)
+    except (cc.InputError, cc.SimulationError) as error:
+        off = str(error)
+    if expected.stem not in DIFFERENCES:
+        assert off == ""
+    else:
+        assert off != "", f"{expected.stem} now matches: take it out of tests/data/esmini_differences.json"
+
+
+@pytest.mark.skipif(not (REFERENCE / "index.json").is_file(), reason="the recordings are not beside the checkout")
+def test_what_differs_is_among_the_recordings():
+    assert set(DIFFERENCES) <= {one.id for one in recorded()}
+
+
+@pytest.fixture(scope="module")
+def roads(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("roads")
+    write_roads(folder)
+    return folder
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_storyboards_are_valid_and_run(roads, seed):
+    path = roads / f"{seed}.xosc"
+    path.write_text(storyboard(Random(seed)))
+    found = cc.check(path)
+    assert not found.invalid
+    assert not found.trouble
+    assert storyboard(Random(seed)) == path.read_text()
