@@ -11,6 +11,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray
+from cornercase.scenario.declared_types import NUMERIC, typed_value
 
 _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "equalTo": np.equal,
@@ -155,6 +156,11 @@ def violations(
     -------
     dict of str to ndarray of bool, shape (N,)
         Where each parameter with constraints breaks them; without those that never do.
+
+    Raises
+    ------
+    InputError
+        A constraint compares a parameter with what is no value of its type.
     """
     found = {}
     for declaration in declarations:
@@ -164,7 +170,14 @@ def violations(
         for group in declaration.groups:
             holds = np.ones(scenarios, dtype=np.bool_)
             for constraint in group:
-                holds &= _compare(constraint.rule, value_of(declaration.name), bound(constraint.value))
+                value, other = value_of(declaration.name), bound(constraint.value)
+                try:
+                    holds &= _compare(constraint.rule, value, other, declaration.kind)
+                except ValueError:
+                    raise InputError(
+                        f"The constraint {in_words([constraint])} of the parameter {declaration.name}: is no value of"
+                        f" the type {declaration.kind}."
+                    ) from None
             fulfilled |= holds
         if not fulfilled.all():
             found[declaration.name] = ~fulfilled
@@ -208,10 +221,15 @@ def _known(rule: str) -> str:
     return rule
 
 
-def _compare(rule: str, value: Any, bound: Any) -> Any:
-    try:
-        value, bound = np.asarray(value, dtype=np.float64), np.asarray(bound, dtype=np.float64)
-    except ValueError:
-        return _RULES[rule](np.asarray(value, dtype=str), np.asarray(bound, dtype=str))
+def _compare(rule: str, value: Any, bound: Any, kind: str) -> Any:
+    """Compare values as those of a type; raises a `ValueError` for what is none of it."""
+    if kind not in NUMERIC:
+        of_kind = np.vectorize(lambda one: str(typed_value(_plain(one), kind)), otypes=[str])
+        return _RULES[rule](of_kind(value), of_kind(bound))
+    value, bound = np.asarray(value, dtype=np.float64), np.asarray(bound, dtype=np.float64)
     near = np.abs(value - bound) <= _TOLERANCE
     return near if rule == "equalTo" else _RULES[rule](value, bound) & ~near | (near & (rule.endswith("OrEqual")))
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value

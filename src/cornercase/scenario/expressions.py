@@ -17,9 +17,6 @@ from cornercase._common.errors import InputError, suggestion
 
 Operand = Any  # float, bool or str, or an array of them over concrete scenarios
 
-NUMERIC: Final = frozenset({"double", "integer", "int", "unsignedInt", "unsignedShort"})
-"""Types of parameters that are numbers."""
-
 _MOST_CHARACTERS: Final = 10_000
 _MOST_NESTED: Final = 100
 _MOST_SHOWN: Final = 100
@@ -212,15 +209,3 @@ def rounded(value: Any) -> Any:
     # esmini hands the results of expressions on as texts with six decimals; events may hang on the last of them.
     array = np.asarray(value)
     return np.round(array, 6)[()] if array.dtype.kind == "f" else value
-
-
-def typed(text: str, kind: str) -> Any:
-    """Read a text as a value of an OpenSCENARIO type; one that is no number of a numeric type stays a text."""
-    if kind in NUMERIC:
-        try:
-            return float(text)
-        except ValueError:
-            return text
-    if kind == "boolean":
-        return text in ("true", "1")
-    return text

@@ -13,6 +13,7 @@ from lxml import etree
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import written_whole
+from cornercase.scenario.declared_types import typed_value, value_text
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import XmlFiles, parse_xml, read_file
@@ -360,7 +361,7 @@ def write_concrete(
     for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
         name = declaration.get("name", "")
         if name in values:
-            declaration.set("value", value_text(values[name]))
+            declaration.set("value", _typed_text(values[name], declaration, scenario.path))
     for name, driver in (drivers or {}).items():
         scenario.require_entity(name, "driven entity")
         for element in root.iterfind("Entities/ScenarioObject"):
@@ -393,9 +394,14 @@ def _holder(root: etree._Element, element: etree._Element, attribute: str) -> tu
     return element, attribute
 
 
-def value_text(value: Value) -> str:
-    """Write a parameter value so that reading gives the same number."""
-    return value if isinstance(value, str) else repr(float(value))
+def _typed_text(value: Value, declaration: etree._Element, path: Path) -> str:
+    """Write a value as one of the type that its parameter is declared with."""
+    if isinstance(value, str) and value.lstrip().startswith("$"):
+        return value
+    try:
+        return value_text(typed_value(value, declaration.get("parameterType", "string")))
+    except ValueError as why:
+        raise InputError(f"{path}: the parameter {declaration.get('name')} is '{value}', {why}.") from None
 
 
 def _set_driver(scenario_object: etree._Element, driver: str) -> None:

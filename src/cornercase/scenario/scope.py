@@ -10,21 +10,20 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.scenario.attributes import Attributes
 from cornercase.scenario.constraints import Declaration, read_declarations, violations
-from cornercase.scenario.expressions import NUMERIC, evaluate, names_in, rounded, typed
+from cornercase.scenario.declared_types import INTEGERS, NUMERIC, typed_value, value_text
+from cornercase.scenario.expressions import evaluate
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.varies import VariesError
 
 Catalogs = Callable[[str, str], etree._Element]
 """Name of a catalog and of an entry to the entry."""
 
-_Placed = etree._Element | Declaration
-"""What has a line in the file."""
-
 _DEEPEST = 20
 
 
-class Scope:
+class Scope(Attributes):
     """Values of parameters for N concrete scenarios.
 
     Parameters
@@ -48,13 +47,9 @@ class Scope:
         origins: Mapping[str, set[str]],
         catalogs: Catalogs | None = None,
     ) -> None:
-        self.source = source
-        self.scenarios = scenarios
-        self.values = dict(values)
-        self._origins = dict(origins)
+        super().__init__(source, scenarios, values, origins)
         self._catalogs = catalogs
         self._depth = 0
-        self._undefined = np.zeros(scenarios, dtype=np.bool_)
 
     @classmethod
     def of_file(
@@ -119,20 +114,41 @@ class Scope:
             if name not in names:
                 scope._declare(declaration)
                 continue
-            texts = [values.get(name, declaration.value) for values in concretes]
-            if declaration.kind in NUMERIC:
-                scope.values[name] = np.array([scope._number(text, declaration) for text in texts])
-            else:
-                different = {str(text) for text in texts}
-                if len(different) > 1:
-                    raise VariesError({name})
-                scope.values[name] = typed(different.pop(), declaration.kind)
-            scope._origins[name] = {name}
             names.discard(name)
+            given = {i: values[name] for i, values in enumerate(concretes) if name in values}
+            origins = {name} if len(given) == len(concretes) else {name} | scope.origins(declaration.value)
+            if declaration.kind in NUMERIC:
+                scope.values[name] = scope._numbers(declaration, given)
+            else:
+                scope.values[name] = scope._one_text(declaration, given, origins)
+                scope.used |= origins
+            scope._origins[name] = origins
         if names:
             name = min(names)
             raise InputError(f"{source}: declares no parameter '{name}'; {suggestion(name, scope.values)}")
         return scope
+
+    def _numbers(self, declaration: Declaration, given: Mapping[int, Value]) -> FloatArray:
+        """Values of a numeric parameter, its own where none is given, shape (N,)."""
+        result = np.full(self.scenarios, np.nan)
+        if len(given) < self.scenarios:
+            own = self._typed(self._value(declaration.value, declaration), declaration)
+            result[:] = np.nan if isinstance(own, str) else own
+        for i, value in given.items():
+            one = self._value(value, declaration) if isinstance(value, str) else value
+            one = one[i] if isinstance(one, np.ndarray) else one
+            result[i] = float(self._typed_one(one, declaration))
+        return result
+
+    def _one_text(self, declaration: Declaration, given: Mapping[int, Value], origins: set[str]) -> Any:
+        """Value of a parameter that is no number, the same for all."""
+        found = {str(self._typed_one(value, declaration)) for value in given.values()}
+        if len(given) < self.scenarios:
+            own = np.unique(np.asarray(self._typed(self._value(declaration.value, declaration), declaration)))
+            found |= {value_text(one) for one in own.tolist()}
+        if len(found) > 1:
+            raise VariesError(origins)
+        return self._typed(found.pop(), declaration)
 
     def within(self, element: etree._Element, assignments: etree._Element | None = None) -> Scope:
         """Make the scope of a catalog entry or maneuver.
@@ -154,7 +170,7 @@ class Scope:
             A value cannot be evaluated.
         """
         inner = Scope(self.source, self.scenarios, self.values, self._origins, self._catalogs)
-        inner._depth, inner._undefined = self._depth, self._undefined
+        inner._depth, inner.used, inner._refused = self._depth, self.used, self._refused
         for declaration in read_declarations(element, self.source):
             inner._declare(declaration)
         if assignments is not None:
@@ -307,181 +323,36 @@ class Scope:
         inner._depth += 1
         return element, inner
 
-    def origins(self, text: str) -> set[str]:
-        """Return the parameters of the logical scenario that an attribute depends on.
-
-        Parameters
-        ----------
-        text : str
-            Of the attribute.
-
-        Returns
-        -------
-        set of str
-        """
-        return {origin for name in names_in(text) for origin in self._origins.get(name, set())}
-
-    def number(self, element: etree._Element, attribute: str, default: float | None = None) -> FloatArray:
-        """Read an attribute as a number for each scenario.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : float, optional
-            Where the attribute is missing; by default it must not be.
-
-        Returns
-        -------
-        ndarray of float64, shape (N,)
-            Not finite where an expression has no value; `without_value` then tells so.
-
-        Raises
-        ------
-        InputError
-            It is missing, no number, or has no finite value in any scenario.
-        """
-        text = element.get(attribute)
-        if text is None:
-            if default is None:
-                raise self._error(element, attribute, "is missing")
-            return np.full(self.scenarios, float(default))
-        value = self._value(text, element, attribute)
-        if isinstance(value, str):
-            value = self._float(value, element, attribute)
-        elif isinstance(value, np.ndarray | np.floating | float):
-            broken = ~np.isfinite(value)
-            if broken.all():
-                raise self._error(element, attribute, f"is '{text[:60]}', which has no finite value")
-            self._undefined |= broken
-        return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.scenarios,)).copy()
-
-    def without_value(self) -> BoolArray:
-        """Tell in which scenarios a number that was read is not finite.
-
-        Returns
-        -------
-        ndarray of bool, shape (N,)
-        """
-        return self._undefined.copy()
-
-    def one_number(self, element: etree._Element, attribute: str, default: float | None = None) -> float:
-        """Read an attribute as one number.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : float, optional
-            Where the attribute is missing; by default it must not be.
-
-        Returns
-        -------
-        float
-
-        Raises
-        ------
-        InputError
-            It is missing or no number.
-        VariesError
-            It is not the same for all scenarios.
-        """
-        values = self.number(element, attribute, default)
-        if (values != values[0]).any():
-            raise VariesError(self.origins(element.get(attribute, "")))
-        return float(values[0])
-
-    def text(self, element: etree._Element, attribute: str, default: str | None = None) -> str:
-        """Read an attribute as one text.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : str, optional
-            Where the attribute is missing; by default it must not be.
-
-        Returns
-        -------
-        str
-            Numbers and booleans as they would be written.
-
-        Raises
-        ------
-        InputError
-            It is missing.
-        VariesError
-            It is not the same for all scenarios.
-        """
-        text = element.get(attribute)
-        if text is None:
-            if default is None:
-                raise self._error(element, attribute, "is missing")
-            return default
-        value = self._value(text, element, attribute)
-        if isinstance(value, np.ndarray):
-            if (value != value.flat[0]).any():
-                raise VariesError(self.origins(text))
-            value = value.flat[0].item()
-        if isinstance(value, bool | np.bool_):
-            return "true" if value else "false"
-        if isinstance(value, float):
-            # NumPy's own numbers are written as 'np.float64(8.33)'.
-            return str(int(value)) if value.is_integer() else repr(float(value))
-        return str(value)
-
-    def flag(self, element: etree._Element, attribute: str, default: bool) -> bool:
-        """Read an attribute as a boolean.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : bool
-            Where the attribute is missing.
-
-        Returns
-        -------
-        bool
-
-        Raises
-        ------
-        InputError
-            It is neither true nor false.
-        VariesError
-            It is not the same for all scenarios.
-        """
-        text = self.text(element, attribute, "true" if default else "false")
-        if text not in ("true", "false", "1", "0"):
-            raise self._error(element, attribute, f"is '{text}', not true or false")
-        return text in ("true", "1")
-
     def _declare(self, declaration: Declaration) -> None:
-        value = self._value(declaration.value, declaration)
-        self.values[declaration.name] = typed(value, declaration.kind) if isinstance(value, str) else value
+        self.values[declaration.name] = self._typed(self._value(declaration.value, declaration), declaration)
         self._origins[declaration.name] = self.origins(declaration.value)
 
-    def _value(self, text: str, element: _Placed, attribute: str = "value") -> Any:
-        text = text.strip()
+    def _typed(self, value: Any, declaration: Declaration) -> Any:
+        """Give a declared value its type; it may be the result of an expression, one for each scenario."""
+        if isinstance(value, np.ndarray):
+            if declaration.kind in INTEGERS:
+                broken = np.isfinite(value) & (np.abs(value - np.round(value)) > 1e-6)
+                self.refuse(declaration, "value", f"is '{declaration.value}', which is not a whole number", broken)
+            return value
+        if not isinstance(value, str) and declaration.kind not in INTEGERS:
+            return value
+        # A declaration may be there for other tools only: what is no number is refused where it is used.
+        if declaration.kind in NUMERIC and not _is_number(value):
+            return value
+        one = self._typed_one(value, declaration)
+        if declaration.kind == "boolean":
+            return one == "true"
+        return one if isinstance(one, str) else float(one)
+
+    def _typed_one(self, value: Any, declaration: Declaration) -> Value:
         try:
-            if text.startswith("${") and text.endswith("}"):
-                return rounded(evaluate(text[2:-1], self.values))
-            if text.startswith("$"):
-                return evaluate(text, self.values)
-        except InputError as error:
-            raise self._error(element, attribute, f"cannot be evaluated. {error}") from None
-        return text
+            return typed_value(value, declaration.kind)
+        except ValueError as why:
+            raise self._error(declaration, "value", f"is '{value}', {why}") from None
 
-    def _number(self, value: Value, element: _Placed) -> float:
-        """Value given for a parameter, which may be an expression itself."""
-        return self._float(self._value(value, element) if isinstance(value, str) else value, element)
 
-    def _float(self, text: Value, element: _Placed, attribute: str = "value") -> float:
-        try:
-            return float(text)
-        except ValueError:
-            raise self._error(element, attribute, f"is '{text}', which is not a number") from None
-
-    def _error(self, element: _Placed, attribute: str, why: str) -> InputError:
-        line = f", line {element.sourceline}" if element.sourceline else ""
-        return InputError(f"{self.source}{line}: {attribute} of <{element.tag}> {why}.")
+def _is_number(value: Any) -> bool:
+    try:
+        return bool(np.isfinite(float(value)))
+    except ValueError:
+        return False

@@ -16,7 +16,7 @@ from cornercase.scenario import Scenario, Scope, Value
 from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
 from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.paths.positions import entities_in
-from cornercase.simulators.builtin.prepared import PreparedScenario
+from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
 from cornercase.simulators.builtin.world.contacts import find_contacts
 from cornercase.simulators.builtin.world.motion import move_entities
@@ -54,8 +54,8 @@ class Batch:
 
     Raises
     ------
-    InputError
-        The file cannot be used.
+    UnusableError
+        The file cannot be used with the values of these scenarios.
     VariesError
         The scenarios have to be split further.
     """
@@ -70,8 +70,19 @@ class Batch:
         drivers: Mapping[str, Driver | str],
         coupling: Coupling | None = None,
     ) -> None:
+        scope = prepared.scope(values)
+        self._time_step, self._duration = time_step, duration
+        self._stop_at_collision, self._coupling = stop_at_collision, coupling
+        try:
+            self._read(prepared, scope, drivers)
+        except InputError as error:
+            raise UnusableError(str(error), scope.used) from None
+        self._history = History((5, len(self._world.entities), len(values)))
+        self._instants = np.zeros(len(values), dtype=np.int64)
+        self._contacts: list[list[Collision]] = [[] for _ in values]
+
+    def _read(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
         scenario = prepared.scenario
-        scope = Scope.of_file(str(scenario.path), scenario.root, values, scenario.catalog_entry)
         file = scenario.root.find("RoadNetwork/LogicFile")
         road_file = "" if file is None else scope.text(file, "filepath", "")
         network = prepared.network(road_file) if road_file else None
@@ -80,7 +91,7 @@ class Batch:
             raise InputError(
                 f"{scenario.path}: has {len(objects)} entities; the builtin simulator moves {_MOST_ENTITIES}."
             )
-        self._world = World(tuple(_entity(e, scenario, scope) for e in objects), len(values), network)
+        self._world = World(tuple(_entity(e, scenario, scope) for e in objects), scope.scenarios, network)
         self._world.selections = _selections(scenario.root, self._world, scope)
         self._world.parameters = {name: _held(value, scope.scenarios) for name, value in scope.values.items()}
         self._world.variables = scope.declared(
@@ -88,8 +99,6 @@ class Batch:
         )
         for name, broken in scope.violations(scenario.root).items():
             self._world.fail(broken, f"the value of {name} breaks a constraint of its declaration")
-        self._time_step, self._duration = time_step, duration
-        self._stop_at_collision, self._coupling = stop_at_collision, coupling
         chosen = {**scenario.drivers, **drivers}
         for e, name in enumerate(self._world.names):
             driver = chosen.get(name)
@@ -98,19 +107,22 @@ class Batch:
             built = registered_driver(driver, str(scenario.path)) if isinstance(driver, str) else driver
             number = Driving(self._world, e, built).number
             self._world.kept[e] = name in drivers
-            self._world.control(e, np.ones(len(values), dtype=np.bool_), number, True)
+            self._world.control(e, np.ones(scope.scenarios, dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
-        self._world.fail(scope.without_value(), "an expression has no finite value")
-        self._history = History((5, len(objects), len(values)))
-        self._instants = np.zeros(len(values), dtype=np.int64)
-        self._contacts: list[list[Collision]] = [[] for _ in values]
+        for why, where in scope.refused():
+            self._world.fail(where, why)
 
     def run(self) -> None:
         """Step until every scenario has ended."""
+        # What has failed goes on to be computed, and is not looked at.
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            self._run()
+
+    def _run(self) -> None:
         world, steps = self._world, 0
         history, instants = self._history, self._instants
         dt = 0.0
-        while world.running.any() and steps * self._time_step < self._duration + self._time_step * 1.5:
+        while world.running.any() and steps * self._time_step < self._duration + 1e-9:
             before = world.speed.copy()
             self._storyboard.step(dt)
             for driving in world.drivers:

@@ -2,10 +2,38 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
+from typing import Final
 
+from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
-from cornercase.scenario import Scenario
+from cornercase.scenario import Declaration, Scenario, Scope, Value, read_declarations, unusable_value, value_text
+
+# What the samples of one trajectory take, and those of it that a driver gets, in bytes for each scenario.
+_TRAJECTORY: Final = 64_000
+_DRIVEN_TRAJECTORY: Final = 250_000
+
+
+class UnusableError(InputError):
+    """A scenario file cannot be used with the values of some scenarios.
+
+    Parameters
+    ----------
+    words : str
+    names : set of str
+        Parameters that it may be because of.
+
+    Attributes
+    ----------
+    names : set of str
+    """
+
+    def __init__(self, words: str, names: set[str]) -> None:
+        super().__init__(words)
+        self.names = names
 
 
 class PreparedScenario:
@@ -20,12 +48,52 @@ class PreparedScenario:
     scenario : Scenario
     splitting : set of str
         Parameters found to shape the storyboard: scenarios of one batch have the same values of them.
+    own_error : str or None
+        Why the file cannot be used with its own values; None where it can, or where nobody has tried.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.splitting: set[str] = set()
+        self.own_error: str | None = None
         self._networks: dict[Path, RoadNetwork] = {}
+
+    def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
+        """Parameters of the file for scenarios with these values."""
+        return Scope.of_file(str(self.scenario.path), self.scenario.root, values, self.scenario.catalog_entry)
+
+    def unusable(self, values: Mapping[str, Value]) -> str | None:
+        """Why a value cannot be that of its parameter, without a full stop; None where all can."""
+        return unusable_value(self._declarations, values)
+
+    def own_value(self, name: str) -> str | None:
+        """Value of a parameter as the file has it, as a text; None where it has none that can be evaluated."""
+        return self._own_values.get(name)
+
+    @cached_property
+    def _own_values(self) -> dict[str, str]:
+        try:
+            found = self.scope([{}]).values
+        except InputError:
+            return {}
+        return {name: value_text(value) for name, value in found.items()}
+
+    def bytes_for(self, instants: int, driven: bool) -> int:
+        """About how much memory one scenario takes while it runs, and until its recording is made."""
+        entities, trajectories = self._counts
+        one = _TRAJECTORY + (_DRIVEN_TRAJECTORY if driven else 0)
+        # Five quantities of each entity at each instant, and its state.
+        return 8 * entities * (5 * instants + 100 + entities) + trajectories * one
+
+    @cached_property
+    def _counts(self) -> tuple[int, int]:
+        """Numbers of entities and of trajectories that are followed."""
+        tags = Counter(element.tag for element in self.scenario.root.iter())
+        return tags["ScenarioObject"], tags["FollowTrajectoryAction"]
+
+    @cached_property
+    def _declarations(self) -> tuple[Declaration, ...]:
+        return read_declarations(self.scenario.root, str(self.scenario.path))
 
     def network(self, reference: str) -> RoadNetwork:
         """Roads of the file that the scenario refers to so.

@@ -9,13 +9,14 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.version import __version__
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, VariesError
+from cornercase.scenario import ConcreteScenario, Scenario, VariesError, value_text
 from cornercase.simulators.base import Availability, Simulator, checked_settings
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.effect import without_effect
-from cornercase.simulators.builtin.prepared import PreparedScenario
+from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
 
-# A batch keeps the whole motion of its scenarios; this many take about 300 MB for four entities and 400 instants.
+# A batch keeps the whole motion of its scenarios; so many bytes at most, and so many scenarios.
+_MOST_BYTES = 400_000_000
 _LARGEST_BATCH = 4096
 
 
@@ -92,11 +93,51 @@ class BuiltinSimulator(Simulator):
         InputError
             A scenario file cannot be used.
         """
-        for start in range(0, len(concretes), _LARGEST_BATCH):
-            yield from self._run(concretes[start : start + _LARGEST_BATCH])
+        for chosen in self._portions(concretes):
+            yield from self._run(chosen)
+
+    def require_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
+        """Refuse scenarios of which none can be run, without running any.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+
+        Raises
+        ------
+        InputError
+            What is wrong with the first.
+        """
+        wrong: InputError | None = None
+        for concrete in concretes:
+            prepared = self._prepare(concrete)
+            words = prepared.unusable(concrete.values)
+            try:
+                if words is not None:
+                    raise InputError(f"{concrete.path}: {words}.")
+                self._batch(prepared, [concrete])
+            except InputError as error:
+                wrong = wrong or error
+            else:
+                return
+        if wrong is not None:
+            raise wrong
+
+    def _portions(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Sequence[ConcreteScenario]]:
+        """Scenarios that are held in memory at the same time."""
+        instants = int(self._duration / self._time_step) + 2
+        begin, held = 0, 0
+        for i, concrete in enumerate(concretes):
+            needed = self._prepare(concrete).bytes_for(instants, bool(self._drivers))
+            if i > begin and (held + needed > _MOST_BYTES or i - begin == _LARGEST_BATCH):
+                yield concretes[begin:i]
+                begin, held = i, 0
+            held += needed
+        if begin < len(concretes):
+            yield concretes[begin:]
 
     def _run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        ran: dict[int, tuple[Batch, int]] = {}
+        ran: dict[int, tuple[Batch, int] | SimulationError] = {}
         files: dict[tuple[Path, Scenario | None], list[int]] = {}
         for i, concrete in enumerate(concretes):
             files.setdefault((concrete.path, concrete.source), []).append(i)
@@ -104,12 +145,14 @@ class BuiltinSimulator(Simulator):
             prepared = self._prepare(concretes[chosen[0]])
             for entity in self._drivers:
                 prepared.scenario.require_entity(entity, "driven entity")
-            for group in _groups(prepared, concretes, chosen):
+            wrong = {i: words for i in chosen if (words := prepared.unusable(concretes[i].values)) is not None}
+            ran.update((i, SimulationError(words)) for i, words in wrong.items())
+            for group in _groups(prepared, concretes, [i for i in chosen if i not in wrong]):
                 self._run_group(prepared, concretes, group, ran)
         # Recordings are made one by one, so that only those that the caller keeps take memory.
         for i in range(len(concretes)):
-            batch, place = ran[i]
-            yield batch.result(place)
+            found = ran.pop(i)
+            yield found if isinstance(found, SimulationError) else found[0].result(found[1])
 
     def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
         """Prepared file of a concrete scenario: that of the last run, if its content is the same."""
@@ -118,22 +161,25 @@ class BuiltinSimulator(Simulator):
             self._prepared = PreparedScenario(scenario)
         return self._prepared
 
+    def _batch(self, prepared: PreparedScenario, concretes: Sequence[ConcreteScenario]) -> Batch:
+        return Batch(
+            prepared,
+            [concrete.values for concrete in concretes],
+            self._time_step,
+            self._duration,
+            self._on_collision == "stop",
+            self._drivers,
+        )
+
     def _run_group(
         self,
         prepared: PreparedScenario,
         concretes: Sequence[ConcreteScenario],
         chosen: list[int],
-        ran: dict[int, tuple[Batch, int]],
+        ran: dict[int, tuple[Batch, int] | SimulationError],
     ) -> None:
         try:
-            batch = Batch(
-                prepared,
-                [concretes[i].values for i in chosen],
-                self._time_step,
-                self._duration,
-                self._on_collision == "stop",
-                self._drivers,
-            )
+            batch = self._batch(prepared, [concretes[i] for i in chosen])
         except VariesError as varies:
             differing = {tuple(concretes[i].values.get(name) for name in sorted(varies.names)) for i in chosen}
             if len(differing) < 2:
@@ -143,8 +189,37 @@ class BuiltinSimulator(Simulator):
             for group in _groups(prepared, concretes, chosen):
                 self._run_group(prepared, concretes, group, ran)
             return
+        except InputError as error:
+            # Whatever it is because of is the same for the whole group.
+            if self._is_of_file(prepared, error, concretes[chosen[0]]):
+                raise
+            words = _words(error, prepared)
+            ran.update((i, SimulationError(words)) for i in chosen)
+            return
         batch.run()
         ran.update((i, (batch, place)) for place, i in enumerate(chosen))
+
+    def _is_of_file(self, prepared: PreparedScenario, error: InputError, concrete: ConcreteScenario) -> bool:
+        """Whether the file cannot be used whatever the values of its parameters are, rather than with these."""
+        names = error.names if isinstance(error, UnusableError) else set(concrete.values)
+        given = {name: value_text(concrete.values[name]) for name in names if name in concrete.values}
+        if not given:
+            return True
+        if all(prepared.own_value(name) == text for name, text in given.items()):
+            return False
+        if prepared.own_error is None:
+            try:
+                self._batch(prepared, [ConcreteScenario(concrete.path, {}, prepared.scenario)])
+            except InputError as own:
+                prepared.own_error = str(own)
+        return prepared.own_error == str(error)
+
+
+def _words(error: InputError, prepared: PreparedScenario) -> str:
+    """What is wrong with one scenario, as a part of a sentence that names the file itself."""
+    text = str(error).removesuffix(".")
+    path = str(prepared.scenario.path)
+    return text.removeprefix(path).lstrip(",: ") if text.startswith(path) else text
 
 
 def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:

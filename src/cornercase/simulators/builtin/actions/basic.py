@@ -116,7 +116,10 @@ class AssignRouteAction:
         self._route = read_route(element, scope, world)
 
     def start(self, world: World, where: BoolArray) -> None:
-        assign_route(world, self._entity, tuple(road for road, _, _ in self._route(world)), where)
+        roads = np.stack([pose.road for pose in self._route(world) if pose.road is not None])
+        for one in np.unique(roads[:, where], axis=1).T:
+            rows = where & (roads == one[:, None]).all(axis=0)
+            assign_route(world, self._entity, tuple(int(road) for road in one), rows)
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         return where.copy()

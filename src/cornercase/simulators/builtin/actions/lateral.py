@@ -42,9 +42,9 @@ class LaneChangeAction:
         absolute, relative = target.find("AbsoluteTargetLane"), target.find("RelativeTargetLane")
         self._reference: int | None = None
         if absolute is not None:
-            self._value = int(scope.one_number(absolute, "value"))
+            self._value = scope.whole_number(absolute, "value")
         elif relative is not None:
-            self._value = int(scope.one_number(relative, "value"))
+            self._value = scope.whole_number(relative, "value")
             self._reference = entity_index(relative, scope, world)
         else:
             raise InputError(f"{scope.source}, line {element.sourceline}: <LaneChangeTarget> holds no target.")

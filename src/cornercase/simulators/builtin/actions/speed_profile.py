@@ -9,7 +9,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.scenario import Scope
+from cornercase.scenario import Scope, VariesError
 from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 
@@ -59,6 +59,8 @@ class SpeedProfileAction:
             raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedProfileAction> has no entries.")
         self._speeds = [scope.number(one, "speed") for one in entries]
         self._spans = [scope.number(one, "time", -1.0) for one in entries]
+        if len(np.unique(np.abs(self._spans[0]) < 1e-6)) > 1:
+            raise VariesError(scope.origins(entries[0].get("time", "")))
         self._phases: list[Phase] = []
         self._mine = np.full(n, -1)
         self._profiles: list[list[Phase]] = []

@@ -87,7 +87,9 @@ class SynchronizeAction:
             self._target, self._target_master = target, master
         for mine, new in ((self._target, target), (self._target_master, master)):
             mine.x[where], mine.y[where] = new.x[where], new.y[where]
-        self._known = ({}, {})
+        for known in self._known:
+            for places in known.values():
+                places[where] = np.nan
         self._mode[where] = _NEW
         self._last[where] = self._last_master[where] = np.inf
 

@@ -10,7 +10,8 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads import RoadNetwork
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.trajectory_shapes import Position, read_trajectory
 from cornercase.simulators.builtin.tracks.track import Pose
@@ -115,7 +116,7 @@ def _world_position(element: etree._Element, scope: Scope, world: World) -> Posi
 def _lane_position(element: etree._Element, scope: Scope, world: World) -> Position:
     network = _network(element, scope, world)
     road = network.index_of(scope.text(element, "roadId"))
-    lane = int(scope.one_number(element, "laneId"))
+    lane = scope.whole_number(element, "laneId")
     s, offset = scope.number(element, "s", 0.0), scope.number(element, "offset", 0.0)
     turn, relative = _orientation(element, scope)
     n = scope.scenarios
@@ -141,7 +142,7 @@ def _road_position(element: etree._Element, scope: Scope, world: World) -> Posit
 def _relative_lane_position(element: etree._Element, scope: Scope, world: World) -> Position:
     _network(element, scope, world)
     entity = entity_index(element, scope, world)
-    lanes = int(scope.one_number(element, "dLane"))
+    lanes = scope.whole_number(element, "dLane")
     ds, offset = scope.number(element, "ds", 0.0), scope.number(element, "offset", 0.0)
     along_lane = element.get("dsLane") is not None
     ds = scope.number(element, "dsLane") if along_lane else ds
@@ -260,13 +261,13 @@ def _route_position(element: etree._Element, scope: Scope, world: World) -> Posi
         )
     on_lane = inner.tag == "FromLaneCoordinates"
     way = scope.number(inner, "pathS")
-    lane = int(scope.one_number(inner, "laneId")) if on_lane else 0
+    lane = scope.whole_number(inner, "laneId") if on_lane else 0
     side = scope.number(inner, "laneOffset", 0.0) if on_lane else scope.number(inner, "t")
     turn, relative = _orientation(element, scope)
     turned = element.find("Orientation") is not None
 
     def resolve(world: World) -> Pose:
-        road, s, along = network.along_route(route(world), way)
+        road, s, along = _along_route(network, route(world), way)
         if on_lane:
             pose = _on_lane(world, road, np.full(scope.scenarios, lane), s, side, turn, relative)
         else:
@@ -279,11 +280,43 @@ def _route_position(element: etree._Element, scope: Scope, world: World) -> Posi
     return resolve
 
 
-Route = Callable[[World], list[tuple[int, int, float]]]
+def _along_route(
+    network: RoadNetwork, waypoints: list[Pose], way: FloatArray
+) -> tuple[IntArray, FloatArray, BoolArray]:
+    """Road, s, and whether the route runs along it, after some way from the first of its waypoints, each (N,)."""
+    roads = np.stack([_road_of(pose) for pose in waypoints])
+    first = waypoints[0]
+    assert first.lane is not None
+    assert first.s is not None
+    section = np.zeros(len(way), dtype=np.int64)
+    for one in np.unique(roads[0]):
+        rows = roads[0] == one
+        section[rows] = network.roads[int(one)].section_at(first.s[rows])
+    road, s, along = roads[0].copy(), first.s.copy(), np.zeros(len(way), dtype=np.bool_)
+    keys = np.concatenate([roads, first.lane[None], section[None]])
+    for key in np.unique(keys, axis=1).T:
+        rows = (keys == key[:, None]).all(axis=0)
+        *passed, lane, k = (int(one) for one in key)
+        begins = [start for start, _ in network.roads[passed[0]].sections] + [float(network.lengths[passed[0]])]
+        # From where the section is entered, so that all who begin in it take the same walk.
+        forward = network.runs_along(passed[0], lane)
+        edge = max(begins[k], 0.0) if forward else begins[k + 1] - 1e-9
+        extra = (first.s[rows] - edge) * (1.0 if forward else -1.0)
+        walk = [(passed[0], lane, edge), *((one, 0, 0.0) for one in passed[1:])]
+        road[rows], s[rows], along[rows] = network.along_route(walk, way[rows] + extra)
+    return road, s, along
+
+
+def _road_of(pose: Pose) -> IntArray:
+    assert pose.road is not None
+    return pose.road
+
+
+Route = Callable[[World], list[Pose]]
 
 
 def read_route(holder: etree._Element, scope: Scope, world: World) -> Route:
-    """Read the ``Route`` or ``CatalogReference`` in `holder`, as (road, lane, s) of its waypoints.
+    """Read the ``Route`` or ``CatalogReference`` in `holder`, as the poses of its waypoints on the roads.
 
     Parameters
     ----------
@@ -311,18 +344,8 @@ def read_route(holder: etree._Element, scope: Scope, world: World) -> Route:
     if len(waypoints) < 2:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <Route> needs at least two waypoints.")
 
-    def resolve(world: World) -> list[tuple[int, int, float]]:
-        found = []
-        for waypoint in waypoints:
-            pose = waypoint(world)
-            assert pose.road is not None
-            assert pose.lane is not None
-            assert pose.s is not None
-            # A batch has one route: waypoints that vary along a road do not change it.
-            found.append((int(pose.road[0]), int(pose.lane[0]), float(pose.s[0])))
-        return found
-
-    return resolve
+    _network(element, scope, world)
+    return lambda world: [waypoint(world) for waypoint in waypoints]
 
 
 def _trajectory_position(element: etree._Element, scope: Scope, world: World) -> Position:
@@ -404,7 +427,7 @@ def _orientation(element: etree._Element, scope: Scope) -> tuple[FloatArray, boo
     return scope.number(orientation, "h", 0.0), relative
 
 
-def _network(element: etree._Element, scope: Scope, world: World):  # type: ignore[no-untyped-def]
+def _network(element: etree._Element, scope: Scope, world: World) -> RoadNetwork:
     if world.network is None:
         raise InputError(
             f"{scope.source}, line {element.sourceline}: <{element.tag}> needs a road file, but"

@@ -118,8 +118,11 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
     if not segments:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <ClothoidSpline> has no segments.")
     length = np.stack([scope.number(one, "length") for one in segments], axis=1)
-    if not (length > 0).all():
-        raise InputError(f"{scope.source}, line {element.sourceline}: the length of a clothoid is not above 0.")
+    for one, each in zip(segments, length.T, strict=True):
+        if not scope.origins(one.get("length", "")) and not each[0] > 0:
+            raise InputError(f"{scope.source}, line {one.sourceline}: the length of a clothoid is not above 0.")
+        scope.refuse(one, "length", "is not above 0", ~(each > 0))
+    length = np.where(length > 0, length, 1.0)
     if element.tag == "Clothoid":
         start = scope.number(element, "curvature")[:, None]
         name = "curvaturePrime" if element.get("curvatureDot") is None else "curvatureDot"
@@ -154,7 +157,7 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
 
 
 def _nurbs(element: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:
-    controls, order = list(element.iterfind("ControlPoint")), int(scope.one_number(element, "order"))
+    controls, order = list(element.iterfind("ControlPoint")), scope.whole_number(element, "order")
     knots = np.array([scope.one_number(one, "value") for one in element.iterfind("Knot")])
     where = f"{scope.source}, line {element.sourceline}"
     if not 2 <= order <= len(controls) or len(knots) != len(controls) + order or (np.diff(knots) < 0).any():

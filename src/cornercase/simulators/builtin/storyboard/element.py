@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
 
 STANDBY, RUNNING, COMPLETE = 0, 1, 2
@@ -19,6 +18,9 @@ _TRANSITIONS: Final = {
     "stopTransition": STOP,
     "skipTransition": SKIP,
 }
+
+STATES: Final = (*_STATES, *_TRANSITIONS)
+"""Names of the states, and of the transitions between them."""
 
 
 class Element:
@@ -43,13 +45,11 @@ class Element:
         self.after = np.full(scenarios, STANDBY, dtype=np.int8)
         self.pending = np.full(scenarios, NOTHING, dtype=np.int8)
 
-    def is_in(self, state: str, where: str) -> BoolArray:
+    def is_in(self, state: str) -> BoolArray:
         """Scenarios in which the element is in a state, or just made a transition, shape (N,)."""
         if state in _STATES:
             return np.asarray(self.state == _STATES[state])
-        if state in _TRANSITIONS:
-            return np.asarray(self._transition == _TRANSITIONS[state])
-        raise InputError(f"{where}: '{state}' is no state of a storyboard element.")
+        return np.asarray(self._transition == _TRANSITIONS[state])
 
     def turn(self) -> None:
         """Let what was decided in the last frame take effect."""

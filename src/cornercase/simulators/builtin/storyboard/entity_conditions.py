@@ -20,7 +20,6 @@ from cornercase.simulators.builtin.world.whereabouts import (
     lane_of,
     lanes_between,
     lateral_speed,
-    on_road,
     road_heading,
 )
 
@@ -141,14 +140,8 @@ def _end_of_road(element: etree._Element, scope: Scope, world: World) -> EntityT
 
 def _off_road(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     duration = scope.number(element, "duration")
-    since = np.full((len(world.entities), scope.scenarios), np.inf)
-
-    def holds(world: World, e: int) -> BoolArray:
-        off = np.ones(world.scenarios, dtype=np.bool_) if world.network is None else ~on_road(world, e)
-        since[e] = np.where(off, np.minimum(since[e], world.time), np.inf)
-        return np.asarray(world.time - since[e] > duration)
-
-    return holds
+    world.watches_roads = True
+    return lambda world, e: np.asarray(world.time - world.off_road_since[e] > duration + 1e-9)
 
 
 def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -241,8 +234,8 @@ def _relative_clearance(element: etree._Element, scope: Scope, world: World) -> 
     forward, backward = scope.number(element, "distanceForward", 0.0), scope.number(element, "distanceBackward", 0.0)
     free, opposite = scope.flag(element, "freeSpace", False), scope.flag(element, "oppositeLanes", False)
     lanes = element.find("RelativeLaneRange")
-    first = -100 if lanes is None else int(scope.one_number(lanes, "from", -100.0))
-    last = 100 if lanes is None else int(scope.one_number(lanes, "to", 100.0))
+    first = -100 if lanes is None else scope.whole_number(lanes, "from", -100)
+    last = 100 if lanes is None else scope.whole_number(lanes, "to", 100)
     others = entities_in(element, scope, world)
 
     def holds(world: World, e: int) -> BoolArray:

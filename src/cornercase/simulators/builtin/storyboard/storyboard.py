@@ -41,11 +41,14 @@ class Storyboard:
         self._scenario, self._world = scenario, world
         self._elements: dict[tuple[str, str], list[tuple[Element, tuple[str, ...]]]] = {}
         self._parents: list[str] = []
+        self.checks: list[Callable[[], object]] = []
         root = scenario.root.find("Storyboard")
         assert root is not None
         self._init = list(self._read_init(root, scope))
         self.stories = [self._read_story(story, scope) for story in root.iterfind("Story")]
         self._stop = read_trigger(root.find("StopTrigger"), scope, world, self)
+        for check in self.checks:
+            check()
 
     def named(self, kind: str, name: str) -> Element | None:
         """Element of a kind and name; names may be given with those of the parents, as ``Act::Group``."""
@@ -126,7 +129,7 @@ class Storyboard:
                 events = [self._read_event(event, inner, actors, select) for event in maneuver.iterfind("Event")]
             with self._inside(name):
                 maneuvers.append(self._known(Group("maneuver", own, scope.scenarios, events)))
-        times = int(scope.one_number(group, "maximumExecutionCount", 1.0))
+        times = scope.whole_number(group, "maximumExecutionCount", 1)
         return self._known(Group("maneuverGroup", name, scope.scenarios, maneuvers, times=times))
 
     def _read_event(self, event: etree._Element, scope: Scope, actors: list[int], select: bool) -> Event:
@@ -147,7 +150,7 @@ class Storyboard:
                     actions.append(running)
                     with self._inside(event.get("name", "")):
                         self._known(running)
-        times = int(scope.one_number(event, "maximumExecutionCount", 1.0))
+        times = scope.whole_number(event, "maximumExecutionCount", 1)
         result = Event(event.get("name", ""), scope.scenarios, actions, trigger, times)
         result.priority = scope.text(event, "priority", "parallel")
         self._known(result)

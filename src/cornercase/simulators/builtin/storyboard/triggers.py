@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.positions import entities_in
-from cornercase.simulators.builtin.storyboard.element import Element
+from cornercase.simulators.builtin.storyboard.element import STATES, Element
 from cornercase.simulators.builtin.storyboard.entity_conditions import BY_ENTITY, TOLERANCE, EntityTest, rule_of
 from cornercase.simulators.builtin.world.state import World
 
@@ -25,7 +25,15 @@ NEVER_TRUE: Final = (
 
 
 class Elements(Protocol):
-    """Storyboard elements by name, known only once the whole storyboard is read."""
+    """Storyboard elements by name, known only once the whole storyboard is read.
+
+    Attributes
+    ----------
+    checks : list of callable
+        Called once it is read; they raise an `InputError` for what it lacks.
+    """
+
+    checks: list[Callable[[], object]]
 
     def named(self, kind: str, name: str) -> Element | None:
         """Element of a kind and name; None where there is none."""
@@ -47,7 +55,7 @@ class Condition:
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
         self.test, self._edge, self._delay = test, edge, delay
-        self.delayed = bool((delay > 0).any())
+        self.delayed = delay > 0
         self._last = np.full(len(delay), -1, dtype=np.int8)
         self._times: list[float] = []
         self._held: list[BoolArray] = []
@@ -65,7 +73,7 @@ class Condition:
         else:
             result = (last >= 0) & (now != (last == 1))
         self._last = np.where(where, now.astype(np.int8), last)
-        if not self.delayed:
+        if not self.delayed.any():
             return result & where
         self._times.append(world.time)
         self._held.append(result & where)
@@ -121,7 +129,7 @@ class Trigger:
             holds = where.copy()
             for condition in group:
                 # Without a delay, a condition is evaluated only where all before it hold; elsewhere its edge stays.
-                holds &= condition.evaluate(world, where if condition.delayed else holds)
+                holds &= condition.evaluate(world, np.where(condition.delayed, where, holds))
             fired |= holds
         if fired.any():
             for group in self._groups:
@@ -220,14 +228,17 @@ def _element_state(element: etree._Element, scope: Scope, world: World, elements
     kind = scope.text(element, "storyboardElementType")
     name, state = scope.text(element, "storyboardElementRef"), scope.text(element, "state")
     where = f"{scope.source}, line {element.sourceline}"
+    if state not in STATES:
+        raise InputError(f"{where}: '{state}' is no state of a storyboard element; {suggestion(state, STATES)}")
 
-    def holds(world: World) -> BoolArray:
+    def named() -> Element:
         found = elements.named(kind, name)
         if found is None:
             raise InputError(f"{where}: there is no {kind} '{name}' in the storyboard.")
-        return found.is_in(state, where)
+        return found
 
-    return holds
+    elements.checks.append(named)
+    return lambda world: named().is_in(state)
 
 
 def _held(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
@@ -254,6 +265,10 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
         "greaterThan": np.greater,
         "greaterOrEqual": np.greater_equal,
     }
+    if rule_name not in orders:
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: rule '{rule_name}': {suggestion(rule_name, orders)}"
+        )
     compare = orders[rule_name]
     return lambda world: np.asarray(compare(values[name], text))
 

@@ -60,19 +60,23 @@ class ClothoidSpline(Trajectory):
         self._sample()
 
     def _sample(self) -> None:
-        longest = float(self.lengths.max(initial=0.0))
-        self._chord = max(_CHORD, longest / _MOST_CHORDS)
-        every = np.arange(len(self.lengths))
-        places = self._chord * np.arange(int(np.ceil(longest / self._chord)) + 1)
-        points = [self._on_curve(np.minimum(place, self.lengths), every) for place in places]
+        lengths = np.nan_to_num(self.lengths, posinf=0.0)
+        self._chord = np.maximum(_CHORD, lengths / _MOST_CHORDS)
+        chords = np.ceil(lengths / self._chord)
+        self._final = np.maximum(chords.astype(np.int64) - 1, 0)
+        every = np.arange(len(lengths))
+        points = [
+            self._on_curve(np.minimum(k * self._chord, lengths), every) for k in range(int(chords.max(initial=0.0)) + 1)
+        ]
         self.x, self.y, self.heading = (np.stack(parts, axis=1) for parts in zip(*points, strict=True))
 
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         length = self.lengths.take(rows)
         along = np.clip(distance, 0.0, length)
-        k = np.minimum((along / self._chord).astype(np.int64), max(self.x.shape[1] - 2, 0))
-        before = self._chord * k
-        span = np.minimum(before + self._chord, length) - before
+        chord = self._chord.take(rows)
+        k = np.minimum(np.nan_to_num(along / chord).astype(np.int64), self._final.take(rows))
+        before = chord * k
+        span = np.minimum(before + chord, length) - before
         part = (along - before) / np.where(span > 0.0, span, 1.0)
         node = rows * self.x.shape[1] + k
         after = node + min(1, self.x.shape[1] - 1)

@@ -50,6 +50,8 @@ class LaneTrack(Track):
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         if self._tree is None:
             self._tree = cKDTree(np.stack([self.path.x, self.path.y], axis=1))
+        known = np.isfinite(x) & np.isfinite(y)
+        x, y = np.where(known, x, self.path.x[0]), np.where(known, y, self.path.y[0])
         # Of several passes the next one counts.
         found = self._tree.query(np.stack([x, y], axis=1), k=min(_PASSES, len(self.path.x)))
         gap, samples = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from cornercase._common.typing import FloatArray
+
+_MOST_SAMPLES: Final = 100_000
 
 
 def nurbs_points(
@@ -42,11 +46,29 @@ def nurbs_points(
     u = np.linspace(knots[order - 1], knots[len(weights)], samples)
     value, slope = basis(u) * weights, basis(u, 1) * weights
     total, change = value.sum(axis=1), slope.sum(axis=1)
-    px, py = x @ value.T / total, y @ value.T / total
-    dx, dy = (x @ slope.T - px * change) / total, (y @ slope.T - py * change) / total
+    px, py = _mixed(x, value) / total, _mixed(y, value) / total
+    dx, dy = (_mixed(x, slope) - px * change) / total, (_mixed(y, slope) - py * change) / total
     # Sampled about every 1 m, as in esmini: the times depend on it.
-    coarse = np.linspace(u[0], u[-1], 2 + int(np.hypot(np.diff(x), np.diff(y)).sum(axis=1).mean()))
-    peaks = coarse[(basis(coarse) * weights).argmax(axis=0)]
-    # One hat function for each control point.
-    hats = np.stack([np.interp(u, peaks, row) for row in np.eye(len(weights))])
-    return px, py, np.unwrap(np.arctan2(dy, dx), axis=1), time @ hats
+    length = np.zeros(len(x))
+    for k in range(x.shape[1] - 1):
+        length += np.hypot(x[:, k + 1] - x[:, k], y[:, k + 1] - y[:, k])
+    counts = 2 + np.clip(np.nan_to_num(length), 0.0, _MOST_SAMPLES).astype(np.int64)
+    clock = np.zeros_like(px)
+    for count in np.unique(counts):
+        coarse = np.linspace(u[0], u[-1], int(count))
+        peaks = coarse[(basis(coarse) * weights).argmax(axis=0)]
+        # One hat function for each control point.
+        hats = np.stack([np.interp(u, peaks, row) for row in np.eye(len(weights))])
+        clock[counts == count] = _mixed(time[counts == count], hats.T)
+    return px, py, np.unwrap(np.arctan2(dy, dx), axis=1), clock
+
+
+def _mixed(controls: FloatArray, shares: FloatArray) -> FloatArray:
+    """Sums of control points by their shares at each sample, (N, C) and (S, C) to (N, S).
+
+    A product of matrices would round otherwise for one scenario than for many.
+    """
+    result = np.zeros((len(controls), len(shares)))
+    for k in range(controls.shape[1]):
+        result += controls[:, k, None] * shares[:, k]
+    return result

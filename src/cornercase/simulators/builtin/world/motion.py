@@ -10,6 +10,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Track
 from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.whereabouts import on_road
 
 # An entity this close to the end of a road, in m, is at the end.
 _ON_END: Final = 1e-3
@@ -58,6 +59,10 @@ def move_entities(world: World, dt: float) -> None:
         world.turn_rate = ((world.heading - before_heading + np.pi) % (2 * np.pi) - np.pi) / dt
     moving = np.abs(world.speed) > 1e-6
     world.standing_since = np.where(moving, np.inf, np.minimum(world.standing_since, world.time))
+    if world.watches_roads:
+        for e, since in enumerate(world.off_road_since):
+            off = world.present[e] if world.network is None else world.present[e] & ~on_road(world, e)
+            since[:] = np.where(off, np.minimum(since, world.time), np.inf)
 
 
 def settle_on_track(world: World, entity: int, where: BoolArray) -> None:

@@ -96,6 +96,10 @@ class World:
         Its s there, in m.
     at_end_since : ndarray of float64, shape (E, N)
         Time at which the entity came to the end of its road; infinite before.
+    watches_roads : bool
+        Whether a condition asks for entities beside the road.
+    off_road_since : ndarray of float64, shape (E, N)
+        Time at which the entity left the road, where that is watched; infinite on it.
     variables, parameters : dict of str to ndarray, each (N,)
         The file's variables, and its parameters as conditions see them, as numbers or as texts.
     signals : dict of str to ndarray, each (N,)
@@ -167,6 +171,8 @@ class World:
         self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
         self.route = np.zeros(shape, dtype=np.int64)
         self.at_end_since = np.full(shape, np.inf)
+        self.watches_roads = False
+        self.off_road_since = np.full(shape, np.inf)
         self.last_road, self.last_s = np.full(shape, -1), np.zeros(shape)
         self.variables: dict[str, Any] = {}
         self.parameters: dict[str, Any] = {}

@@ -1,0 +1,265 @@
+"""Attributes of a file, read for many concrete scenarios at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.scenario.constraints import Declaration
+from cornercase.scenario.declared_types import value_text
+from cornercase.scenario.expressions import evaluate, names_in, rounded
+from cornercase.scenario.parameter import Value
+from cornercase.scenario.varies import VariesError
+
+_Placed = etree._Element | Declaration
+"""What has a line in the file."""
+
+# Whole numbers count lanes and repetitions.
+_MOST: Final = 1e9
+
+
+class Attributes:
+    """Reads attributes, given the values of parameters for N concrete scenarios.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file, for messages.
+    scenarios : int
+        N.
+    values : mapping of str to float, bool, str or ndarray of shape (N,)
+    origins : mapping of str to set of str
+        For each parameter, the parameters of the logical scenario that its value depends on.
+
+    Attributes
+    ----------
+    used : set of str
+        Parameters of the logical scenario on which an attribute depended that was read as one value for all.
+    """
+
+    def __init__(self, source: str, scenarios: int, values: Mapping[str, Any], origins: Mapping[str, set[str]]) -> None:
+        self.source = source
+        self.scenarios = scenarios
+        self.values = dict(values)
+        self._origins = dict(origins)
+        self.used: set[str] = set()
+        self._refused: list[tuple[str, BoolArray]] = []
+
+    def origins(self, text: str) -> set[str]:
+        """Return the parameters of the logical scenario that an attribute depends on.
+
+        Parameters
+        ----------
+        text : str
+            Of the attribute.
+
+        Returns
+        -------
+        set of str
+        """
+        return {origin for name in names_in(text) for origin in self._origins.get(name, set())}
+
+    def number(self, element: etree._Element, attribute: str, default: float | None = None) -> FloatArray:
+        """Read an attribute as a number for each scenario.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : float, optional
+            Where the attribute is missing; by default it must not be.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            Not finite where an expression has no value; `without_value` then tells so.
+
+        Raises
+        ------
+        InputError
+            It is missing, no number, or has no finite value in any scenario.
+        """
+        text = element.get(attribute)
+        if text is None:
+            if default is None:
+                raise self._error(element, attribute, "is missing")
+            return np.full(self.scenarios, float(default))
+        value = self._value(text, element, attribute)
+        if isinstance(value, str):
+            value = self._float(value, element, attribute, endless=default is not None and np.isinf(default))
+        elif isinstance(value, np.ndarray | np.floating | float):
+            broken = np.broadcast_to(~np.isfinite(value), (self.scenarios,))
+            if broken.all() and not self.origins(text):
+                raise self._error(element, attribute, f"is '{text[:60]}', which has no finite value")
+            self.refuse(element, attribute, f"is '{text[:60]}', which has no finite value", broken)
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.scenarios,)).copy()
+
+    def refuse(self, element: _Placed, attribute: str, why: str, where: BoolArray) -> None:
+        """Note that an attribute has a value that cannot be used in some scenarios.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        why : str
+            Goes on from the name of the attribute: ``"is not above 0"``.
+        where : ndarray of bool, shape (N,)
+        """
+        if where.any():
+            self._refused.append((f"line {element.sourceline}: {attribute} of <{element.tag}> {why}", where.copy()))
+
+    def refused(self) -> list[tuple[str, BoolArray]]:
+        """Tell what cannot be used, and in which scenarios.
+
+        Returns
+        -------
+        list of (str, ndarray of bool of shape (N,))
+            Sentences without a full stop, in the order in which the file was read.
+        """
+        return list(self._refused)
+
+    def one_number(self, element: etree._Element, attribute: str, default: float | None = None) -> float:
+        """Read an attribute as one number.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : float, optional
+            Where the attribute is missing; by default it must not be.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        InputError
+            It is missing or no number.
+        VariesError
+            It is not the same for all scenarios.
+        """
+        values, text = self.number(element, attribute, default), element.get(attribute, "")
+        origins = self.origins(text)
+        if (values != values[0]).any() and not np.isnan(values).all():
+            raise VariesError(origins)
+        self.used |= origins
+        if np.isnan(values[0]):
+            raise self._error(element, attribute, f"is '{text[:60]}', which has no finite value")
+        return float(values[0])
+
+    def whole_number(self, element: etree._Element, attribute: str, default: int | None = None) -> int:
+        """Read an attribute as one whole number.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : int, optional
+            Where the attribute is missing; by default it must not be.
+
+        Returns
+        -------
+        int
+
+        Raises
+        ------
+        InputError
+            It is missing or no whole number.
+        VariesError
+            It is not the same for all scenarios.
+        """
+        value = self.one_number(element, attribute, default)
+        if not abs(value) < _MOST or value != round(value):
+            raise self._error(element, attribute, f"is {value:g}, which is not a whole number that can be used")
+        return round(value)
+
+    def text(self, element: etree._Element, attribute: str, default: str | None = None) -> str:
+        """Read an attribute as one text.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : str, optional
+            Where the attribute is missing; by default it must not be.
+
+        Returns
+        -------
+        str
+            Numbers and booleans as they would be written.
+
+        Raises
+        ------
+        InputError
+            It is missing.
+        VariesError
+            It is not the same for all scenarios.
+        """
+        text = element.get(attribute)
+        if text is None:
+            if default is None:
+                raise self._error(element, attribute, "is missing")
+            return default
+        value, origins = self._value(text, element, attribute), self.origins(text)
+        if isinstance(value, np.ndarray):
+            if len(np.unique(value)) > 1:
+                raise VariesError(origins)
+            value = value.flat[0].item()
+        self.used |= origins
+        return value_text(value)
+
+    def flag(self, element: etree._Element, attribute: str, default: bool) -> bool:
+        """Read an attribute as a boolean.
+
+        Parameters
+        ----------
+        element : lxml element
+        attribute : str
+        default : bool
+            Where the attribute is missing.
+
+        Returns
+        -------
+        bool
+
+        Raises
+        ------
+        InputError
+            It is neither true nor false.
+        VariesError
+            It is not the same for all scenarios.
+        """
+        text = self.text(element, attribute, "true" if default else "false")
+        if text not in ("true", "false", "1", "0"):
+            raise self._error(element, attribute, f"is '{text}', not true or false")
+        return text in ("true", "1")
+
+    def _value(self, text: str, element: _Placed, attribute: str = "value") -> Any:
+        text = text.strip()
+        try:
+            if text.startswith("${") and text.endswith("}"):
+                return rounded(evaluate(text[2:-1], self.values))
+            if text.startswith("$"):
+                return evaluate(text, self.values)
+        except InputError as error:
+            raise self._error(element, attribute, f"cannot be evaluated. {error}") from None
+        return text
+
+    def _float(self, text: Value, element: _Placed, attribute: str = "value", endless: bool = False) -> float:
+        try:
+            number = float(text)
+        except ValueError:
+            raise self._error(element, attribute, f"is '{text}', which is not a number") from None
+        if not np.isfinite(number) and not (endless and number == np.inf):
+            raise self._error(element, attribute, f"is '{text}', which is no finite number")
+        return number
+
+    def _error(self, element: _Placed, attribute: str, why: str) -> InputError:
+        line = f", line {element.sourceline}" if element.sourceline else ""
+        return InputError(f"{self.source}{line}: {attribute} of <{element.tag}> {why}.")

@@ -1,0 +1,263 @@
+"""A scenario gives the same alone and among others, and what is wrong with one costs none of the others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from alone import REFERENCE, ROOT, differing, outcome, scenario_files, varied
+from conftest import car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
+from cornercase._common.errors import InputError
+from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.simulators import BuiltinSimulator, simulate
+from cornercase.simulators.builtin import simulator as builtin_simulator
+from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
+from cornercase.simulators.builtin.tracks.nurbs import nurbs_points
+
+
+def declared(name: str, value: str, kind: str = "double", within: str = "") -> str:
+    return f'<ParameterDeclaration name="{name}" parameterType="{kind}" value="{value}">{within}</ParameterDeclaration>'
+
+
+def private(*actions: str, entity: str = "Ego") -> str:
+    return f'<Private entityRef="{entity}">{"".join(actions)}</Private>'
+
+
+def results(path, *values, duration=1.0):
+    simulator = BuiltinSimulator(duration=duration)
+    return list(simulator.run([ConcreteScenario(path, one) for one in values]))
+
+
+def words(path, *values, **options):
+    """What is said of each scenario; empty for one that ran."""
+    return [str(one) if isinstance(one, Exception) else "" for one in results(path, *values, **options)]
+
+
+ROUTE = """<Route name="r" closed="false">{}</Route>"""
+WAYPOINT = """<Waypoint routeStrategy="shortest"><Position><LanePosition roadId="{road}" laneId="-1" s="{s}"/></Position>
+</Waypoint>"""
+
+
+def test_a_place_on_a_route_hangs_on_the_route_of_its_own_scenario(tmp_path):
+    route = ROUTE.format(WAYPOINT.format(road="1", s="$begin") + WAYPOINT.format(road="1", s="400"))
+    place = f"""<PrivateAction><TeleportAction><Position><RoutePosition><RouteRef>{route}</RouteRef><InRoutePosition>
+<FromLaneCoordinates pathS="10" laneId="-1"/></InRoutePosition></RoutePosition></Position></TeleportAction></PrivateAction>"""
+    path = scenario_file(tmp_path, init=private(place), parameters=declared("begin", "0"))
+    values = [{"begin": begin} for begin in (0.0, 100.0, 200.0)]
+    assert [float(one.x[0, 0]) for one in ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(path, v) for v in values])] == [
+        pytest.approx(10.0), pytest.approx(110.0), pytest.approx(210.0),
+    ]  # fmt: skip
+    assert differing(path, values, 1.0) == []
+
+
+def test_a_nurbs_is_the_same_for_one_scenario_and_for_many():
+    random = np.random.default_rng(0)
+    x, y = (np.cumsum(random.uniform(0, 40 * (k + 1), (9, 5)), axis=1) for k in range(2))
+    x[4], y[4] = np.nan, np.nan
+    time = np.cumsum(random.uniform(0, 3, (9, 5)), axis=1)
+    weights, knots = np.array([1.0, 2.0, 1.0, 0.5, 1.0]), np.array([0.0, 0, 0, 0, 1, 2, 2, 2, 2])
+    together = nurbs_points(x, y, time, weights, knots, 4)
+    for i in range(9):
+        alone = nurbs_points(x[i : i + 1], y[i : i + 1], time[i : i + 1], weights, knots, 4)
+        assert [a[i].tobytes() for a in together] == [a[0].tobytes() for a in alone]
+
+
+def test_a_clothoid_is_the_same_for_one_scenario_and_for_many():
+    length = np.array([[30.0], [123.4], [5000.0], [0.5]])
+    start, end = np.full((4, 1), 0.001), np.full((4, 1), 0.002)
+    still = np.zeros(4)
+    together = ClothoidSpline(still, still, still, start, end, length)
+    for i in range(4):
+        alone = ClothoidSpline(still[:1], still[:1], still[:1], start[:1], end[:1], length[i : i + 1])
+        for share in (0.0, 0.1, 0.77, 1.0, 1.2):
+            place = np.array([share * length[i, 0]])
+            found = together.at(place, np.zeros(1), np.array([i])), alone.at(place, np.zeros(1), np.array([0]))
+            assert [a.tobytes() for a in found[0]] == [a.tobytes() for a in found[1]]
+
+
+def test_a_delay_of_one_scenario_changes_no_other(tmp_path):
+    later = """<ConditionGroup><Condition name="a" delay="0" conditionEdge="none"><ByValueCondition>
+<SimulationTimeCondition value="1" rule="greaterThan"/></ByValueCondition></Condition>
+<Condition name="b" delay="$delay" conditionEdge="rising"><ByValueCondition>
+<SimulationTimeCondition value="0.5" rule="greaterThan"/></ByValueCondition></Condition></ConditionGroup>"""
+    path = scenario_file(
+        tmp_path,
+        init=private(teleport("0"), speed_action("10")),
+        story=story_of(event("e", speed_action("20"), later)),
+        parameters=declared("delay", "0"),
+    )
+    assert differing(path, [{"delay": 0.0}, {"delay": 0.7}, {"delay": 0.0}], 3.0) == []
+
+
+def test_an_entity_that_is_not_there_yet_is_no_target(tmp_path):
+    """Its place is not known, so nothing is measured along the road to it."""
+    condition = """<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>
+<TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition>
+<RelativeDistanceCondition entityRef="Other" relativeDistanceType="longitudinal" coordinateSystem="road" value="20"
+freespace="false" rule="lessThan"/></EntityCondition></ByEntityCondition></Condition></ConditionGroup>"""
+    path = scenario_file(
+        tmp_path,
+        init=private(teleport("0"), speed_action("10")),
+        story=story_of(event("e", speed_action("20"), condition)),
+        entities=car("Ego") + car("Other"),
+    )
+    (recording,) = results(path, {}, duration=2.0)
+    assert recording.speed[0, -1] == 10.0
+
+
+LTAP = REFERENCE / "esmini" / "resources" / "xosc" / "ltap-od-relative-speed.xosc"
+
+
+@pytest.mark.skipif(not LTAP.exists(), reason="needs ../shared/reference")
+def test_ltap_od_relative_speed_runs():
+    assert simulate(LTAP, duration=5.0).time[-1] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "init", "bad", "why"),
+    [
+        ("string", "1", f'{teleport("5").replace(chr(34) + "1" + chr(34), chr(34) + "$p" + chr(34), 1)}', "7",
+         "has no road '7'"),
+        ("string", "-1", teleport("5", "$p"), "x", "laneId of <LanePosition> is 'x', which is not a number"),
+        ("double", "-1", teleport("5", "$p"), -1.6, "is -1.6, which is not a whole number"),
+        ("integer", "-1", teleport("5", "$p"), -1.6, "the parameter p is '-1.6', which is not a whole number"),
+        ("integer", "-1", teleport("5", "$p"), 4.33, "the parameter p is '4.33', which is not a whole number"),
+        ("double", "5", teleport("${10/$p}"), 0.0, "has no finite value"),
+        ("double", "5", teleport("$p"), "much", "the parameter p is 'much', which is not a number"),
+        ("unsignedShort", "5", teleport("$p"), 70000, "not from 0 to 65535"),
+        ("boolean", "true", teleport("5"), "maybe", "the parameter p is 'maybe', not true or false"),
+    ],
+)  # fmt: skip
+def test_a_value_that_cannot_be_used_costs_its_scenario_alone(tmp_path, kind, value, init, bad, why):
+    path = scenario_file(tmp_path, init=private(init), parameters=declared("p", value, kind))
+    first, wrong, last = words(path, {"p": value}, {"p": bad}, {})
+    assert first == last == ""
+    assert why in wrong
+    assert str(path) not in wrong
+    # What is the matter with it is the same alone.
+    assert words(path, {"p": bad}) == [wrong]
+    with pytest.raises(InputError, match=r"scenario\.xosc"):
+        simulate(path, {"p": bad})
+
+
+def test_what_is_wrong_whatever_is_varied_is_said_once(tmp_path):
+    """An unknown road that stands in the file itself cannot be varied away."""
+    init = private(teleport("$s").replace('roadId="1"', 'roadId="9"'))
+    path = scenario_file(tmp_path, init=init, parameters=declared("s", "0") + declared("road", "1", "string"))
+    for values in ([{"s": 5.0}], [{"s": 5.0}, {"s": 6.0}], [{"road": "1"}, {"road": "2"}], [{}]):
+        with pytest.raises(InputError, match="has no road '9'"):
+            results(path, *values)
+
+
+def test_the_value_of_the_file_may_be_unusable_and_others_not(tmp_path):
+    init = private(teleport("5").replace('roadId="1"', 'roadId="$road"'))
+    path = scenario_file(tmp_path, init=init, parameters=declared("road", "9", "string"))
+    assert ["has no road '9'" in one for one in words(path, {"road": "9"}, {"road": "1"})] == [True, False]
+    with pytest.raises(InputError, match="has no road '9'"):
+        results(path, {})
+
+
+def test_a_length_that_is_not_above_0_costs_its_scenario_alone(tmp_path):
+    follow = """<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false">
+<ParameterDeclarations/><Shape><Clothoid curvature="0" curvaturePrime="0" length="$length"><Position>
+<WorldPosition x="0" y="0" h="0"/></Position></Clothoid></Shape></Trajectory></TrajectoryRef><TimeReference><None/></TimeReference>
+<TrajectoryFollowingMode followingMode="position"/></FollowTrajectoryAction></RoutingAction></PrivateAction>"""
+    path = scenario_file(
+        tmp_path,
+        init=private(teleport("0"), speed_action("5")),
+        story=story_of(event("e", follow, time_trigger("0.2"))),
+        parameters=declared("length", "30"),
+    )
+    assert ["not above 0" in one for one in words(path, {"length": 30.0}, {"length": -1.0}, {"length": 0.0})] == [
+        False, True, True,
+    ]  # fmt: skip
+    path.write_text(path.read_text().replace("$length", "-2"))
+    with pytest.raises(InputError, match="not above 0"):
+        results(path, {"length": 30.0})
+
+
+@pytest.mark.parametrize(
+    ("condition", "why"),
+    [
+        ('<StoryboardElementStateCondition storyboardElementType="event" storyboardElementRef="none" state="completeState"/>',
+         "there is no event 'none'"),
+        ('<StoryboardElementStateCondition storyboardElementType="event" storyboardElementRef="e" state="done"/>',
+         "'done' is no state"),
+        ('<ParameterCondition parameterRef="word" value="a" rule="alike"/>', "rule 'alike'"),
+        ('<ParameterCondition parameterRef="number" value="1" rule="alike"/>', "rule 'alike'"),
+    ],
+)  # fmt: skip
+def test_a_condition_that_cannot_be_is_refused_before_it_is_asked(tmp_path, condition, why):
+    trigger = f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByValueCondition>{condition}
+</ByValueCondition></Condition></ConditionGroup>"""
+    story = story_of(event("first", speed_action("1"), time_trigger("100")) + event("e", speed_action("20"), trigger))
+    path = scenario_file(
+        tmp_path, init=private(teleport("0")), story=story, parameters=declared("word", "a", "string") + declared("number", "1")
+    )  # fmt: skip
+    with pytest.raises(InputError, match=why):
+        results(path, {})
+
+
+def test_batches_are_cut_by_what_they_hold_and_give_the_same(tmp_path, monkeypatch):
+    path = scenario_file(
+        tmp_path, init=private(teleport("0"), speed_action("$v")), parameters=declared("v", "10"), entities=car("Ego")
+    )
+    values = [{"v": float(v)} for v in range(1, 13)]
+    whole = [outcome(one) for one in results(path, *values)]
+    one = builtin_simulator.PreparedScenario(Scenario.read(path)).bytes_for(22, False)
+    sizes = []
+    real = builtin_simulator.Batch
+
+    def counted(prepared, values, *rest):
+        sizes.append(len(values))
+        return real(prepared, values, *rest)
+
+    monkeypatch.setattr(builtin_simulator, "Batch", counted)
+    monkeypatch.setattr(builtin_simulator, "_MOST_BYTES", 5 * one)
+    assert [outcome(one) for one in results(path, *values)] == whole
+    assert sizes == [5, 5, 2]
+    # However little may be held, one scenario runs.
+    monkeypatch.setattr(builtin_simulator, "_MOST_BYTES", 1)
+    assert [outcome(one) for one in results(path, *values)] == whole
+
+
+@pytest.mark.parametrize(
+    ("time_step", "duration", "rows"), [(0.05, 1.0, 21), (0.3, 1.0, 4), (0.1, 0.3, 4), (0.05, 0.05, 2)]
+)
+def test_a_run_ends_with_its_duration(tmp_path, time_step, duration, rows):
+    path = scenario_file(tmp_path, init=private(teleport("0")))
+    time = simulate(path, time_step=time_step, duration=duration).time
+    assert len(time) == rows
+    assert time[-1] <= duration + 1e-9
+
+
+# Files that between them use what is read for all scenarios at once: routes, trajectories, drivers, names by parameter.
+FAST = (
+    "esmini/EnvironmentSimulator/Unittest/xosc/brake_by_trajectory_100-0.xosc",
+    "esmini/EnvironmentSimulator/Unittest/xosc/traj_use_cases.xosc",
+    "esmini/EnvironmentSimulator/Unittest/xosc/direct_junction.xosc",
+    "esmini/EnvironmentSimulator/Unittest/xosc/parameter_overwrite.xosc",
+    "esmini/EnvironmentSimulator/Unittest/xosc/emergency_vehicle.xosc",
+    "esmini/resources/xosc/lane-change_clothoid_spline_based_trajectory.xosc",
+    "esmini/resources/xosc/pedestrian_traj_synch.xosc",
+    "esmini/resources/xosc/synchronize.xosc",
+    "esmini/resources/xosc/cut-in_cr.xosc",
+    "ncap/OpenSCENARIO/NCAP/CA-FC_2026/CPNCO.xosc",
+    "alks/logical_scenarios/concrete_scenarios/alks_scenario_4_4_1_cut_in_no_collision_template.xosc",
+)
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_reference_scenarios_give_the_same_alone_and_among_others(name):
+    path = REFERENCE / name
+    if not path.exists():
+        pytest.skip("needs ../shared/reference")
+    values = varied(Scenario.read(path), most=8)
+    assert [values[k] for k in differing(path, values, 8.0)] == []
+
+
+@pytest.mark.parametrize("path", scenario_files(ROOT / "examples"), ids=lambda path: path.stem)
+@pytest.mark.parametrize("driver", [None, "normal"])
+def test_examples_give_the_same_alone_and_among_others(path, driver):
+    values = varied(Scenario.read(path), most=8)
+    assert differing(path, values, 12.0, drivers={"Ego": driver} if driver else {}) == []
