@@ -53,8 +53,12 @@ class Experiment:
         with Study.open(path) as study:
             self.found = analyze(study)
             self.distances = {name: read_distances(study, name) for name in self.found}
-            self.kept = len(reduce(study, folder / f"{path.stem}-paper", archetypes=15, archetypes_by="hull"))
-            self.reduced = reduce(study, folder / f"{path.stem}-reduced")
+            scenario = asked.logical.scenario
+            by_hull = reduce(
+                study, folder / f"{path.stem}-paper", archetypes=15, archetypes_by="hull", scenario=scenario
+            )
+            self.kept = len(by_hull)
+            self.reduced = reduce(study, folder / f"{path.stem}-reduced", scenario=scenario)
             self.critical = find_critical_clusters(study, self.found[self.reduced.by])
             self.unlike = self._unlike(study)
             rows, meta = study.done(), study.meta

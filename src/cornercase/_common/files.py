@@ -14,9 +14,11 @@ from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
 from cornercase._common.platform import new_file_mode, replace_file
 
-# What a file name of Windows must not have in it, and the names of its devices.
-_REFUSED: Final = re.compile(r'[<>:"/\\|?*\x00-\x1f]+')
-_DEVICES: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
+# What a file name of Windows must not have in it and what a terminal takes for orders, the names of its devices, and
+# how long a name may be: file systems take 255 bytes, of which an ending and a temporary name need some.
+_REFUSED: Final = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]+')
+_DEVICES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²³]|lpt[\d¹²³])\s*(\.|$)", re.IGNORECASE)
+_LONGEST: Final = 150
 
 
 def portable_name(text: str) -> str:
@@ -29,15 +31,16 @@ def portable_name(text: str) -> str:
     Returns
     -------
     str
-        The same for all platforms; characters that one of them refuses become hyphens.
+        The same for all platforms; characters that one of them refuses become hyphens, and what is beyond 150 bytes is
+        cut off. It names neither a folder nor a hidden file.
 
     Examples
     --------
     >>> portable_name("criticality-ttc:accelerating=true")
     'criticality-ttc-accelerating=true'
     """
-    name = _REFUSED.sub("-", text).rstrip(". ") or "-"
-    return f"-{name}" if _DEVICES.match(name) else name
+    name = _REFUSED.sub("-", text).encode()[:_LONGEST].decode(errors="ignore").rstrip(". ") or "-"
+    return f"-{name}" if _DEVICES.match(name) or name.startswith(".") else name
 
 
 @contextmanager

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import sys
+from typing import Final
 
 # Their order is that of the commands in the help.
 from cornercase._common.errors import InputError
 from cornercase._common.platform import forgive_narrow_output
+from cornercase._common.texts import shorten
 from cornercase.cli import running, studies
 from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import app, err
 
 __all__ = ["app", "main", "running", "studies"]
+
+
+_LONGEST: Final = 1400
 
 
 def main() -> None:
@@ -20,7 +25,9 @@ def main() -> None:
     try:
         app(standalone_mode=True)
     except InputError as error:
-        err.print(f"cornercase: {in_words_of_the_command_line(str(error))}", markup=False)
+        # One line of bounded length, whatever is called how in a file.
+        sentence = in_words_of_the_command_line(str(error)).replace("\n", "\\n")
+        err.print(f"cornercase: {shorten(sentence, _LONGEST)}")
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
+from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
 
 if TYPE_CHECKING:
@@ -23,8 +25,17 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-out = Console(soft_wrap=True, highlight=False)
-err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+class _PlainConsole(Console):
+    """Prints texts as they are, wherever their names come from: neither their markup nor their orders count."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(plain_text(text), **options)
+
+
+_PLAIN: Final[Any] = {"soft_wrap": True, "highlight": False, "markup": False, "emoji": False}
+out = _PlainConsole(**_PLAIN)
+err = _PlainConsole(stderr=True, **_PLAIN)
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
 SpaceFile = Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")]

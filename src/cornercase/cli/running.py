@@ -162,20 +162,20 @@ def check(
     found = simulators.check(scenario, space)
     for key, count in found.contents.items():
         out.print(f"{key}: {count}")
-    out.print(f"parameters: {', '.join(found.parameters) or 'none'}", markup=False)
+    out.print(f"parameters: {', '.join(found.parameters) or 'none'}")
     if found.variables:
-        out.print(f"variables: {', '.join(found.variables)}", markup=False)
+        out.print(f"variables: {', '.join(found.variables)}")
     if found.ignored:
         out.print("without effect: " + ", ".join(f"{tag} ({count})" for tag, count in found.ignored.items()))
     if found.schema is None:
-        out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'", markup=False)
+        out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'")
     else:
         out.print(f"schema {found.schema}: {'valid' if not found.invalid else 'not valid'}")
     for line in (*found.invalid, *found.trouble):
-        out.print(f"  {line}", markup=False)
+        out.print(f"  {line}")
     if found.space is not None:
         for parameter in found.space.parameters:
-            out.print(f"varied: {_words_of(parameter)}", markup=False)
+            out.print(f"varied: {_words_of(parameter)}")
         out.print(f"concrete scenarios: {'infinitely many' if found.space.size is None else found.space.size}")
     out.print("can be run" if not found.trouble else "cannot be run")
     if not found.good:
@@ -202,7 +202,7 @@ def convert_(
     from cornercase.simulators import convert
 
     for note in convert(scenario, output, ego=ego, values=parsing.pairs(values or (), "--set")).notes:
-        err.print(note, markup=False)
+        err.print(note)
     out.print(f"Written to {output}")
 
 
@@ -311,7 +311,7 @@ def import_(
     )
     out.print(f"{result.done} scenarios in {output}")
     if result.failed:
-        out.print(f"{result.failed} recordings could not be read or measured; the first: {result.reason}", markup=False)
+        out.print(f"{result.failed} recordings could not be read or measured; the first: {result.reason}")
 
 
 @app.command()
@@ -388,4 +388,4 @@ def _notice(scenario: Any, simulator: str) -> None:
 
     ignored = SIMULATORS.class_of(simulator).without_effect(scenario)
     if ignored:
-        err.print(f"Without effect here: {', '.join(ignored)}.", markup=False)
+        err.print(f"Without effect here: {', '.join(ignored)}.")

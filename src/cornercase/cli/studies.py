@@ -109,6 +109,12 @@ def reduce(
         float,
         typer.Option(metavar="X", help="Scenarios are alike up to this share of the median distance within clusters."),
     ] = 0.5,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
+        ),
+    ] = None,
 ) -> None:
     """Keep the few concrete scenarios that matter, as files that run by themselves.
 
@@ -128,6 +134,7 @@ def reduce(
         archetypes=None if archetypes is None else parsing.count_or_auto(archetypes, "--archetypes"),
         archetypes_by=parsing.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
         within=within,
+        scenario=scenario,
     )
     out.print(f"{len(reduced.kept)} of {reduced.run} scenarios kept, in {output}")
 
@@ -180,7 +187,7 @@ def demo(
     tell_ending(explore_configuration(configuration, study, progress=True))
     with Study.open(study) as opened:
         clustering.analyze(opened, progress=True)
-        reduction.reduce(opened, folder / "reduced")
+        reduction.reduce(opened, folder / "reduced", scenario=configuration.logical.scenario)
         write_report(opened, folder / "report.html")
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
@@ -229,10 +236,10 @@ def export(
 
 def _show(key: str, value: Any, indent: str = "") -> None:
     if isinstance(value, dict):
-        out.print(f"{indent}{key}", markup=False)
+        out.print(f"{indent}{key}")
         for inner, one in value.items():
             _show(inner, one, indent + "  ")
     else:
         text = ", ".join(map(str, value)) if isinstance(value, list) else value
         text = f"{text:.6g}" if isinstance(text, float) else text
-        out.print(f"{indent}{key}: {text}", markup=False)
+        out.print(f"{indent}{key}: {text}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.clusters import Candidate, Clustering
 from cornercase.clustering.profiles import Profile
 from cornercase.clustering.rules import Rule
-from cornercase.study import Study
+from cornercase.study import Study, damage_told, made, require
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,31 +133,48 @@ def read_analysis(study: Study, by: str) -> Analysis:
     InputError
         The study was not analysed by it.
     """
+    run = {row.id for row in study.done()}
     arrays, info = study.analysis(by, "ids", "labels", "embedding", "landmarks")
-    clustering = Clustering(
+    with damage_told(study.path):
+        ids, labels, embedding = arrays["ids"], arrays["labels"], arrays["embedding"]
+        n = len(ids)
+        require(all(one.dtype.kind == "i" for one in (ids, labels, arrays["landmarks"])), "numbers that are not whole")
+        require(
+            ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n, "scenarios that were not run"
+        )
+        require(labels.shape == (n,) and bool((labels >= -1).all()) and labels.max(initial=-1) < n, "labels of others")
+        require(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an embedding of others")
+        return Analysis(by, ids, _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info))
+
+
+def _numbers(plain: list[int]) -> IntArray:
+    return np.array([int(one) for one in plain], dtype=np.int64)
+
+
+def _clustering(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clustering:
+    numbers = {name: float(info[name]) for name in ("gamma", "eps", "scale", "explained", "error")}
+    return Clustering(
         labels=arrays["labels"],
         embedding=arrays["embedding"],
-        gamma=info["gamma"],
-        eps=info["eps"],
-        min_samples=info["min_samples"],
-        scale=info["scale"],
-        explained=info["explained"],
-        candidates=tuple(Candidate(**one) for one in info["candidates"]),
+        min_samples=int(info["min_samples"]),
+        candidates=tuple(made(Candidate, one) for one in info["candidates"]),
         method=info["method"],
         landmarks=arrays["landmarks"],
-        error=info["error"],
+        **numbers,
     )
-    profiles = tuple(
+
+
+def _profiles(info: Mapping[str, Any]) -> tuple[Profile, ...]:
+    return tuple(
         Profile(
-            cluster=one["cluster"],
-            size=one["size"],
-            scores={name: (low, middle, high) for name, (low, middle, high) in one["scores"].items()},
-            outcomes=one["outcomes"],
-            rules=tuple(Rule(**rule) for rule in one["rules"]),
+            cluster=int(one["cluster"]),
+            size=int(one["size"]),
+            scores={name: (float(low), float(mid), float(high)) for name, (low, mid, high) in one["scores"].items()},
+            outcomes={str(outcome): int(count) for outcome, count in one["outcomes"].items()},
+            rules=tuple(made(Rule, rule) for rule in one["rules"]),
         )
         for one in info["profiles"]
     )
-    return Analysis(by, arrays["ids"], clustering, np.array(info["fitted"], dtype=np.int64), profiles)
 
 
 def read_analyses(study: Study) -> dict[str, Analysis]:
@@ -194,6 +213,10 @@ def read_distances(study: Study, by: str) -> FloatArray:
     InputError
         The study was not analysed by it.
     """
-    arrays, _ = study.analysis(by, "distances")
+    arrays, _ = study.analysis(by, "ids", "distances")
     distances: FloatArray = arrays["distances"]
+    with damage_told(study.path):
+        n = len(arrays["ids"])
+        require(distances.shape == (n, n) and distances.dtype.kind == "f", "distances of other scenarios")
+        require(bool(np.isfinite(distances).all()) and bool((distances >= 0.0).all()), "distances that are none")
     return distances

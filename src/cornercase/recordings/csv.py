@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import written_whole
+from cornercase._common.texts import cell_text, text_of_cell
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings.recording import BOX, COLUMNS, MOTION, Collision, Recording
 
@@ -39,7 +41,7 @@ def read_csv(path: Path) -> Recording:
                 raise InputError(
                     f"{path}: the header lacks {', '.join(missing)}; a recording has the columns {', '.join(COLUMNS)}."
                 )
-            rows = [(reader.line_num, row) for row in reader]
+            rows = [(reader.line_num, _texts(row)) for row in reader]
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     except (UnicodeDecodeError, csv.Error) as error:
@@ -83,6 +85,11 @@ def read_csv(path: Path) -> Recording:
     )
 
 
+def _texts(row: dict[str, Any]) -> dict[str, Any]:
+    """A row whose texts are what they were before they became cells."""
+    return row | {name: text_of_cell(row[name]) for name in ("entity", "kind", "collision") if row.get(name)}
+
+
 def write_courses(path: Path | str, time: FloatArray, courses: Mapping[str, FloatArray]) -> None:
     """Write one row per instant, with the header ``time,METRIC,…``; empty where a metric is not defined.
 
@@ -95,7 +102,7 @@ def write_courses(path: Path | str, time: FloatArray, courses: Mapping[str, Floa
     """
     with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("time", *courses))
+        writer.writerow(("time", *map(cell_text, courses)))
         for row in zip(time.tolist(), *(course.tolist() for course in courses.values()), strict=True):
             writer.writerow(["" if value != value else value for value in row])
 

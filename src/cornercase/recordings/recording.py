@@ -12,6 +12,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import written_whole
+from cornercase._common.texts import cell_text
 from cornercase._common.typing import FloatArray
 from cornercase.recordings.sketch import COLORS, tracks_as_svg
 
@@ -200,7 +201,8 @@ class Recording:
         """Write one row per instant and entity, with the columns `COLUMNS` and ``collision``.
 
         Numbers are written so that reading gives the same bits. ``collision`` names the entities whose box is
-        first touched at that instant, separated by semicolons.
+        first touched at that instant, separated by semicolons. A text that a spreadsheet would take for a formula gets
+        an apostrophe before it, which `cornercase.recordings.read_recording` takes away.
 
         Parameters
         ----------
@@ -223,4 +225,4 @@ class Recording:
                     motion = [float(getattr(self, column)[a, t]) for column in MOTION]
                     box = [float(getattr(self, column)[a]) for column in BOX]
                     others = ";".join(touched.get((time, name), ()))
-                    writer.writerow((time, name, self.kinds[a], *motion, *box, others))
+                    writer.writerow((time, *map(cell_text, (name, self.kinds[a])), *motion, *box, cell_text(others)))

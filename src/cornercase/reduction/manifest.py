@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, get_args
 
 from cornercase.evidence import Estimate
 from cornercase.reduction.cluster_shapes import ClusterShape
 from cornercase.reduction.coverage import Coverage
 from cornercase.reduction.critical_coverage import CriticalCoverage
+from cornercase.reduction.kept import Role
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
-from cornercase.study import Study
+from cornercase.study import Study, damage_told, made, require
 
 
 def make_manifest(study: Study, reduced: ReducedSet) -> dict[str, Any]:
@@ -85,15 +86,28 @@ def read_reduction(study: Study) -> ReducedSet | None:
     info = study.reduction()
     if info is None:
         return None
-    return ReducedSet(
-        by=info["by"],
-        run=info["run"],
-        kept=tuple(KeptScenario(**one) for one in info["kept"]),
-        shapes=tuple(_shape(one) for one in info["shapes"]),
-        coverage={name: _coverage(one) for name, one in info["coverage"].items() if one},
-        critical={name: _critical(one) for name, one in info["critical"].items()},
-        hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
-    )
+    with damage_told(study.path):
+        ids = {row.id for row in study.done()}
+        reduced = ReducedSet(
+            by=str(info["by"]),
+            run=int(info["run"]),
+            kept=tuple(_kept(one) for one in info["kept"]),
+            shapes=tuple(_shape(one) for one in info["shapes"]),
+            coverage={name: _coverage(one) for name, one in info["coverage"].items() if one},
+            critical={name: _critical(one) for name, one in info["critical"].items()},
+            hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
+        )
+        corners = {one for facets in reduced.hulls.values() for facet in facets for one in facet}
+        require(corners | set(reduced.ids) <= ids, "its reduced set has scenarios that were not run")
+        return reduced
+
+
+def _kept(plain: Mapping[str, Any]) -> KeptScenario:
+    kept = made(KeptScenario, plain)
+    require(kept.role in get_args(Role), f"a kept scenario in the role {str(kept.role)[:60]!r}")
+    require(all(isinstance(one, float | int | str) for one in kept.values.values()), "a kept scenario without values")
+    require(all(isinstance(one, float | int) for one in kept.scores.values()), "a kept scenario without scores")
+    return kept
 
 
 def _of_kept(one: KeptScenario) -> dict[str, Any]:
@@ -119,20 +133,17 @@ def _of_shape(one: ClusterShape) -> dict[str, Any]:
 
 
 def _shape(plain: Mapping[str, Any]) -> ClusterShape:
-    return ClusterShape(
-        cluster=plain["cluster"],
-        convexity=plain["convexity"],
-        kernel_convexity=plain["convexity in kernel space"],
-        method=plain["archetypes by"],
-        parts=plain["parts"],
-    )
+    shape = {"kernel_convexity": plain["convexity in kernel space"], "method": plain["archetypes by"]}
+    shape |= {name: plain[name] for name in ("cluster", "convexity", "parts")}
+    require(shape["method"] in ("hull", "pcha", "parts", "kernel"), "a cluster whose archetypes nobody finds")
+    return made(ClusterShape, shape)
 
 
 def _coverage(plain: Mapping[str, Any]) -> Coverage:
     known: dict[str, Any] = {key: math.nan if value is None else value for key, value in plain.items()}
-    return Coverage(**known)
+    return made(Coverage, known)
 
 
 def _critical(plain: Mapping[str, Any]) -> CriticalCoverage:
     unlike = plain["unlike"]
-    return CriticalCoverage(**{**plain, "unlike": None if unlike is None else Estimate(**unlike)})
+    return made(CriticalCoverage, {**plain, "unlike": None if unlike is None else made(Estimate, unlike)})

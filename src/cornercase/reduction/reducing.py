@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 from cornercase._common.arguments import number, text, whole_number
 from cornercase._common.errors import InputError
-from cornercase._common.files import require_folder, written_whole
+from cornercase._common.files import portable_name, require_folder, written_whole
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, read_analysis
 from cornercase.reduction.cluster_selection import PER_KEPT, choose_by_cluster
@@ -27,7 +27,7 @@ from cornercase.reduction.kept import Kept
 from cornercase.reduction.manifest import make_manifest, save_reduction
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.reduction.selection import choose_scenarios
-from cornercase.scenario import Scenario, write_concrete
+from cornercase.scenario import Scenario, find_scenario, write_concrete
 from cornercase.study import IMPORTED, Study, open_study
 
 _WHY: Final = {
@@ -51,6 +51,7 @@ def reduce(
     archetypes: int | Literal["auto"] | None = None,
     archetypes_by: ArchetypeMethod = "auto",
     within: float = WITHIN,
+    scenario: Path | str | Scenario | None = None,
 ) -> ReducedSet:
     """Keep the few concrete scenarios that matter, and write them as OpenSCENARIO files.
 
@@ -80,6 +81,9 @@ def reduce(
     within : float, default 0.5
         Share of the median distance within clusters up to which two scenarios are alike; for the coverage of the
         critical scenarios.
+    scenario : path or Scenario, optional
+        File that was explored, from which the files are made. By default it is looked for beside the study and in the
+        current folder, and known by its fingerprint; the path that the study holds is never opened.
 
     Returns
     -------
@@ -89,8 +93,8 @@ def reduce(
     Raises
     ------
     InputError
-        The study was not analysed, an argument is out of range, the scenario file is not the one that was explored, or
-        the folder cannot be written.
+        The study was not analysed, an argument is out of range, the scenario file is not found or not the one that was
+        explored, or the folder cannot be written.
 
     See Also
     --------
@@ -111,7 +115,7 @@ def reduce(
     with open_study(study) as opened:
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
         # Looked at before anything is written or takes time.
-        scenario = _require_same_scenario(opened)
+        explored = _explored_scenario(opened, scenario)
         ran = read_ran(opened)
         points = ran.points(analysis)
         shaped = find_shapes(points, analysis.labels, analysis.clustering.embedding, archetypes_by)
@@ -134,21 +138,28 @@ def reduce(
                 shaped=shaped,
             )
         reduced = _described(ran, analysis, kept, shaped, within)
-        _write(opened, scenario, reduced, folder)
+        _write(opened, explored, reduced, folder)
         save_reduction(opened, reduced)
     return reduced
 
 
-def _require_same_scenario(study: Study) -> Scenario | None:
-    """Read the scenario file that was explored, and refuse another one; none of imported recordings."""
+def _explored_scenario(study: Study, given: Path | str | Scenario | None) -> Scenario | None:
+    """Find the scenario file that was explored, and refuse another one; none of imported recordings."""
     meta = study.meta
     if meta.simulator == IMPORTED:
         return None
-    scenario = Scenario.read(meta.scenario)
+    # The study may come from anywhere: its path of the scenario is a word, and no path here.
+    found = find_scenario(meta.file_name, meta.fingerprint, (study.path.parent, Path())) if given is None else given
+    if found is None:
+        raise InputError(
+            f"{study.path}: its scenario file '{meta.file_name}' lies neither beside it nor in the current folder; name"
+            " it with `scenario`."
+        )
+    scenario = found if isinstance(found, Scenario) else Scenario.read(found)
     if scenario.fingerprint() != meta.fingerprint:
         raise InputError(
-            f"{meta.scenario}: it, its road or its catalogs have changed since {study.path} was explored; restore"
-            " them, or run `explore` again, into another study."
+            f"{scenario.path}: it, its road or its catalogs have changed since {study.path} was explored; restore"
+            " them, name the file that was explored with `scenario`, or run `explore` again, into another study."
         )
     return scenario
 
@@ -191,7 +202,7 @@ def _kept_scenario(ran: Ran, one: Kept, scenario: int, reason: str) -> KeptScena
     imported = meta.simulator == IMPORTED
     return KeptScenario(
         id=scenario,
-        file=meta.files[scenario - 1] if imported else f"{Path(meta.scenario).stem}-{scenario:05}.xosc",
+        file=meta.files[scenario - 1] if imported else f"{portable_name(meta.title)}-{scenario:05}.xosc",
         cluster=one.cluster,
         role=one.role,
         why=_WHY[reason].format(cluster=one.cluster),
@@ -209,7 +220,6 @@ def _facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -
 
 def _write(study: Study, scenario: Scenario | None, reduced: ReducedSet, folder: Path) -> None:
     """Write the kept scenarios, and last the manifest."""
-    stem = Path(study.meta.scenario).stem
     drivers = study.meta.settings.get("drivers", {})
     for one in reduced.kept if scenario is not None else ():
         assert scenario is not None
@@ -218,7 +228,7 @@ def _write(study: Study, scenario: Scenario | None, reduced: ReducedSet, folder:
             one.values,
             folder / one.file,
             drivers={entity: driver for entity, driver in drivers.items() if isinstance(driver, str)},
-            description=f"Scenario {one.id} of the logical scenario {stem}: {one.why}",
+            description=f"Scenario {one.id} of the logical scenario {study.meta.title}: {one.why}",
         )
     with written_whole(folder / "manifest.json") as temporary:
         temporary.write_text(json.dumps(make_manifest(study, reduced), indent=2) + "\n", encoding="utf-8", newline="\n")

@@ -5,15 +5,22 @@ from __future__ import annotations
 import base64
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 
 from cornercase._common.files import portable_name, written_whole
+from cornercase._common.texts import plain_text, shorten
 from cornercase.report.template import fill_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+# Characters of a text in a figure.
+_LONGEST: Final = 100
 
 
 class Album:
@@ -71,5 +78,10 @@ def draw_png(figure: Figure) -> bytes:
     """
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25)
+    for text in figure.findobj(Text):
+        # Names come from files: a dollar sign in them begins no formula, and a long one is no reason for a huge figure.
+        text.set_parse_math(False)
+        text.set_text(shorten(plain_text(text.get_text()), _LONGEST))
+    with rc_context({"text.parse_math": False}):
+        figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25)
     return buffer.getvalue()

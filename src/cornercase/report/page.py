@@ -55,7 +55,7 @@ def write_report(study: Study | Path | str, path: Path | str) -> Path:
         *overview.tell_failures(data),
         *overview.tell_provenance(data),
     ]
-    title = f"cornercase: {Path(data.summary.meta.scenario).stem}"
+    title = f"cornercase: {data.summary.meta.title}"
     with written_whole(path) as temporary:
         temporary.write_text(fill_page(title, "\n".join(parts)), encoding="utf-8", newline="\n")
     return path

@@ -89,7 +89,7 @@ class Summary:
     reduced: ReducedSet | None
 
     def __repr__(self) -> str:
-        found = [f"{Path(self.meta.scenario).stem}: {self.run} scenarios run, {self.collisions} collisions"]
+        found = [f"{self.meta.title}: {self.run} scenarios run, {self.collisions} collisions"]
         if self.failed:
             found.append(f"{self.failed} failed")
         if self.pending:

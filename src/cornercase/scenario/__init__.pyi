@@ -3,6 +3,7 @@ from .constraints import Declaration as Declaration
 from .constraints import read_declarations as read_declarations
 from .declared_types import unusable_value as unusable_value
 from .declared_types import value_text as value_text
+from .finding import find_scenario as find_scenario
 from .logical import ConcreteScenario as ConcreteScenario
 from .logical import LogicalScenario as LogicalScenario
 from .openscenario import DRIVER_PROPERTY as DRIVER_PROPERTY

@@ -12,7 +12,7 @@ from lxml import etree
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.files import written_whole
+from cornercase._common.files import portable_name, written_whole
 from cornercase.scenario.declared_types import typed_value, value_text
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.parameter import Value
@@ -377,9 +377,11 @@ def write_concrete(
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _holder(root, directory, "path")
         folder = scenario.beside(holder.get(attribute, ""), "catalog location")
+        # "..", too, is the name of a folder.
+        name = portable_name(folder.name)
         for file in sorted(folder.glob("*.xosc")):
-            copy_beside(file, target.parent / "catalogs" / folder.name / file.name, "OpenSCENARIO")
-        holder.set(attribute, f"catalogs/{folder.name}")
+            copy_beside(file, target.parent / "catalogs" / name / file.name, "OpenSCENARIO")
+        holder.set(attribute, f"catalogs/{name}")
 
     with written_whole(target) as temporary:
         tree.write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -14,6 +15,14 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError
 from cornercase.recordings import Collision, Recording
 
+# Bytes of what belongs to one scenario: ten entities for a day at 20 instants a second.
+LARGEST: Final = 1 << 30
+_BROKEN: Final = (
+    ValueError, TypeError, LookupError, OSError, EOFError, OverflowError, MemoryError, RecursionError, SyntaxError,
+    NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+_FORMAT: Final[Any] = np.lib.format
+_BOX: Final = ("length", "width", "center_x")
 _ARRAYS: Final = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
 
 
@@ -35,12 +44,14 @@ def pack_arrays(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
     return buffer.getvalue()
 
 
-def unpack_arrays(data: bytes) -> dict[str, npt.NDArray[Any]]:
+def unpack_arrays(data: bytes, largest: int = LARGEST) -> dict[str, npt.NDArray[Any]]:
     """Arrays of an archive, by name.
 
     Parameters
     ----------
     data : bytes
+    largest : int, optional
+        Bytes that all arrays together may have; a few bytes of an archive can claim to be many.
 
     Returns
     -------
@@ -49,13 +60,32 @@ def unpack_arrays(data: bytes) -> dict[str, npt.NDArray[Any]]:
     Raises
     ------
     InputError
-        It is no such archive, or it holds something else than plain arrays.
+        It is no such archive, it holds something else than plain arrays, or it is larger.
     """
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as loaded:
-            return {name: loaded[name] for name in loaded.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            if (size := sum(one.file_size for one in members)) > largest:
+                raise ValueError(f"{size} bytes where at most {largest} are read")
+            return {one.filename.removesuffix(".npy"): _array(archive.read(one)) for one in members}
+    except _BROKEN as error:
         raise InputError(f"The study holds arrays that cannot be read ({error}).") from error
+
+
+def _array(member: bytes) -> npt.NDArray[Any]:
+    """Read one array, once its header was found to say how large it is; never a pickle."""
+    stream = io.BytesIO(member)
+    version = _FORMAT.read_magic(stream)
+    if version == (1, 0):
+        shape, _, dtype = _FORMAT.read_array_header_1_0(stream)
+    else:
+        shape, _, dtype = _FORMAT.read_array_header_2_0(stream)
+    if dtype.hasobject:
+        raise ValueError("an array of Python objects, which would have to run code")
+    if math.prod(shape) * dtype.itemsize != len(member) - stream.tell() or min(shape, default=0) < 0:
+        raise ValueError(f"an array of {shape} in {len(member)} bytes")
+    stream.seek(0)
+    return np.asarray(_FORMAT.read_array(stream, allow_pickle=False))
 
 
 def pack_recording(recording: Recording) -> bytes:
@@ -92,10 +122,19 @@ def unpack_recording(data: bytes) -> Recording:
     Raises
     ------
     InputError
-        It is no such archive.
+        It is no such archive, or what it holds is no recording.
     """
     arrays = unpack_arrays(data)
-    names = tuple(map(str, arrays["names"]))
+    instants, entities = len(arrays["time"]), len(arrays["names"])
+    for name in _ARRAYS:
+        one, shape = arrays[name], _shape_of(name, entities, instants)
+        if one.dtype.kind not in "fiu" or one.shape != shape:
+            raise InputError(f"The study holds a recording whose {name} is {one.dtype} {one.shape}, not {shape}.")
+    if not instants or not np.isfinite(arrays["time"]).all() or (np.diff(arrays["time"]) <= 0.0).any():
+        raise InputError("The study holds a recording whose time does not increase.")
+    names, kinds = tuple(map(str, arrays["names"])), tuple(map(str, arrays["kinds"]))
+    if len(set(names)) < entities or len(kinds) != entities:
+        raise InputError("The study holds a recording whose entities have no names and kinds of their own.")
     collisions = tuple(
         Collision(float(time), (names[a], names[b]))
         for time, (a, b) in zip(arrays["collision_time"], arrays["collision_entities"], strict=True)
@@ -103,6 +142,12 @@ def unpack_recording(data: bytes) -> Recording:
     return Recording(
         **{name: arrays[name] for name in _ARRAYS},
         names=names,
-        kinds=tuple(map(str, arrays["kinds"])),
+        kinds=kinds,
         collisions=collisions,
     )
+
+
+def _shape_of(name: str, entities: int, instants: int) -> tuple[int, ...]:
+    if name == "time":
+        return (instants,)
+    return (entities,) if name in _BOX else (entities, instants)

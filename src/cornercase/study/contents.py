@@ -16,6 +16,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.study.codec import unpack_arrays, unpack_recording
+from cornercase.study.damage import damage_told, require
 from cornercase.study.database import Database
 from cornercase.study.export import write_scenarios, write_table
 from cornercase.study.meta import StudyMeta
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 _SHOWN: Final = 10
 # SQLite counts no further.
 _LARGEST_ID: Final = 2**63 - 1
+# Bytes of an array of an analysis that is not one of all pairs.
+_LARGEST_OTHERS: Final = 1 << 26
 
 
 class StudyContents:
@@ -72,7 +75,7 @@ class StudyContents:
     def __repr__(self) -> str:
         meta, counts = self.meta, self._counts()
         return (
-            f"<Study {str(self.path)!r}: {Path(meta.scenario).stem}, {meta.ego} and {meta.other}, by"
+            f"<Study {str(self.path)!r}: {meta.title}, {meta.ego} and {meta.other}, by"
             f" {', '.join(meta.metrics)}; {counts.get('done', 0)} scenarios run, {counts.get('failed', 0)} failed,"
             f" {counts.get('pending', 0)} pending>"
         )
@@ -94,10 +97,25 @@ class StudyContents:
             In the order in which they were proposed.
         """
         found = self._database.found("SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id")
-        return [
-            Row(i, number, np.frombuffer(point, "<f8").copy(), json.loads(values), state, error)
-            for i, number, point, values, state, error in found
-        ]
+        with damage_told(self.path):
+            return [self._row(*one) for one in found]
+
+    def _row(self, number: int, turn: int, point: bytes, values: str, state: str, error: str | None) -> Row:
+        row = Row(number, turn, np.frombuffer(point, "<f8").copy(), json.loads(values), state, error)
+        require(row.point.shape == (self.space.dimension,), f"the scenario {number} has another number of parameters")
+        require(bool(np.isfinite(row.point).all()), f"the scenario {number} lies nowhere in the space")
+        plain = all(isinstance(one, str | int | float) for one in row.values.values())
+        require(plain, f"the scenario {number} has values that are neither numbers nor texts")
+        for parameter in self.space.parameters:
+            value = parameter.read(row.values)
+            if parameter.choices:
+                require(
+                    str(value) in parameter.choices, f"the scenario {number} has none of {parameter.name}'s choices"
+                )
+            else:
+                require(np.isfinite(float(value)), f"the scenario {number} has no number for {parameter.name}")
+        require(isinstance(turn, int) and isinstance(error, str | None), f"the scenario {number} is damaged")
+        return row
 
     def done(self) -> list[Row]:
         """List the scenarios that were run.
@@ -146,10 +164,12 @@ class StudyContents:
         """
         self._require_metric(metric)
         found = self._database.found(
-            "SELECT score FROM courses JOIN scenarios ON id = scenario WHERE metric = ? AND state = 'done' ORDER BY id",
+            "SELECT score FROM scenarios LEFT JOIN courses ON id = scenario AND metric = ?"
+            " WHERE state = 'done' ORDER BY id",
             metric,
         )
-        return np.array([score for (score,) in found], dtype=np.float64)
+        with damage_told(self.path):
+            return np.array([float(score) for (score,) in found], dtype=np.float64)
 
     def spread(self, metric: str) -> FloatArray | None:
         """Lowest and highest score of the runs of each scenario that was run.
@@ -169,11 +189,16 @@ class StudyContents:
             The study has no such metric.
         """
         self._require_metric(metric)
-        # Only a scenario that was run has them.
-        found = self._database.found("SELECT scores FROM repeats WHERE metric = ? ORDER BY scenario", metric)
-        if not found:
+        found = self._database.found(
+            "SELECT scores FROM scenarios LEFT JOIN repeats ON id = scenario AND metric = ?"
+            " WHERE state = 'done' ORDER BY id",
+            metric,
+        )
+        if all(text is None for (text,) in found):
             return None
-        return np.array([[min(scores), max(scores)] for scores in (json.loads(text) for (text,) in found)])
+        with damage_told(self.path):
+            scores = [json.loads(text) for (text,) in found]
+            return np.array([[min(one), max(one)] for one in scores], dtype=np.float64)
 
     def course(self, scenario: int, metric: str) -> FloatArray:
         """Course of a metric in one scenario.
@@ -199,7 +224,10 @@ class StudyContents:
         found = self._database.found("SELECT course FROM courses WHERE scenario = ? AND metric = ?", one, metric)
         if not found:
             raise InputError(f"{self.path}: the scenario {one} was not run.")
-        return np.asarray(unpack_arrays(found[0][0])["course"])
+        with damage_told(self.path):
+            course = np.asarray(unpack_arrays(found[0][0])["course"])
+            require(course.ndim == 1 and course.dtype.kind in "fiu", f"the course of {metric} in the scenario {one}")
+            return course
 
     def recording(self, scenario: int) -> Recording:
         """Recording of one scenario.
@@ -222,7 +250,8 @@ class StudyContents:
         found = self._database.found("SELECT recording FROM scenarios WHERE id = ? AND recording IS NOT NULL", one)
         if not found:
             raise InputError(f"{self.path}: the scenario {one} was not run.")
-        return unpack_recording(found[0][0])
+        with damage_told(self.path):
+            return unpack_recording(found[0][0])
 
     def outcomes(self) -> dict[int, str]:
         """How scenarios ended, in words.
@@ -232,7 +261,8 @@ class StudyContents:
         dict of int to str
             By id; those of all scenarios that had been run when the study was analysed.
         """
-        return dict(self._database.found("SELECT scenario, outcome FROM outcomes ORDER BY scenario"))
+        found = self._database.found("SELECT scenario, outcome FROM outcomes ORDER BY scenario")
+        return {scenario: str(outcome) for scenario, outcome in found}
 
     def analyses(self) -> list[str]:
         """List the aspects that the study was analysed by.
@@ -273,7 +303,10 @@ class StudyContents:
             raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
         question = "SELECT data FROM arrays WHERE analysis = ? AND name = ?"
         packed = {key: self._database.found(question, name, key)[0][0] for key in arrays or known}
-        return {key: unpack_arrays(data)[key] for key, data in packed.items()}, json.loads(found[0][0])
+        # The largest is that of the distances between all scenarios.
+        most = _LARGEST_OTHERS + 8 * sum(self._counts().values()) ** 2
+        with damage_told(self.path):
+            return {key: unpack_arrays(data, most)[key] for key, data in packed.items()}, json.loads(found[0][0])
 
     def reduction(self) -> dict[str, Any] | None:
         """Read what is known of the reduced set, as in its manifest.
@@ -284,7 +317,8 @@ class StudyContents:
             None before the reduction.
         """
         found = self._database.found("SELECT info FROM analyses WHERE name = 'reduction'")
-        return dict(json.loads(found[0][0])) if found else None
+        with damage_told(self.path):
+            return dict(json.loads(found[0][0])) if found else None
 
     def elapsed(self) -> dict[str, float]:
         """Time spent by stage.
@@ -294,7 +328,9 @@ class StudyContents:
         dict of str to float
             s.
         """
-        return dict(self._database.found("SELECT stage, seconds FROM elapsed ORDER BY stage"))
+        found = self._database.found("SELECT stage, seconds FROM elapsed ORDER BY stage")
+        with damage_told(self.path):
+            return {str(stage): float(seconds) for stage, seconds in found}
 
     def snapshot(self) -> AbstractContextManager[None]:
         """Read what the study holds at one moment, while an explorer goes on writing.
@@ -328,7 +364,13 @@ class StudyContents:
             for name in self.analyses():
                 arrays, _ = self.analysis(name, "ids", "labels")
                 clusters[name] = arrays["ids"], arrays["labels"]
-            return scenario_table(self.rows(), self.space, scores, clusters, self.outcomes())
+            rows = self.rows()
+            ids = {row.id for row in rows}
+            with damage_told(self.path):
+                for name, each in clusters.items():
+                    whole = all(one.ndim == 1 and one.dtype.kind == "i" and len(one) == len(each[0]) for one in each)
+                    require(whole and set(each[0].tolist()) <= ids, f"its clusters by {name} are of other scenarios")
+                return scenario_table(rows, self.space, scores, clusters, self.outcomes())
 
     def export(self, folder: Path | str, parquet: bool = False) -> None:
         """Write everything as CSV: one table of scenarios, and recording and courses of each.

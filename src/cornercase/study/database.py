@@ -14,7 +14,7 @@ from filelock import BaseFileLock
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
 from cornercase._common.locks import taken_lock
-from cornercase.study.migrations import SCHEMA, SCHEMA_VERSION, migrate, schema_version
+from cornercase.study.migrations import SCHEMA, SCHEMA_VERSION, TABLES, migrate, schema_version
 
 _APPLICATION: Final = 0x434F524E  # "CORN"
 
@@ -115,7 +115,12 @@ class Database:
         with _sentences(path):
             connection = _connected(path)
             try:
+                # What a file says of itself is not trusted: its views and triggers may not call functions, ...
+                connection.execute("PRAGMA trusted_schema = OFF")
+                connection.execute("PRAGMA cell_size_check = ON")
                 _require_study(path, connection)
+                # ... and it may have none.
+                _require_plain(path, connection)
                 if lock is not None:
                     connection.execute("PRAGMA journal_mode = WAL")
                     # A scenario counts as run only when it is on the disk.
@@ -232,6 +237,19 @@ def _require_study(path: Path, connection: sqlite3.Connection) -> None:
         )
 
 
+def _require_plain(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse what would do something when it is read or written: views, triggers, virtual tables and columns."""
+    for kind, name, statement in connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall():
+        # SQLite's own index of a key has no statement.
+        plain = kind == "index" and statement is None
+        if kind == "table" and name in TABLES:
+            # Virtual tables have no columns of their own, computed columns are hidden ones.
+            columns = connection.execute(f"PRAGMA table_xinfo({name})").fetchall()
+            plain = not str(statement).upper().startswith("CREATE VIRTUAL") and not any(one[6] for one in columns)
+        if not plain:
+            raise InputError(f"{path}: is no study as cornercase writes it; it holds the {kind} '{name}'.")
+
+
 def _of_today(connection: sqlite3.Connection) -> sqlite3.Connection:
     """Give the connection, or one to a migrated copy in its place."""
     if schema_version(connection) == SCHEMA_VERSION:
@@ -252,9 +270,13 @@ def _connected(path: Path) -> sqlite3.Connection:
 
 
 def _locked(path: Path) -> BaseFileLock:
+    beside = path.with_name(path.name + ".lock")
+    # Whoever sent the study may have put a link there, and to take a lock empties its file.
+    if beside.is_symlink() or (beside.exists() and not beside.is_file()):
+        raise InputError(f"{beside}: is a link or no file, which is not used as the study's lock; remove it.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = taken_lock(path.with_name(path.name + ".lock"))
+        lock = taken_lock(beside)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
     if lock is None:

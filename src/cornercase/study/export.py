@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
+from cornercase._common.texts import cell_text
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording, write_courses
 
@@ -22,7 +23,7 @@ def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> Non
     Parameters
     ----------
     folder : Path
-        Gets ``scenarios.csv``.
+        Gets ``scenarios.csv``; texts in it that a spreadsheet would take for formulas have an apostrophe before them.
     table : DataFrame
     parquet : bool, default False
         Write ``scenarios.parquet`` too.
@@ -43,7 +44,16 @@ def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> Non
         with written_whole(path) as temporary:
             table.to_parquet(temporary, engine="pyarrow", index=False)
     with written_whole(folder / "scenarios.csv") as temporary:
-        table.to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+        _as_cells(table).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+
+
+def _as_cells(table: pd.DataFrame) -> pd.DataFrame:
+    """Texts of a table such that no spreadsheet takes them for formulas."""
+    written = table.copy()
+    for name in table.columns:
+        if any(isinstance(one, str) for one in table[name]):
+            written[name] = table[name].map(lambda one: cell_text(one) if isinstance(one, str) else one)
+    return written.set_axis([cell_text(str(name)) for name in table.columns], axis="columns")
 
 
 def write_scenarios(folder: Path, scenarios: Iterable[tuple[int, Recording, Mapping[str, FloatArray]]]) -> None:

@@ -16,6 +16,7 @@ from rich.progress import track
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.texts import text_of_cell
 from cornercase.metrics import METRICS, Metric, measured, require_another
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
@@ -192,8 +193,8 @@ def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Va
         if row[_FILE] in files:
             raise InputError(f"{table}, line {line}: names {row[_FILE]} a second time.")
         files.append(row[_FILE])
-        values.append({name: row[name] for name in names if name != _FILE})
-    for name in names:
+        values.append({text_of_cell(name): text_of_cell(row[name]) for name in names if name != _FILE})
+    for name in map(text_of_cell, names):
         numbers = [_number(str(one[name])) for one in values] if name != _FILE else [None]
         if all(number is not None for number in numbers):
             for one, number in zip(values, numbers, strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -26,6 +27,15 @@ _DIFFERENT: Final = {
     "settings": "other simulator settings",
     "repeats": "another number of repeats",
 }
+
+
+_TYPES: Final[dict[str, Any]] = (
+    dict.fromkeys(("scenario", "fingerprint", "ego", "other", "optimizer", "simulator", "version"), str)
+    | dict.fromkeys(("seed", "budget", "batch", "repeats"), int)
+    | dict.fromkeys(("settings", "weights"), dict)
+    | dict.fromkeys(("metrics", "files"), list)
+    | {"critical": (int, float), "pareto": bool}
+)
 
 
 @dataclass(frozen=True)
@@ -85,6 +95,17 @@ class StudyMeta:
     files: tuple[str, ...] = ()
     version: str = __version__
 
+    @property
+    def file_name(self) -> str:
+        """Name of the scenario file, or of the folder of recordings, without the folders that it lies in."""
+        # Written on Windows, it may be read elsewhere.
+        return re.split(r"[\\/]", self.scenario.rstrip("\\/"))[-1]
+
+    @property
+    def title(self) -> str:
+        """What the study is called: the name of its scenario file without ending."""
+        return Path(self.file_name).stem
+
     def to_json(self) -> dict[str, Any]:
         """Return plain values.
 
@@ -114,9 +135,24 @@ class StudyMeta:
         Returns
         -------
         StudyMeta
+
+        Raises
+        ------
+        ValueError, LookupError, TypeError or AttributeError
+            It is of something else.
         """
         # A field that is plain or empty stands there as None.
         given = {one.name: plain[one.name] for one in fields(cls) if plain[one.name] is not None}
+        for name, value in given.items():
+            if name in _TYPES and (
+                not isinstance(value, _TYPES[name]) or isinstance(value, bool) != (name == "pareto")
+            ):
+                raise ValueError(f"its {name} is {str(value)[:60]!r}")
+        for name in ("metrics", "files"):
+            if not all(isinstance(one, str) for one in given.get(name, ())):
+                raise ValueError(f"its {name} are no texts")
+        if not given["metrics"] or not all(isinstance(one, int | float) for one in given.get("weights", {}).values()):
+            raise ValueError("it has no metrics, or weights that are no numbers")
         given |= {name: tuple(given[name]) for name in ("metrics", "files") if name in given}
         return cls(**given | {"space": ParameterSpace.from_json(plain["space"])})
 

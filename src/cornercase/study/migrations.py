@@ -37,6 +37,9 @@ CREATE TABLE arrays (
 CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROWID;
 """
 
+TABLES: Final = ("meta", "scenarios", "courses", "repeats", "outcomes", "analyses", "arrays", "elapsed")
+"""Tables of a study, of any version."""
+
 # Keys of `meta` that the first releases did not write.
 _LATER: Final = ("critical", "files", "pareto", "repeats", "weights")
 

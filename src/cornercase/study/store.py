@@ -17,6 +17,7 @@ from cornercase.recordings import Recording
 from cornercase.scenario import Value
 from cornercase.study.codec import pack_arrays, pack_recording
 from cornercase.study.contents import StudyContents
+from cornercase.study.damage import damage_told
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
 from cornercase.study.table import Row
@@ -87,15 +88,15 @@ class Study(StudyContents):
         """
         database: Database | None = None
         try:
-            database = Database.open(arguments.path("path", path), readonly)
-            return cls(database)
+            file = arguments.path("path", path)
+            # Its facts may be such that they cannot be read, or not be migrated.
+            with damage_told(file):
+                database = Database.open(file, readonly)
+                return cls(database)
         except InputError:
-            raise
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
-            # Whoever wrote it: its facts cannot be read, or not be migrated.
             if database is not None:
                 database.close()
-            raise InputError(f"{path}: cannot be used as a study ({error!r}).") from error
+            raise
 
     def continue_with(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
         """Refuse to go on with a study of something else, and note what has changed.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from cornercase._common import texts
 from cornercase.metrics import Metric
 from cornercase.report.words import name_cluster
 from cornercase.scenario import Parameter
@@ -96,4 +97,4 @@ def shorten(text: str) -> str:
     str
         With an ellipsis where it was cut.
     """
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+    return texts.shorten(text, _LONGEST)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from html import escape
-from pathlib import Path
 from typing import Any
 
 from cornercase.metrics import Metric
@@ -30,7 +29,7 @@ def tell_overview(data: ReportData) -> Iterator[str]:
         HTML.
     """
     summary, meta = data.summary, data.summary.meta
-    yield f"<h1>{escape(Path(meta.scenario).stem)}</h1>"
+    yield f"<h1>{escape(meta.title)}</h1>"
     yield (
         f"<p>{escape(meta.ego)} is the ego, {escape(meta.other)} the other. Searched by {escape(meta.optimizer)} for"
         f" {'the ' if meta.pareto else ''}{escape(summary.searched)}.</p>"

@@ -1,0 +1,99 @@
+"""Texts of unknown origin, made harmless for where they are shown."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+# Control characters but for tab and newline, marks that turn the direction of writing, and halves of characters.
+_ORDERS: Final = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
+)
+# What a spreadsheet takes for a formula, and what was escaped already.
+_FORMULA: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASCII)
+
+
+def plain_text(text: str) -> str:
+    r"""Return a text without what a terminal takes for orders.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+        With control characters written out; tabs and newlines stay.
+
+    Examples
+    --------
+    >>> print(plain_text("\x1b[2J"))
+    \x1b[2J
+    """
+    return _ORDERS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def shorten(text: str, longest: int) -> str:
+    """Cut a text that is too long for its place.
+
+    Parameters
+    ----------
+    text : str
+    longest : int
+        Characters.
+
+    Returns
+    -------
+    str
+        With an ellipsis where it was cut.
+
+    Examples
+    --------
+    >>> shorten("pedestrian", 5)
+    'pede…'
+    """
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+def cell_text(text: str) -> str:
+    """Return a text as the cell of a CSV table, such that no spreadsheet takes it for a formula.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+        With an apostrophe before it where it begins like a formula and is no number.
+
+    See Also
+    --------
+    text_of_cell : The way back.
+
+    Examples
+    --------
+    >>> cell_text("=1+1"), cell_text("-1"), cell_text("Ego")
+    ("'=1+1", '-1', 'Ego')
+    """
+    return f"'{text}" if _FORMULA.match(text) and not _NUMBER.fullmatch(text) else text
+
+
+def text_of_cell(cell: str) -> str:
+    """Return the text that `cell_text` made a cell of.
+
+    Parameters
+    ----------
+    cell : str
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> text_of_cell("'=1+1")
+    '=1+1'
+    """
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell

@@ -1,0 +1,70 @@
+"""Files that a stranger could have sent, and the commands tried on them in this process."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+import sqlite3
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+from conftest import car, scenario_file, speed_action, teleport
+from cornercase import analyze, explore, reduce
+from cornercase.cli import main
+
+SPEED = '<ParameterDeclaration name="v" parameterType="double" value="10"/>'
+
+
+def command(*arguments):
+    """Run a command here; a traceback of it is one of the test."""
+    said, told, before = io.StringIO(), io.StringIO(), sys.argv
+    sys.argv = ["cornercase", *map(str, arguments)]
+    code = 0
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
+            main()
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    finally:
+        sys.argv = before
+    return SimpleNamespace(returncode=code, stdout=said.getvalue(), stderr=told.getvalue())
+
+
+def whole_study(folder):
+    """A study of a following car that was explored, analysed and reduced; its scenario file lies beside it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    init = "".join(
+        f'<Private entityRef="{name}">{teleport(s)}{speed_action(v)}</Private>'
+        for name, s, v in (("Ego", "10", "$v"), ("B", "60", "8"))
+    )
+    scenario = scenario_file(folder, init=init, parameters=SPEED, entities=car("Ego") + car("B"))
+    study = folder / "s.db"
+    explore(
+        scenario, study, ego="Ego", other="B", metrics=["distance", "ttc"], ranges=["v=5:20"], optimizer="sobol",
+        budget=12, duration=4.0, time_step=0.2,
+    )  # fmt: skip
+    analyze(study)
+    reduce(study, folder / "reduced", size=4)
+    return study
+
+
+def copied(study, folder):
+    """A study, and its scenario, in another folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("s.db", "scenario.xosc", "road.xodr"):
+        shutil.copy(study.parent / name, folder / name)
+    return folder / "s.db"
+
+
+def change(study: Path, *statements):
+    """Change a study as one who does not use cornercase: SQL, or (SQL, values)."""
+    with contextlib.closing(sqlite3.connect(study)) as connection, connection:
+        for one in statements:
+            connection.execute(*((one,) if isinstance(one, str) else one))
+
+
+def set_meta(study, **values):
+    change(study, *(("UPDATE meta SET value = ? WHERE key = ?", (json.dumps(v), k)) for k, v in values.items()))

@@ -1,0 +1,345 @@
+"""A study that someone else sent is data: nothing of it is run, and no file is read that it names."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import pickle
+import sys
+import zipfile
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import cornercase as cc
+from cornercase.recordings import read_recording
+from cornercase.study import Study
+from cornercase.study.codec import pack_arrays, unpack_arrays
+from strangers import change, command, copied, set_meta, whole_study
+from synthetic import SPACE, about
+
+HARM = "from pathlib import Path\nPath('harm').touch()\nclass Driver:\n    settings = {}\n"
+
+_OPENED: list[str] = []
+_watching = False
+
+
+def _watch(event, arguments):
+    if _watching and event in ("open", "import", "os.listdir", "os.scandir", "exec"):
+        _OPENED.append(str(arguments[0]))
+
+
+# A hook cannot be taken away again.
+sys.addaudithook(_watch)
+
+
+@pytest.fixture
+def opened_files(monkeypatch):
+    _OPENED.clear()
+    monkeypatch.setattr(sys.modules[__name__], "_watching", True)
+    return _OPENED
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return whole_study(tmp_path_factory.mktemp("whole"))
+
+
+@pytest.fixture
+def sent(whole, tmp_path, monkeypatch):
+    """A copy of the study in the current folder, without the scenario file."""
+    study = copied(whole, tmp_path / "sent")
+    for name in ("scenario.xosc", "road.xodr"):
+        (study.parent / name).unlink()
+    monkeypatch.chdir(study.parent)
+    return study
+
+
+def every_command(study):
+    folder = study.parent
+    yield "show", study
+    yield "show", study, "--json"
+    yield "export", study, "-o", folder / "tables"
+    yield "report", study, "-o", folder / "r.html"
+    yield "reduce", study, "-o", folder / "reduced"
+    yield "analyze", study
+
+
+def test_no_path_in_a_study_is_read_and_nothing_in_it_is_imported(sent, tmp_path, opened_files):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("secret.xosc", "secret.csv", "harmful.py"):
+        (elsewhere / name).write_text(HARM)
+    (sent.parent / "harmful.py").write_text(HARM)
+    named = str(elsewhere / "secret.xosc")
+    set_meta(
+        sent, scenario=named, simulator=f"harmful:Driver,testrun={named}", optimizer="harmful:Driver",
+        settings={"drivers": {"Ego": "harmful:Driver"}, "table": str(elsewhere / "secret.csv"), "library": named},
+        files=[str(elsewhere / "secret.csv")] * 12,
+    )  # fmt: skip
+    opened_files.clear()
+    for one in every_command(sent):
+        result = command(*one)
+        assert result.returncode == (2 if one[0] == "reduce" else 0), result.stderr
+        if one[0] == "reduce":
+            assert "its scenario file 'secret.xosc' lies neither beside it nor in the current folder" in result.stderr
+            assert "--scenario" in result.stderr
+    assert not [one for one in opened_files if "elsewhere" in one or "harmful" in one]
+    assert not list(tmp_path.rglob("harm"))
+    assert "harmful" not in sys.modules
+
+
+@pytest.mark.parametrize("metric", ["harmful:Driver", "harmful", "os:system=touch"])
+def test_a_metric_that_is_not_registered_is_refused_and_not_imported(sent, opened_files, metric):
+    (sent.parent / "harmful.py").write_text(HARM)
+    set_meta(sent, metrics=[metric])
+    opened_files.clear()
+    result = command("show", sent)
+    assert (result.returncode, len(result.stderr.splitlines())) == (2, 1)
+    assert not [one for one in opened_files if "harmful" in one]
+
+
+def test_the_scenario_file_is_asked_for_or_found_beside_the_study(whole, sent, tmp_path):
+    result = command("reduce", sent, "--scenario", whole.parent / "scenario.xosc", "-o", tmp_path / "a")
+    assert result.returncode == 0, result.stderr
+    for name in ("scenario.xosc", "road.xodr"):
+        (sent.parent / name).write_bytes((whole.parent / name).read_bytes())
+    os.rename(sent.parent / "scenario.xosc", sent.parent / "another name.xosc")
+    assert command("reduce", sent, "-o", tmp_path / "b").returncode == 0
+    assert [one.read_bytes() for one in sorted((tmp_path / "a").iterdir())] == [
+        one.read_bytes() for one in sorted((tmp_path / "b").iterdir())
+    ]
+    with pytest.raises(cc.InputError, match=r"changed since .* name the file that was explored with `scenario`"):
+        cc.reduce(sent, tmp_path / "c", scenario=_changed(sent.parent / "another name.xosc"))
+    assert not (tmp_path / "c").exists()
+
+
+def _changed(path):
+    path.write_text(path.read_text().replace('author="a"', 'author="b"'))
+    return path
+
+
+class Harm:
+    def __reduce__(self):
+        return os.mkdir, ("harm",)
+
+
+def objects(name):
+    """An archive that holds a pickle where an array has to be."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        header = b"{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
+        body = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + pickle.dumps(np.array([Harm()]))
+        archive.writestr(f"{name}.npy", body)
+    return stream.getvalue()
+
+
+def claims(name, shape, body=b"", *, zeros=0):
+    """An archive of an array that says how large it is."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive, archive.open(f"{name}.npy", "w") as member:
+        header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
+        member.write(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + body)
+        for _ in range(zeros):
+            member.write(bytes(1 << 20))
+    return stream.getvalue()
+
+
+COURSE = "UPDATE courses SET course = ? WHERE scenario = 1 AND metric = 'distance'"
+ARRAY = "UPDATE arrays SET data = ? WHERE name = 'labels'"
+RECORDING = "UPDATE scenarios SET recording = ? WHERE id = 1"
+
+HOSTILE = {
+    "a pickle as a course": (COURSE, lambda: objects("course")),
+    "a pickle as an array": (ARRAY, lambda: objects("labels")),
+    "a pickle as a recording": (RECORDING, lambda: objects("time")),
+    "bare pickle": (COURSE, lambda: pickle.dumps(Harm())),
+    "a course that claims to be endless": (COURSE, lambda: claims("course", "(1000000000000,)")),
+    "a course that claims more than all": (COURSE, lambda: claims("course", f"({2**62}, {2**62})")),
+    "a negative size": (COURSE, lambda: claims("course", "(-1, -8)", bytes(64))),
+    "a header that is code": (COURSE, lambda: claims("course", "(__import__('os').mkdir('harm'),)")),
+    "a course that grows": (COURSE, lambda: claims("course", f"({1100 << 17},)", zeros=1100)),
+    "labels that grow": (ARRAY, lambda: claims("labels", f"({100 << 17},)", zeros=100)),
+    "labels of others": (ARRAY, lambda: pack_arrays({"labels": np.arange(3)})),
+    "parameters nested deep": ("UPDATE scenarios SET parameters = ?", lambda: "[" * 100_000),
+    "parameters that are no numbers": ("UPDATE scenarios SET parameters = ?", lambda: '{"v": [1]}'),
+    "no parameters": ("UPDATE scenarios SET parameters = ?", lambda: "{}"),
+    "a point of another space": ("UPDATE scenarios SET point = ?", lambda: bytes(80)),
+    "no score": ("DELETE FROM courses WHERE scenario = 1 AND ? = ''", lambda: ""),
+    "a settings list": ("UPDATE meta SET value = ? WHERE key = 'settings'", lambda: "[1]"),
+    "no metrics": ("UPDATE meta SET value = ? WHERE key = 'metrics'", lambda: "[]"),
+    "a space without end": (
+        "UPDATE meta SET value = ? WHERE key = 'space'",
+        lambda: json.dumps({"parameters": [], "declarations": [None]}),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_study_is_refused_in_one_sentence(sent, name):
+    statement, value = HOSTILE[name]
+    change(sent, (statement, (value(),)))
+    results = [command("show", sent), command("export", sent, "-o", sent.parent / "tables")]
+    refused = [one for one in results if one.returncode]
+    assert refused
+    for one in refused:
+        assert one.returncode == 2
+        assert len(one.stderr.strip().splitlines()) == 1
+        assert one.stderr.startswith("cornercase: ")
+        assert len(one.stderr) < 1500
+    assert not (sent.parent / "harm").exists()
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "CREATE TRIGGER t AFTER INSERT ON outcomes BEGIN DELETE FROM scenarios; END",
+        "CREATE VIEW v AS SELECT * FROM meta",
+        "CREATE VIRTUAL TABLE repeated USING fts5(x)",
+        "CREATE TABLE another (x)",
+        "CREATE INDEX i ON scenarios (abs(round))",
+        "ALTER TABLE elapsed ADD COLUMN x AS (seconds * 2)",
+    ],
+)
+def test_a_study_that_would_do_something_is_refused(sent, statement):
+    change(sent, statement)
+    for one in (("show", sent), ("analyze", sent)):
+        result = command(*one)
+        assert result.returncode == 2
+        assert "is no study as cornercase writes it; it holds the " in result.stderr
+
+
+def test_a_view_in_place_of_a_table_is_refused(sent):
+    change(sent, "DROP TABLE elapsed", "CREATE VIEW elapsed AS SELECT 'x' AS stage, 1.0 AS seconds")
+    assert "it holds the view 'elapsed'" in command("show", sent).stderr
+
+
+def test_what_a_file_says_of_itself_is_not_trusted(sent):
+    with Study.open(sent, readonly=True) as study:
+        assert study._database.found("PRAGMA trusted_schema") == [(0,)]
+        assert study._database.found("PRAGMA query_only") == [(1,)]
+
+
+def test_a_link_in_place_of_the_lock_is_not_followed(sent, tmp_path):
+    precious = tmp_path / "precious"
+    precious.write_text("precious")
+    lock = sent.with_name("s.db.lock")
+    lock.unlink(missing_ok=True)
+    lock.symlink_to(precious)
+    result = command("analyze", sent)
+    assert (result.returncode, precious.read_text()) == (2, "precious")
+    assert "is a link" in result.stderr
+
+
+ODD = (
+    "<script>alert(1)</script>",
+    "=cmd|' /C calc'!A0",
+    "\x1b[2J\x1b]0;owned\x07[bold][/x]",
+    "$\\frac{",
+    "@x\u202e\x9b",
+)
+
+
+@pytest.fixture(scope="module")
+def oddly_named(tmp_path_factory):
+    """A study in which everything that has a name has an odd one."""
+    path = tmp_path_factory.mktemp("odd") / "s.db"
+    names = {"ego": ODD[0] + ODD[1], "other": ODD[1]}
+    plain = SPACE.to_json()
+    for one, name in zip(plain["parameters"], (ODD[3] + ODD[0], ODD[1] + ODD[2]), strict=True):
+        one["name"], one["unit"] = name, ODD[0]
+    space = cc.ParameterSpace.from_json(plain)
+    # A reader on another platform has to take it, too.
+    about_it = about(space, "distance", **names, settings={ODD[0]: ODD[2]}, critical=3.0)
+    about_it = type(about_it)(
+        **{**vars(about_it), "scenario": f"C:\\..\\{ODD[0]}\\..\\CON.{ODD[2].replace('/', '')}.xosc"}
+    )
+    rng = np.random.default_rng(1)
+    with Study.create(path, about_it) as study:
+        points = rng.random((12, 2))
+        rows = study.propose(1, points, space.values(points))
+        for row in rows[:-1]:
+            x = np.stack([np.zeros(5), 20 * row.point[0] + np.arange(5.0)])
+            still = np.zeros((2, 5))
+            recording = cc.Recording(
+                time=np.arange(5.0), names=(names["ego"], names["other"]), kinds=(ODD[4], "-1+1"), x=x, y=still, heading=still,
+                speed=still, acceleration=still, length=np.full(2, 4.0), width=np.full(2, 2.0), center_x=np.zeros(2),
+                collisions=(cc.recordings.Collision(1.0, (names["ego"], names["other"])),),
+            )  # fmt: skip
+            study.finish(row.id, recording, {"distance": (x[1], float(x[1].min()))})
+        study.fail(rows[-1].id, cc.SimulationError("".join(ODD)))
+    cc.analyze(path)
+    return path
+
+
+def test_names_are_escaped_in_the_page(oddly_named, tmp_path):
+    page = cc.write_report(oddly_named, tmp_path / "r.html").read_text()
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+    for figure in (tmp_path / "r-figures").iterdir():
+        assert figure.name.isprintable()
+
+
+def test_names_are_escaped_in_notebooks(oddly_named):
+    with Study.open(oddly_named, readonly=True) as study:
+        shown = (study._repr_html_(), study.space._repr_html_(), study.recording(1)._repr_html_())
+    assert all("&lt;script&gt;" in one and "<script" not in one for one in shown)
+
+
+def test_names_give_no_orders_to_the_terminal(oddly_named):
+    result = command("show", oddly_named)
+    assert result.returncode == 0, result.stderr
+    assert r"\x1b[2J" in result.stdout
+    for told in (result, command("show", oddly_named.with_name("\x1b[2J.db")), command("show", oddly_named, "--json")):
+        assert not {"\x1b", "\x07", "\x9b", "\u202e"} & set(told.stdout + told.stderr)
+
+
+def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
+    result = command("export", oddly_named, "-o", tmp_path)
+    assert result.returncode == 0, result.stderr
+    tables = sorted(tmp_path.rglob("*.csv"))
+    assert len(tables) == 23
+    for table in tables:
+        with open(table, newline="", encoding="utf-8") as file:
+            for cell in (cell for row in csv.reader(file) for cell in row):
+                assert cell[:1] not in tuple("=@\t\r") or not cell
+                assert cell[:1] not in tuple("+-") or not cell or np.isfinite(float(cell))
+    # The way back.
+    with Study.open(oddly_named, readonly=True) as study:
+        first, again = study.recording(1), read_recording(tmp_path / "recordings" / "00001.csv")
+        assert (first.names, first.kinds, first.collisions) == (again.names, again.kinds, again.collisions)
+        table, read = study.table(), pd.read_csv(tmp_path / "scenarios.csv")
+    assert read["distance"].dtype == np.float64
+    assert list(read["id"]) == list(table["id"])
+    assert read["round"].dtype.kind == "i"
+
+
+def test_a_kept_scenario_is_called_such_that_every_platform_takes_it(oddly_named):
+    with Study.open(oddly_named, readonly=True) as study:
+        assert study.meta.file_name.startswith("CON.")
+        assert study.meta.title.startswith("CON.")
+    from cornercase._common.files import portable_name
+
+    for name in ("../../x", "..", "CON", "con.txt", "COM¹", "a\x1b[2Jb", "x" * 5000, "", ".bashrc", "C:\\x", "a/b"):
+        made = portable_name(name)
+        assert made
+        assert not {"/", "\\", ":", "\x1b"} & set(made)
+        assert len(made.encode()) <= 151
+        assert not made.startswith(".")
+        assert made.upper().partition(".")[0] not in ("CON", "COM¹")
+
+
+def test_arrays_come_back_as_they_were_packed():
+    arrays: dict[str, Any] = {
+        "a": np.arange(6.0).reshape(2, 3),
+        "b": np.array(["ä", "bc"]),
+        "c": np.zeros(0),
+        "d": np.float64(3),
+    }
+    for name, one in unpack_arrays(pack_arrays(arrays)).items():
+        np.testing.assert_array_equal(one, arrays[name])
+        assert one.dtype == np.asarray(arrays[name]).dtype
