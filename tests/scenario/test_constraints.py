@@ -124,6 +124,6 @@ def test_explore_show_and_reduce_judge_the_same_space(constrained, tmp_path, mon
     for name, space in zip(kept, (None, searched), strict=True):
         with Study.open(name) as opened:
             opened.space = opened.space if space is None else space
-            reduced.append(reduce(opened, tmp_path / name.stem))
+            reduced.append(reduce(opened, tmp_path / name.stem, scenario=path))
     assert reduced[0].critical == reduced[1].critical
     assert reduced[0].ids == reduced[1].ids

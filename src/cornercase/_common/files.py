@@ -19,6 +19,8 @@ from cornercase._common.platform import new_file_mode, replace_file
 _REFUSED: Final = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]+')
 _DEVICES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²³]|lpt[\d¹²³])\s*(\.|$)", re.IGNORECASE)
 _LONGEST: Final = 150
+LARGEST: Final = 200_000_000
+"""Bytes of a file that is read whole."""
 
 
 def portable_name(text: str) -> str:
@@ -41,6 +43,43 @@ def portable_name(text: str) -> str:
     """
     name = _REFUSED.sub("-", text).encode()[:_LONGEST].decode(errors="ignore").rstrip(". ") or "-"
     return f"-{name}" if _DEVICES.match(name) or name.startswith(".") else name
+
+
+def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
+    """Content of a file.
+
+    Parameters
+    ----------
+    path : path
+        A regular file of at most 200 MB.
+    largest : int, optional
+        Bytes that it may have instead.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is too large.
+    """
+    path = Path(path)
+    # No system has such a name.
+    if "\0" in str(path):
+        raise InputError(f"{path}: is no name of a file.")
+    # A device or a pipe may never end.
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a file.")
+    try:
+        with open(path, "rb") as file:
+            # Some files of the system say that they are empty.
+            content = file.read(largest + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    if len(content) > largest:
+        raise InputError(f"{path}: has more than {largest} bytes, which are not read.")
+    return content
 
 
 @contextmanager

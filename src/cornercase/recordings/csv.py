@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+import io
+from array import array
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.files import written_whole
+from cornercase._common.files import read_file, written_whole
 from cornercase._common.texts import cell_text, text_of_cell
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings.recording import BOX, COLUMNS, MOTION, Collision, Recording
+from cornercase.recordings.samples import require_size
 
 
 def read_csv(path: Path) -> Recording:
@@ -33,46 +35,36 @@ def read_csv(path: Path) -> Recording:
     InputError
         As in `read_recording`.
     """
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
-            if missing:
-                raise InputError(
-                    f"{path}: the header lacks {', '.join(missing)}; a recording has the columns {', '.join(COLUMNS)}."
-                )
-            rows = [(reader.line_num, _texts(row)) for row in reader]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: is not a CSV table in UTF-8 ({error}).") from error
-    if not rows:
+    rows = _Rows()
+    for line, row in _read_rows(path):
+        rows.add(path, line, row)
+    if not rows.lines:
         raise InputError(f"{path}: has a header but no rows.")
-
-    numbers = np.array([[_number(path, line, row, c) for c in ("time", *MOTION, *BOX)] for line, row in rows])
+    numbers = np.frombuffer(rows.numbers, dtype=np.float64).reshape(len(rows.lines), -1)
+    names, entity = tuple(rows.kinds), np.frombuffer(rows.entities, dtype=np.int64)
     if not np.isfinite(numbers[:, 0]).all():
         raise InputError(f"{path}: every row needs a finite time.")
     time, instant = np.unique(numbers[:, 0], return_inverse=True)
-    names = tuple(dict.fromkeys(row["entity"] for _, row in rows))
-    entity = np.array([names.index(row["entity"]) for _, row in rows])
-    _refuse_doubles(path, [line for line, _ in rows], entity * len(time) + instant)
+    require_size(path, len(names), len(time))
+    _refuse_doubles(path, rows.lines, entity * len(time) + instant)
     motion = np.full((len(MOTION), len(names), len(time)), np.nan)
     motion[:, entity, instant] = numbers[:, 1 : 1 + len(MOTION)].T
-    first = [int(np.flatnonzero(entity == a)[0]) for a in range(len(names))]
+    _, first = np.unique(entity, return_index=True)
     box = numbers[first, 1 + len(MOTION) :].T
     if not (np.isfinite(box).all() and (box[:2] >= 0).all()):
         raise InputError(f"{path}: length and width must be finite and not negative for every entity.")
     x, y, heading, speed, acceleration = motion
     length, width, center_x = box
-    collisions = tuple(
-        Collision(float(numbers[i, 0]), (row["entity"], other))
-        for i, (line, row) in enumerate(rows)
-        for other in _touched(path, line, row.get("collision") or "", names)
-    )
+    known = set(names)
+    collisions = [
+        Collision(float(numbers[i, 0]), (names[entity[i]], other))
+        for i, text in rows.touched.items()
+        for other in _touched(path, rows.lines[i], text, known)
+    ]
     return Recording(
         time=time,
         names=names,
-        kinds=tuple(rows[i][1]["kind"] for i in first),
+        kinds=tuple(rows.kinds.values()),
         x=x,
         y=y,
         heading=heading,
@@ -85,9 +77,41 @@ def read_csv(path: Path) -> Recording:
     )
 
 
-def _texts(row: dict[str, Any]) -> dict[str, Any]:
-    """A row whose texts are what they were before they became cells."""
-    return row | {name: text_of_cell(row[name]) for name in ("entity", "kind", "collision") if row.get(name)}
+class _Rows:
+    """What the rows hold, in little memory: numbers one after the other, and of texts each once."""
+
+    def __init__(self) -> None:
+        self.lines: list[int] = []
+        self.numbers, self.entities = array("d"), array("q")
+        self.kinds: dict[str, str] = {}
+        self.touched: dict[int, str] = {}
+        self._index: dict[str, int] = {}
+
+    def add(self, path: Path, line: int, row: dict[str, str | None]) -> None:
+        if None in row or any(row[column] is None for column in COLUMNS):
+            raise InputError(f"{path}, line {line}: has a field too many or too few.")
+        name = text_of_cell(row["entity"] or "")
+        if touched := row.get("collision"):
+            self.touched[len(self.lines)] = text_of_cell(touched)
+        self.lines.append(line)
+        self.entities.append(self._index.setdefault(name, len(self._index)))
+        self.kinds.setdefault(name, text_of_cell(row["kind"] or ""))
+        self.numbers.extend(_number(path, line, row, column) for column in ("time", *MOTION, *BOX))
+
+
+def _read_rows(path: Path) -> Iterator[tuple[int, dict[str, str | None]]]:
+    """Lines and rows of a table with at least the columns `COLUMNS`, by column."""
+    try:
+        reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))
+        missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+        if missing:
+            raise InputError(
+                f"{path}: the header lacks {', '.join(missing)}; a recording has the columns {', '.join(COLUMNS)}."
+            )
+        for row in reader:
+            yield reader.line_num, row
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: is not a CSV table in UTF-8 ({error}).") from error
 
 
 def write_courses(path: Path | str, time: FloatArray, courses: Mapping[str, FloatArray]) -> None:
@@ -119,7 +143,7 @@ def _refuse_doubles(path: Path, lines: list[int], place: IntArray) -> None:
         )
 
 
-def _touched(path: Path, line: int, text: str, names: tuple[str, ...]) -> list[str]:
+def _touched(path: Path, line: int, text: str, names: set[str]) -> list[str]:
     """Entities named in the column ``collision``."""
     found = [part.strip() for part in text.split(";") if part.strip()]
     for name in found:

@@ -6,12 +6,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.recordings.recording import Collision, Recording
+
+# Pairs of an entity and an instant: 1 GB.
+_MOST: Final = 20_000_000
+_FARTHEST: Final = 1e8
 
 
 @dataclass
@@ -56,6 +61,35 @@ def box_center(x: float, y: float, heading: float, ahead: float, left: float = 0
     return x + ahead * cos - left * sin, y + ahead * sin + left * cos
 
 
+def require_size(path: Path, entities: int, instants: int) -> None:
+    """Refuse a recording that would take too much memory: of few rows at many times of many entities.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    entities, instants : int
+        Numbers of both.
+
+    Raises
+    ------
+    InputError
+        Their product is above 20 million.
+    """
+    if entities * instants > _MOST:
+        raise InputError(
+            f"{path}: has {entities} entities and {instants} instants; at most {_MOST} pairs of both are read."
+        )
+
+
+def _require_motion(path: Path, motion: FloatArray) -> None:
+    """Refuse motion that nothing on earth has."""
+    worst = np.nanmax(np.abs(motion), initial=0.0, axis=(1, 2))
+    for name, most in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
+        if most > _FARTHEST:
+            raise InputError(f"{path}: has a {name} of {most:g}, where at most {_FARTHEST:g} can be.")
+
+
 def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Sequence[Collision] = ()) -> Recording:
     """Put tracks on one time axis.
 
@@ -84,6 +118,7 @@ def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Seque
         raise InputError(f"{path}: holds no moving entity with a position.")
     if not np.isfinite(time).all():
         raise InputError(f"{path}: has a time that is not finite.")
+    require_size(path, len(tracks), len(time))
     motion = np.full((5, len(tracks), len(time)), np.nan)
     for row, (name, track) in enumerate(tracks.items()):
         if not (np.isfinite([track.length, track.width]).all() and min(track.length, track.width) >= 0.0):
@@ -97,6 +132,7 @@ def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Seque
             speed[exists] = np.where(np.isnan(speed), way, speed)[exists]
         if np.isnan(acceleration[exists]).any():
             acceleration[exists] = np.where(np.isnan(acceleration), _rate(time, speed, exists), acceleration)[exists]
+    _require_motion(path, motion)
     return Recording(
         time=time,
         names=tuple(tracks),

@@ -12,11 +12,11 @@ from lxml import etree
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.files import portable_name, written_whole
+from cornercase._common.files import portable_name, read_file, written_whole
 from cornercase.scenario.declared_types import typed_value, value_text
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.parameter import Value
-from cornercase.scenario.xml import XmlFiles, parse_xml, read_file
+from cornercase.scenario.xml import XmlFiles, parse_xml
 
 DRIVER_PROPERTY = "cornercase.driver"
 

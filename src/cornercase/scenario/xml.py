@@ -9,9 +9,9 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.files import read_file
 from cornercase._common.recorded_xml import recording_parser
 
-_LARGEST: Final = 200_000_000
 _DEEPEST: Final = 200
 
 
@@ -33,36 +33,6 @@ def read_xml(path: Path | str) -> etree._Element:
         The file cannot be read, is no XML, has a document type declaration, or is too large or too deep.
     """
     return parse_xml(read_file(path), path)
-
-
-def read_file(path: Path | str) -> bytes:
-    """Content of a file.
-
-    Parameters
-    ----------
-    path : path
-        A regular file of at most 200 MB.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is too large.
-    """
-    path = Path(path)
-    try:
-        # A device or a pipe may never end.
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is not a file.")
-        size = path.stat().st_size
-        if size > _LARGEST:
-            raise InputError(f"{path}: has {size} bytes; at most {_LARGEST} are read.")
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
 
 
 def parse_xml(data: bytes, path: Path | str) -> etree._Element:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.files import read_file
 from cornercase.recordings.recording import Collision, Recording
 from cornercase.recordings.samples import EntitySamples, box_center, recording_of
 
@@ -16,6 +18,8 @@ _FRAME, _ADDED, _REMOVED, _COLLISIONS, _POSITIONS, _BOXES = 0, 2, 3, 5, 6, 13
 _VEHICLE, _WALKER = 1, 2
 _MAGIC: Final = b"CARLA_RECORDER"
 _CM: Final = 0.01
+# Bytes of a file: ten minutes of a thousand actors.
+_LARGEST: Final = 1_000_000_000
 
 
 @dataclass
@@ -49,10 +53,7 @@ def read_carla_log(path: Path | str) -> Recording:
         The file cannot be read, is none of CARLA's recorder, or is cut off.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    data = read_file(path, _LARGEST)
     if not data[4:].startswith(_MAGIC):
         raise InputError(f"{path}: is no file of CARLA's recorder.")
     try:
@@ -60,21 +61,23 @@ def read_carla_log(path: Path | str) -> Recording:
     except (struct.error, UnicodeDecodeError, IndexError) as error:
         raise InputError(f"{path}: is cut off or damaged; record it again.") from error
     roles = [one.name.partition(" ")[0] for one in actors]
+    often = Counter(roles)
     tracks: dict[str, EntitySamples] = {}
     names: dict[str, str] = {}
     for one, role in zip(actors, roles, strict=True):
         if not one.places or one.box is None:
             continue
-        names[one.name] = role if roles.count(role) == 1 else one.name
+        names[one.name] = role if often[role] == 1 else one.name
         ahead, right, length, width = one.box
         track = EntitySamples(one.kind, 2.0 * length, 2.0 * width)
         for time, x, y, heading in one.places:
             track.samples[time] = (*box_center(x, y, heading, ahead, -right), heading, math.nan, math.nan)
         tracks[names[one.name]] = track
+    place = {name: k for k, name in enumerate(tracks)}
     collisions: dict[frozenset[str], Collision] = {}
     for time, a, b in touched:
         if a in names and b in names:
-            one_name, other = sorted((names[a], names[b]), key=list(tracks).index)
+            one_name, other = sorted((names[a], names[b]), key=place.__getitem__)
             collisions.setdefault(frozenset((a, b)), Collision(time, (one_name, other)))
     return recording_of(path, tracks, sorted(collisions.values(), key=lambda one: one.time))
 

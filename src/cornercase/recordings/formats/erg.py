@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
+from cornercase._common.files import read_file
 from cornercase._common.typing import FloatArray
 from cornercase.recordings.recording import Recording
 from cornercase.recordings.samples import EntitySamples, recording_of
@@ -19,6 +21,10 @@ _TYPES: Final = {
     "Double": "f8", "Float": "f4", "Int": "i4", "UInt": "u4", "Long": "i4", "ULong": "u4", "LongLong": "i8",
     "ULongLong": "u8", "Short": "i2", "UShort": "u2", "Char": "i1", "UChar": "u1",
 }  # fmt: skip
+_NAME: Final = re.compile(r"File\.At\.(\d{1,9})\.Name")
+_BYTES: Final = re.compile(r"(\d{1,5}) Bytes")
+# Bytes of a result file: an hour of a thousand quantities.
+_LARGEST: Final = 2_000_000_000
 # In m; CarMaker's files do not hold the size of an entity.
 _LENGTH, _WIDTH = 4.5, 1.8
 
@@ -43,28 +49,28 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
     """
     path = Path(path)
     about = path.with_name(path.name + ".info")
-    try:
-        data, text = path.read_bytes(), about.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"{error.filename}: cannot be read ({error.strerror}).") from error
+    data, text = read_file(path, _LARGEST), read_file(about).decode("utf-8", "replace")
     if len(data) < _HEADER or data[:8] != b"CM-ERG\0\0":
         raise InputError(f"{path}: is no result file of CarMaker; it has to begin with CM-ERG.")
-    names = dict(re.findall(r"^File\.At\.(\d+)\.Name\s*=\s*(\S+)\s*$", text, re.MULTILINE))
-    types = dict(re.findall(r"^File\.At\.(\d+)\.Type\s*=\s*(.+?)\s*$", text, re.MULTILINE))
-    order = re.search(r"^File\.ByteOrder\s*=\s*(\S+)", text, re.MULTILINE)
-    end = ">" if order is not None and order.group(1) == "BigEndian" else "<"
+    facts = dict(_facts(text))
+    names = {int(found[1]): name for key, name in facts.items() if (found := _NAME.fullmatch(key))}
+    end = ">" if facts.get("File.ByteOrder") == "BigEndian" else "<"
     fields: list[tuple[str, str]] = []
-    for number in sorted(names, key=int):
-        kind = types.get(number, "")
+    for number, name in sorted(names.items()):
+        kind = facts.get(f"File.At.{number}.Type", "")
         if kind in _TYPES:
-            fields.append((names[number], end + _TYPES[kind]))
-        elif re.fullmatch(r"\d+ Bytes", kind):
-            fields.append((names[number], f"V{kind.split()[0]}"))
+            fields.append((name, end + _TYPES[kind]))
+        elif padding := _BYTES.fullmatch(kind):
+            fields.append((name, f"V{padding[1]}"))
         else:
-            raise InputError(f"{about}: '{names[number]}' has the type '{kind}', which is not known.")
+            raise InputError(f"{about}: '{name}' has the type '{kind}', which is not known.")
     if not fields:
         raise InputError(f"{about}: names no quantity.")
+    if len(set(names.values())) < len(names):
+        raise InputError(f"{about}: names a quantity twice.")
     record = np.dtype(fields)
+    if not record.itemsize:
+        raise InputError(f"{about}: describes records without content.")
     size = int.from_bytes(data[10:12], "little" if end == "<" else "big")
     if size != record.itemsize:
         raise InputError(f"{path}: has records of {size} bytes, and {about.name} describes {record.itemsize}.")
@@ -73,6 +79,14 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
         raise InputError(f"{path}: is cut in the middle of record {count + 1}; run the TestRun again.")
     table = np.frombuffer(data, record, count, _HEADER)
     return {name: table[name] for name, kind in fields if not kind.startswith("V")}
+
+
+def _facts(text: str) -> Iterator[tuple[str, str]]:
+    """Keys and values of an info file."""
+    for line in text.splitlines():
+        key, sign, value = line.partition("=")
+        if sign:
+            yield key.strip(), value.strip()
 
 
 def read_erg(path: Path | str) -> Recording:

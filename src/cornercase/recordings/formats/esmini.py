@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import csv
 import math
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from cornercase._common.errors import InputError
+from cornercase._common.files import read_file
 from cornercase.recordings.recording import Recording
 from cornercase.recordings.samples import EntitySamples, box_center, recording_of
 
 FIRST_WORDS = "esmini GIT"
+_NUMBERED = re.compile(r"#(\d{1,9}) ")
 _NEEDED = (
     "Entity_Name", "Current_Speed", "bb_x", "bb_y", "bb_length", "bb_width", "World_Position_X", "World_Position_Y",
     "World_Heading_Angle",
@@ -37,21 +41,21 @@ def read_esmini(path: Path | str) -> Recording:
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_file(path).decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read ({error}).") from error
     first = next((k for k, line in enumerate(lines) if line.startswith("Index [-]")), None)
     if first is None:
         raise InputError(f"{path}: has no header beginning with 'Index [-]'; write it with esmini --csv_logger.")
     header = [name.partition("[")[0].strip() for name in lines[first].split(",")]
     columns = {name: k for k, name in enumerate(header) if name}
-    numbers = sorted({int(name[1 : name.index(" ")]) for name in columns if name.startswith("#")})
+    numbers = sorted({int(found[1]) for name in columns if (found := _NUMBERED.match(name))})
     for number in numbers:
         for name in _NEEDED:
             if f"#{number} {name}" not in columns:
                 raise InputError(f"{path}: the header lacks '#{number} {name}'.")
     tracks: dict[str, EntitySamples] = {}
-    for k, row in enumerate(csv.reader(lines[first + 1 :], skipinitialspace=True), first + 2):
+    for k, row in enumerate(_rows(path, lines[first + 1 :]), first + 2):
         if not row:
             continue
         # Each line ends with a comma; a line without it was cut.
@@ -59,6 +63,13 @@ def read_esmini(path: Path | str) -> Recording:
             raise InputError(f"{path}, line {k}: is cut off; leave it out or write the log again.")
         _add(tracks, path, k, row, columns, numbers)
     return recording_of(path, tracks)
+
+
+def _rows(path: Path, lines: list[str]) -> Iterator[list[str]]:
+    try:
+        yield from csv.reader(lines, skipinitialspace=True)
+    except csv.Error as error:
+        raise InputError(f"{path}: is no CSV table ({error}).") from error
 
 
 def _add(

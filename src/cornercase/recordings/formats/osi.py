@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import lzma
 import math
+import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase.recordings.recording import Recording
 from cornercase.recordings.samples import EntitySamples, recording_of
+
+# Bytes of a message and of all, unpacked: a few bytes of a packed file can become many.
+_LARGEST_MESSAGE: Final = 64_000_000
+_LARGEST: Final = 2_000_000_000
 
 
 def read_osi(path: Path | str) -> Recording:
@@ -95,29 +101,59 @@ def _ground_truths(path: Path) -> Iterator[Any]:
 
 
 def _messages(path: Path, kind: str) -> Iterator[Any]:
-    import lzma
+    return _of_channels(path, kind) if path.suffix.lower() == ".mcap" else _of_one_channel(path, kind)
 
+
+def _of_one_channel(path: Path, kind: str) -> Iterator[Any]:
+    """Messages one after the other, each behind its size; never more in memory than one may have."""
+    from google.protobuf.message import DecodeError
+    from osi3trace.osi_trace import OSITrace
+
+    count = total = 0
+    try:
+        with (lzma.open if path.suffix.lower() in (".xz", ".lzma") else open)(path, "rb") as file:
+            while size := file.read(4):
+                length = int.from_bytes(size, "little")
+                if length > _LARGEST_MESSAGE:
+                    raise InputError(f"{path}: has a message of {length} bytes; at most {_LARGEST_MESSAGE} are read.")
+                body = file.read(length)
+                if len(size) < 4 or len(body) < length:
+                    raise EOFError("it ends within a message")
+                total += length + 4
+                if total > _LARGEST:
+                    raise InputError(f"{path}: has more than {_LARGEST} bytes when it is unpacked.")
+                message = OSITrace.map_message_type(kind)()
+                message.ParseFromString(body)
+                count += 1
+                yield message
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except (DecodeError, EOFError, lzma.LZMAError) as error:
+        raise InputError(f"{path}: is broken or cut off after {count} messages ({error}).") from error
+
+
+def _of_channels(path: Path, kind: str) -> Iterator[Any]:
     from google.protobuf.message import DecodeError
     from mcap.exceptions import McapError
     from osi3trace.osi_trace import OSITrace
 
     try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{path}: has more than {_LARGEST} bytes, which are not read.")
         trace = OSITrace(str(path), kind)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except ValueError:
-        return
-    except McapError as error:
+    except (McapError, EOFError) as error:
         raise InputError(f"{path}: is not an MCAP file, or is cut off ({error}).") from error
+    except ValueError:
+        # It has no channel of this kind.
+        return
     count = 0
     try:
         for message in trace:
             count += 1
             yield message
-        left = getattr(getattr(trace.reader, "file", None), "read", bytes)()
-    except (DecodeError, McapError, EOFError, lzma.LZMAError) as error:
+    except (DecodeError, McapError, EOFError, ValueError, struct.error) as error:
         raise InputError(f"{path}: is broken or cut off after {count} messages ({error}).") from error
     finally:
         trace.close()
-    if left:
-        raise InputError(f"{path}: is cut off after {count} messages; {len(left)} bytes are left over.")

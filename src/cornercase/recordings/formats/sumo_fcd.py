@@ -62,7 +62,11 @@ def read_sumo_fcd(path: Path | str) -> Recording:
 
 def _number(path: Path, element: etree._Element, name: str) -> float:
     try:
-        return float(element.get(name, ""))
+        number = float(element.get(name, ""))
+        # Whether the times can be used is known when all are there.
+        if name != "time" and not math.isfinite(number):
+            raise ValueError
+        return number
     except ValueError:
         raise InputError(
             f"{path}, line {element.sourceline}: <{element.tag}> needs a number in '{name}', not"
