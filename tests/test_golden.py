@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from cornercase import LogicalScenario
 from cornercase.cli import app
 
 GOLDEN = Path(__file__).parent / "data" / "golden.json"
@@ -39,7 +40,8 @@ def results(name: str, folder: Path) -> dict[str, object]:
             "--critical", "0.4", "--budget", "60", "--seed", "1", "-o", study,
         )  # fmt: skip
         run("analyze", study)
-        run("reduce", study, "-o", folder / "reduced")
+        scenario = LogicalScenario.read(None, SPACE).scenario.path
+        run("reduce", study, "--scenario", scenario, "-o", folder / "reduced")
     else:
         run("demo", name, "--budget", "60", "--seed", "1", "-o", folder)
     run("export", study, "-o", folder / "export")

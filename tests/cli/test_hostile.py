@@ -9,6 +9,7 @@ from importlib.util import find_spec
 import pytest
 
 from conftest import ROAD, car, scenario_file, speed_action, teleport
+from strangers import command
 
 INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("10")}</Private>'
 
@@ -170,6 +171,35 @@ def test_a_hostile_file_is_refused_in_one_sentence(tmp_path, name):
     assert any(word in lines[0] for word in said.split("|")), lines[0]
     assert len(lines[0]) < 1500
     assert not (tmp_path / "r.csv").exists()
+    assert not list(tmp_path.rglob("harm"))
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_other_command_takes_it_or_leaves_anything_behind(tmp_path, name):
+    make, said = HOSTILE[name]
+    folder, out = tmp_path / "in", tmp_path / "out"
+    folder.mkdir()
+    path = make(folder)
+    entities = ("--ego", "Ego", "--other", "c1")
+    checked = command("check", path)
+    # What a file holds is told before it turns out that it cannot be run; then the answer is "no".
+    assert checked.returncode in (1, 2)
+    assert "cannot be run" in checked.stdout or any(word in checked.stderr for word in said.split("|"))
+    refused = [
+        command("convert", path, "--ego", "Ego", "-o", out / "converted.xosc"),
+        command("explore", path, *entities, "--metric", "ttc", "--range", "v=1:2", "--budget", "1", "-o", out / "s.db"),
+        # Nothing of it is a recording, a table or a study.
+        command("measure", path, *entities, "-o", out / "courses.csv"),
+        command("import", folder, "--parameters", path, *entities, "--metric", "ttc", "-o", out / "s.db"),
+        *(command(one, path) for one in ("show", "analyze")),
+        *(command(one, path, "-o", out / one) for one in ("report", "export", "reduce")),
+    ]
+    for result in refused:
+        assert result.returncode == 2
+        assert len(result.stderr.strip().splitlines()) == 1
+        assert result.stderr.startswith("cornercase: ")
+        assert len(result.stderr) < 1500
+    assert not out.exists()
     assert not list(tmp_path.rglob("harm"))
 
 

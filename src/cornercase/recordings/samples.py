@@ -84,12 +84,13 @@ def require_size(path: Path, entities: int, instants: int) -> None:
 
 def _require_motion(path: Path, motion: FloatArray) -> None:
     """Refuse motion that nothing on earth has."""
-    worst = np.nanmax(np.abs(motion), initial=0.0, axis=(1, 2))
+    worst = np.nanmax(np.abs(motion), initial=0.0, axis=1)
     for name, most in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
         if most > _FARTHEST:
             raise InputError(f"{path}: has a {name} of {most:g}, where at most {_FARTHEST:g} can be.")
 
 
+@np.errstate(all="ignore")
 def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Sequence[Collision] = ()) -> Recording:
     """Put tracks on one time axis.
 
@@ -125,6 +126,7 @@ def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Seque
             raise InputError(f"{path}: entity {name} has a box of {track.length} m x {track.width} m.")
         at = np.searchsorted(time, list(track.samples))
         motion[:, row, at] = np.array(list(track.samples.values())).T
+        _require_motion(path, motion[:, row])
         x, y, heading, speed, acceleration = motion[:, row]
         exists = np.flatnonzero(np.isfinite(x))
         if np.isnan(speed[exists]).any():
@@ -132,7 +134,6 @@ def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Seque
             speed[exists] = np.where(np.isnan(speed), way, speed)[exists]
         if np.isnan(acceleration[exists]).any():
             acceleration[exists] = np.where(np.isnan(acceleration), _rate(time, speed, exists), acceleration)[exists]
-    _require_motion(path, motion)
     return Recording(
         time=time,
         names=tuple(tracks),

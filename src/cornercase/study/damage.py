@@ -89,7 +89,7 @@ def made(kind: type[T], plain: Mapping[str, Any]) -> T:
     for name, hint in get_type_hints(kind).items():
         # What is nested is not looked at.
         either = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        allowed = tuple(_PLAIN[one] for one in either if one in _PLAIN)
+        allowed = tuple(_PLAIN[one] for one in either) if set(either) <= set(_PLAIN) else ()
         if allowed and name in plain and (isinstance(plain[name], bool) or not isinstance(plain[name], allowed)):
             raise TypeError(f"{kind.__name__} has {str(plain[name])[:60]!r} as its {name}")
     return kind(**plain)

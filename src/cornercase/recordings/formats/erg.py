@@ -89,6 +89,7 @@ def _facts(text: str) -> Iterator[tuple[str, str]]:
             yield key.strip(), value.strip()
 
 
+@np.errstate(all="ignore")
 def read_erg(path: Path | str) -> Recording:
     """Read the motion of the ego and of the traffic objects from a result file.
 
@@ -122,6 +123,7 @@ def read_erg(path: Path | str) -> Recording:
             raise InputError(f"{path}: has Traffic.{name}.tx, but no Traffic.{name}.ty.")
         along, across = (columns.get(f"Traffic.{name}.v_0.{axis}") for axis in "xy")
         heading, speed = columns.get(f"Traffic.{name}.rz"), columns.get(f"Traffic.{name}.LongVel")
+        # What overflows is refused when the recording is put together.
         if heading is None:
             heading = _course(time, x, y) if along is None or across is None else np.arctan2(across, along)
         if speed is None:
