@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from heapq import heappop, heappush
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from cornercase.roads.lane_path import STEP, LanePath
-from cornercase.roads.road import Road
+from cornercase.roads.road import Link, Road
+from cornercase.roads.road_graph import GAP, Connection, RoadGraph
 
 # A way that leads back to where it was is followed in circles until it is this long, in m.
 _LONGEST_LOOP: Final = 3000.0
 # A way passes at most so many stretches.
 _MOST_ROADS: Final = 500
-
-Connection = tuple[str, str, str, dict[int, int]]
-"""Incoming road, connecting road, contact point and lane links of a junction's connection."""
+# Bends that differ by less, in rad, are equal. Of such roads the last in the file is taken; esmini draws one.
+_AS_STRAIGHT: Final = 1e-6
 
 
 class Stretch(NamedTuple):
@@ -43,6 +42,23 @@ class Stretch(NamedTuple):
         return self._replace(along=not self.along)
 
 
+class Walk(NamedTuple):
+    """Stretches that follow each other.
+
+    Attributes
+    ----------
+    stretches : list of Stretch
+    passed : list of int
+        How many of the goals lie behind at the end of each.
+    ends : bool
+        Whether the last one ends where nothing follows; else the way goes on from there.
+    """
+
+    stretches: list[Stretch]
+    passed: list[int]
+    ends: bool
+
+
 class LaneGraph:
     """Lanes of a road network, and which of them follow each other.
 
@@ -59,43 +75,57 @@ class LaneGraph:
         self, roads: Sequence[Road], connections: Mapping[str, Sequence[Connection]], index: Mapping[str, int]
     ) -> None:
         self._roads, self._connections, self._index = roads, connections, index
+        self._ways = RoadGraph(roads, connections, index)
 
-    def walk(self, here: Stretch, goals: list[int], longest: float) -> list[Stretch]:
+    def way(self, road: int, s: float, along: bool, goal: int, goal_s: float) -> float:
+        """Way in m from a place on a road to another, as `RoadGraph.way` measures it."""
+        return self._ways.way(road, s, along, goal, goal_s)
+
+    def walk(self, here: Stretch, goals: Sequence[int], longest: float) -> Walk:
         """Stretches from one on, through the goals where they can be reached, else as straight on as possible.
 
         Parameters
         ----------
         here : Stretch
             Where it begins.
-        goals : list of int
-            Roads to pass, in this order.
+        goals : sequence of int
+            Roads to pass, in this order. The first may be the one where it begins.
         longest : float
-            m after which it ends.
+            m beyond the first stretch after which it is cut.
 
         Returns
         -------
-        list of Stretch
-            The first is `here`.
+        Walk
+            The first stretch is `here`.
         """
-        found, length, seen = [here], 0.0, {here}
-        for _ in range(_MOST_ROADS):
-            goals = goals[1:] if goals and goals[0] == here.road else goals
+        behind = int(bool(goals) and goals[0] == here.road)
+        found, passed, length, seen = [here], [behind], 0.0, {here}
+        for k in range(_MOST_ROADS):
             start, end = self.span(here)
-            length += end - start
+            length += end - start if k else 0.0
             options = self.exits(here)
-            if not options or length > longest:
+            if not options:
+                return Walk(found, passed, ends=True)
+            if length > longest:
                 break
-            ways = [self._way(option, goals[0]) if goals else np.inf for option in options]
-            if np.isfinite(min(ways)):
-                here = options[int(np.argmin(ways))]
-            else:
-                bends = [self._bend(option.road) for option in options]
-                here = options[int(np.argmin(bends))]
+            here = self._choose(here, options, goals[behind] if behind < len(goals) else None)
             if here in seen and length > _LONGEST_LOOP:
                 break
+            behind += behind < len(goals) and goals[behind] == here.road
             seen.add(here)
             found.append(here)
-        return found
+            passed.append(behind)
+        return Walk(found, passed, ends=False)
+
+    def _choose(self, here: Stretch, options: list[Stretch], goal: int | None) -> Stretch:
+        if goal is not None:
+            ways = [self._ways.length_to(option.road, option.section, option.along, goal) for option in options]
+            if np.isfinite(min(ways)):
+                return options[int(np.argmin(ways))]
+        if options[0].road == here.road and options[0].along == here.along:
+            return options[0]
+        bends = np.array([self._bend(here, option) for option in options])
+        return options[int(np.flatnonzero(bends <= bends.min() + _AS_STRAIGHT)[-1])]
 
     def span(self, here: Stretch) -> tuple[float, float]:
         """Coordinates s between which a stretch lies, in m, the lower one first."""
@@ -104,8 +134,8 @@ class LaneGraph:
         end = one.sections[here.section + 1][0] if here.section + 1 < len(one.sections) else one.length
         return start, max(end, start)
 
-    def piece(self, here: Stretch) -> LanePath:
-        """Centre line of a stretch, in the direction of travel."""
+    def piece(self, here: Stretch, passed: int = 0) -> LanePath:
+        """Centre line of a stretch, in the direction of travel, with as many goals behind."""
         one = self._roads[here.road]
         start, end = self.span(here)
         s = np.linspace(start, end, max(2, int(np.ceil((end - start) / STEP)) + 1))
@@ -113,91 +143,123 @@ class LaneGraph:
         order = slice(None) if here.along else slice(None, None, -1)
         n = len(s)
         return LanePath.of_points(
-            x[order], y[order], s[order], np.full(n, here.road), np.full(n, here.lane), np.full(n, here.along)
-        )
+            x[order], y[order], s[order], np.full(n, here.road), np.full(n, here.lane), np.full(n, here.along),
+            np.full(n, passed),
+        )  # fmt: skip
 
     def exits(self, here: Stretch) -> list[Stretch]:
         """Stretches that follow one in the direction of travel; none where its lane ends."""
+        return [option for option in self._linked(here) if self._gap(here, option) <= 0.0]
+
+    def gaps(self) -> list[tuple[int, int, float]]:
+        """Roads that are linked but do not meet: index of each, and how far apart their lanes end, in m."""
+        found: dict[tuple[int, int], float] = {}
+        for road, one in enumerate(self._roads):
+            for along, section in ((True, len(one.sections) - 1), (False, 0)):
+                for lane in one.sections[section][1]:
+                    here = Stretch(road, section, lane, along)
+                    for option in self._linked(here):
+                        if self._gap(here, option) > 0.0:
+                            pair = min(road, option.road), max(road, option.road)
+                            found[pair] = max(found.get(pair, 0.0), self._apart(here, option)[0])
+        return [(*pair, apart) for pair, apart in found.items()]
+
+    def _linked(self, here: Stretch) -> list[Stretch]:
+        """Stretches that are linked to the end of one, whether they meet it or not."""
         one = self._roads[here.road]
         lane = one.sections[here.section][1].get(here.lane)
-        linked = None if lane is None else (lane.successor if here.along else lane.predecessor)
+        linked = () if lane is None else (lane.successors if here.along else lane.predecessors)
         following = here.section + (1 if here.along else -1)
         if 0 <= following < len(one.sections):
             lanes = one.sections[following][1]
-            number = linked if linked is not None else here.lane
-            return [Stretch(here.road, following, number, here.along)] if number in lanes else []
+            numbers = linked or (here.lane,)
+            onward = [Stretch(here.road, following, number, here.along) for number in numbers if number in lanes]
+            s = one.sections[max(here.section, following)][0]
+            beside = [
+                option
+                for at, name, contact in self._ways.leaving.get((one.name, here.along), ())
+                if at == s
+                for option in self._onto(name, contact, here.lane)
+            ]
+            return [*onward, *beside]
         link = one.successor if here.along else one.predecessor
         if link is None:
             return []
         if link.kind == "road":
-            return self._enter(link.element, linked, link.contact)
+            return self._enter(link, linked, here.along)
         # A connecting road's own links tell more than the junction's: at which end of this road it meets it, and they
         # also hold for an entity that drives against the traffic.
         end = "end" if here.along else "start"
         found = list[Stretch]()
-        for name, contact in self._connecting.get((link.element, one.name, end), ()):
-            road = self._roads[self._index[name]]
-            lanes = road.sections[0 if contact == "start" else -1][1]
-            for number, other in lanes.items():
-                if (other.predecessor if contact == "start" else other.successor) == here.lane:
-                    found += self._enter(name, number, contact)
+        for name, contact in self._ways.connecting.get((link.element, one.name, end), ()):
+            found += self._onto(name, contact, here.lane)
         if not found:
             for incoming, connecting, contact, links in self._connections.get(link.element, ()):
                 if incoming == one.name and (here.lane in links or not links):
-                    found += self._enter(connecting, links.get(here.lane, here.lane), contact)
+                    found += self._enter(Link("road", connecting, contact), (links.get(here.lane, here.lane),), True)
         return list(dict.fromkeys(found))
 
-    def _enter(self, name: str, lane: int | None, contact: str) -> list[Stretch]:
-        if name not in self._index or lane is None:
+    def _onto(self, name: str, contact: str, lane: int) -> list[Stretch]:
+        """Lanes of a connecting road, entered at one of its ends, that are linked to a lane there."""
+        road = self._roads[self._index[name]]
+        lanes = road.sections[0 if contact == "start" else -1][1]
+        return [
+            option
+            for number, other in lanes.items()
+            if lane in (other.predecessors if contact == "start" else other.successors)
+            for option in self._enter(Link("road", name, contact), (number,), True)
+        ]
+
+    def _enter(self, link: Link, lanes: Sequence[int], along: bool) -> list[Stretch]:
+        """Lanes of a linked road, by who comes along the s of the road that has the link, or against it."""
+        if link.element not in self._index:
             return []
-        road = self._index[name]
+        road = self._index[link.element]
         sections = self._roads[road].sections
-        section = 0 if contact != "end" else len(sections) - 1
-        return [Stretch(road, section, lane, contact != "end")] if lane in sections[section][1] else []
+        if link.s is None:
+            onward = link.contact != "end"
+            section = 0 if onward else len(sections) - 1
+        else:
+            onward = link.forward == along
+            starts = [start for start, _ in sections]
+            section = int(np.searchsorted(starts, link.s, "right" if onward else "left")) - 1
+            section = max(section, 0)
+        return [Stretch(road, section, lane, onward) for lane in lanes if lane in sections[section][1]]
+
+    def _gap(self, here: Stretch, option: Stretch) -> float:
+        """How much further apart than their width allows a stretch ends and another begins, in m; 0 where they meet."""
+        if here.road == option.road and here.along == option.along:
+            return 0.0
+        apart, wide = self._apart(here, option)
+        return max(apart - wide - GAP, 0.0)
+
+    def _apart(self, here: Stretch, option: Stretch) -> tuple[float, float]:
+        """Distance in m between the end of a stretch and the begin of another, and half their widths together."""
+        key = here, option
+        if key not in self._distances:
+            ends = []
+            for one, at in ((here, self._end(here)), (option, self._begin(option))):
+                road, s = self._roads[one.road], np.array([at])
+                x, y, _ = road.at(s, road.center(one.section, one.lane, s))
+                ends.append((float(x[0]), float(y[0]), float(road.width(one.section, one.lane, s)[0])))
+            (x0, y0, width0), (x1, y1, width1) = ends
+            self._distances[key] = float(np.hypot(x1 - x0, y1 - y0)), 0.5 * (width0 + width1)
+        return self._distances[key]
 
     @cached_property
-    def _connecting(self) -> dict[tuple[str, str, str], list[tuple[str, str]]]:
-        """Roads of a junction that begin or end at the end of a road, with their own end that meets it."""
-        found: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
-        for road in self._roads:
-            if road.junction in ("-1", ""):
-                continue
-            for link, contact in ((road.predecessor, "start"), (road.successor, "end")):
-                if link is not None and link.kind == "road":
-                    key = (road.junction, link.element, link.contact or "end")
-                    found.setdefault(key, []).append((road.name, contact))
-        return found
+    def _distances(self) -> dict[tuple[Stretch, Stretch], tuple[float, float]]:
+        return {}
 
-    def _way(self, start: Stretch, goal: int) -> float:
-        """Length in m of the roads before a goal; lanes do not matter, as a route never changes them."""
-        done, queue = set[tuple[int, bool]](), [(0.0, start.road, start.along)]
-        while queue:
-            way, road, along = heappop(queue)
-            if road == goal:
-                return way
-            if (road, along) in done:
-                continue
-            done.add((road, along))
-            for option in self._road_exits(road, along):
-                if option not in done:
-                    heappush(queue, (way + self._roads[road].length, *option))
-        return float("inf")
+    def _begin(self, here: Stretch) -> float:
+        return self.span(here)[0 if here.along else 1]
 
-    def _road_exits(self, road: int, along: bool) -> list[tuple[int, bool]]:
-        one = self._roads[road]
-        link = one.successor if along else one.predecessor
-        if link is None:
-            return []
-        if link.kind == "road":
-            return [(self._index[link.element], link.contact != "end")] if link.element in self._index else []
-        key = (link.element, one.name, "end" if along else "start")
-        found = [(self._index[name], contact == "start") for name, contact in self._connecting.get(key, ())]
-        for incoming, connecting, contact, _ in self._connections.get(link.element, ()):
-            if incoming == one.name and connecting in self._index:
-                found.append((self._index[connecting], contact == "start"))
-        return list(dict.fromkeys(found))
+    def _end(self, here: Stretch) -> float:
+        return self.span(here)[1 if here.along else 0]
 
-    def _bend(self, road: int) -> float:
-        ends = np.array([0.0, self._roads[road].length])
-        heading = self._roads[road].reference(ends)[2]
-        return float(abs(heading[1] - heading[0]))
+    def _bend(self, here: Stretch, option: Stretch) -> float:
+        """How much a road turns who takes it from where a stretch ends to its far end, in rad."""
+        one = self._roads[option.road]
+        far = one.length if option.along else 0.0
+        before = self._roads[here.road].reference(np.array([self._end(here)]))[2][0] + (0.0 if here.along else np.pi)
+        after = one.reference(np.array([far]))[2][0] + (0.0 if option.along else np.pi)
+        return float(abs((after - before + np.pi) % (2 * np.pi) - np.pi))

@@ -31,8 +31,12 @@ class LanePath:
         Index of the road, and lane.
     along : ndarray of bool, shape (P,)
         Whether the path runs along the road's s.
+    passed : ndarray of int64, shape (P,)
+        How many of the roads that it was asked to pass lie behind.
     first, last : int
         Samples between which the lane lies that the path was asked for.
+    ends, begins : bool
+        Whether nothing follows after its end, and nothing lies before its begin; else it is cut there.
     """
 
     distance: FloatArray
@@ -44,12 +48,22 @@ class LanePath:
     road: IntArray
     lane: IntArray
     along: BoolArray
+    passed: IntArray
     first: int = 0
     last: int = -1
+    ends: bool = True
+    begins: bool = True
 
     @classmethod
     def of_points(
-        cls, x: FloatArray, y: FloatArray, s: FloatArray, road: IntArray, lane: IntArray, along: BoolArray
+        cls,
+        x: FloatArray,
+        y: FloatArray,
+        s: FloatArray,
+        road: IntArray,
+        lane: IntArray,
+        along: BoolArray,
+        passed: IntArray,
     ) -> LanePath:
         """Make a path through points that are close together.
 
@@ -60,13 +74,15 @@ class LanePath:
         road, lane : ndarray of int64, shape (Q,)
         along : ndarray of bool, shape (Q,)
             Whether the path runs along the road's s.
+        passed : ndarray of int64, shape (Q,)
+            How many of the roads that it was asked to pass lie behind.
 
         Returns
         -------
         LanePath
         """
         keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
-        x, y, s, road, lane, along = (array[keep] for array in (x, y, s, road, lane, along))
+        x, y, s, road, lane, along, passed = (array[keep] for array in (x, y, s, road, lane, along, passed))
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
         distance = np.linspace(0.0, travelled[-1], max(3, int(np.ceil(travelled[-1] / STEP)) + 1))
         nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
@@ -83,6 +99,7 @@ class LanePath:
             road[nearest],
             lane[nearest],
             along[nearest],
+            passed[nearest],
         )
 
     def at(self, distance: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -117,7 +134,8 @@ class LanePath:
 
 def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
     """Path along several pieces, each of which starts where the one before ends; `asked` is the piece asked for."""
-    arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in ("x", "y", "s", "road", "lane", "along")]
+    names = ("x", "y", "s", "road", "lane", "along", "passed")
+    arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in names]
     path = LanePath.of_points(*arrays)
     # Where pieces do not quite meet, the way between them counts too.
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(arrays[0]), np.diff(arrays[1])))])
@@ -128,4 +146,7 @@ def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
     # The sample where two pieces meet is of the one before.
     mine = (path.road == pieces[asked].road[0]) & (path.lane == pieces[asked].lane[0])
     inside = first + np.flatnonzero(mine[first : last + 1])
+    # On a ring the one before may have the same road and lane.
+    onward = np.diff(path.s[inside]) * (1.0 if pieces[asked].along[0] else -1.0) > 0.0
+    inside = inside[np.concatenate([onward[:1], onward[:-1] | onward[1:], onward[-1:]])] if inside.size > 2 else inside
     return replace(path, first=int(inside[0]), last=int(inside[-1])) if inside.size else replace(path, first=first)

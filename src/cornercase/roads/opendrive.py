@@ -2,44 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from lxml import etree
-from scipy.spatial import cKDTree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads.lane import lane_number
 from cornercase.roads.lane_graph import LaneGraph, Stretch
 from cornercase.roads.lane_path import LanePath, join
+from cornercase.roads.locating import Locator, Place
+from cornercase.roads.reference_line import read_number
 from cornercase.roads.road import Road, read_road
 from cornercase.scenario import read_xml
 
 _LONGEST_PATH: Final = 5000.0
 _LONGEST_BACK: Final = 500.0
 _JUMP: Final = 0.3
-# So far beside it, in m, an entity still counts as on the road that it was on; esmini's figure.
-_SLACK: Final = 2.0
-
-
-class Place(NamedTuple):
-    """Where points are on the roads, each array of shape (N,).
-
-    Attributes
-    ----------
-    road, lane : ndarray of int64
-        Index of the road, and lane.
-    s, offset : ndarray of float64
-        Along the road, and to the left of the lane's centre as seen along the road, in m.
-    """
-
-    road: IntArray
-    lane: IntArray
-    s: FloatArray
-    offset: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +85,10 @@ class RoadNetwork:
                 element.tag = element.tag.split("}", 1)[1]
         if root.tag != "OpenDRIVE":
             raise InputError(f"{path}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
-        roads = tuple(read_road(e, f"{path}, road {e.get('id')}") for e in root.iterfind("road"))
+        cuts = _places_of_links(root, path)
+        roads = tuple(
+            read_road(e, f"{path}, road {e.get('id')}", cuts.get(e.get("id", ""), ())) for e in root.iterfind("road")
+        )
         if not roads:
             raise InputError(f"{path}: has no <road>.")
         names = [road.name for road in roads]
@@ -114,7 +100,14 @@ class RoadNetwork:
                     raise InputError(
                         f"{path}, road {road.name}: is linked to the road {link.element}, which does not exist."
                     )
-        return cls(path, roads, {e.get("id", ""): tuple(_connections(e)) for e in root.iterfind("junction")})
+        return cls(
+            path,
+            roads,
+            {
+                e.get("id", ""): tuple(_connections(e, f"{path}, junction {e.get('id')}"))
+                for e in root.iterfind("junction")
+            },
+        )
 
     @cached_property
     def lengths(self) -> FloatArray:
@@ -160,19 +153,21 @@ class RoadNetwork:
         """
         return lane != 0 and any(lane in lanes for _, lanes in self.roads[road].sections)
 
-    def runs_along(self, road: int, lane: int) -> bool:
+    def runs_along(self, road: int, lane: int, s: float) -> bool:
         """Tell whether traffic on a lane runs along the road's s.
 
         Parameters
         ----------
         road, lane : int
             Index of the road, and lane.
+        s : float
+            Place on the road, in m.
 
         Returns
         -------
         bool
         """
-        return self.roads[road].along(lane)
+        return bool(self.roads[road].along(lane, np.array([s]))[0])
 
     def road_world(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Find where road coordinates lie in the plane.
@@ -215,12 +210,8 @@ class RoadNetwork:
             Direction of the lane's traffic, in rad.
         """
         one = self.roads[road]
-        section = one.section_at(s)
-        t = np.empty(len(s))
-        for k in np.unique(section):
-            t[section == k] = one.center(int(k), lane, s[section == k])
-        x, y, heading = one.at(s, t + offset)
-        return x, y, heading if one.along(lane) else heading + np.pi
+        x, y, heading = one.at_lane(lane, s, offset)
+        return x, y, np.where(one.along(lane, s), heading, heading + np.pi)
 
     def lane_at(self, road: int, s: FloatArray, t: FloatArray) -> tuple[IntArray, FloatArray]:
         """Find the lane that holds points of a road, or is nearest to them.
@@ -274,8 +265,10 @@ class RoadNetwork:
         road, lane, s = waypoints[0]
         section = int(self.roads[road].section_at(np.array([s]))[0])
         walk = self._graph.walk(
-            Stretch(road, section, lane, self.runs_along(road, lane)), [goal for goal, _, _ in waypoints], _LONGEST_PATH
-        )
+            Stretch(road, section, lane, self.runs_along(road, lane, s)),
+            [goal for goal, _, _ in waypoints],
+            max(_LONGEST_PATH, float(np.max(way, initial=0.0))),
+        ).stretches
         roads, begins, starts, directions = [], [], [], []
         length = 0.0
         for k, here in enumerate(walk):
@@ -291,6 +284,41 @@ class RoadNetwork:
         beyond = way - np.array(begins)[leg]
         return np.array(roads)[leg], np.array(starts)[leg] + np.where(along, beyond, -beyond), along
 
+    def way(self, road: int, s: float, along: bool, goal: int, goal_s: float) -> float:
+        """Measure the way along the roads from one place to another, by the shortest way ahead or back.
+
+        Lanes do not matter.
+
+        Parameters
+        ----------
+        road : int
+            Index of the road where it begins.
+        s : float
+            Place on it, in m.
+        along : bool
+            Whether ahead is along the s of that road.
+        goal : int
+            Index of the road where it ends.
+        goal_s : float
+            Place on it, in m.
+
+        Returns
+        -------
+        float
+            m; negative where the way leads back, infinite where the roads do not connect.
+        """
+        return self._graph.way(road, s, along, goal, goal_s)
+
+    def gaps(self) -> list[tuple[str, str, float]]:
+        """Find roads that are linked but do not meet.
+
+        Returns
+        -------
+        list of (str, str, float)
+            Their ids, and how far apart their lanes end, in m. No way leads from one to the other.
+        """
+        return [(self.roads[a].name, self.roads[b].name, apart) for a, b, apart in self._graph.gaps()]
+
     def locate(self, x: FloatArray, y: FloatArray) -> Place:
         """Find where points are on the roads.
 
@@ -305,24 +333,7 @@ class RoadNetwork:
         -------
         Place
         """
-        tree, road, lane, s, half, bad = self._samples
-        known = np.isfinite(x) & np.isfinite(y)
-        points = np.stack([np.where(known, x, 0.0), np.where(known, y, 0.0)], axis=1)
-        gap, near = tree.query(points, k=min(24, len(road)))
-        gap, near = np.reshape(gap, (len(x), -1)), np.reshape(near, (len(x), -1))
-        cost = np.maximum(gap - half[near], 0.0) + 1e-3 * gap + np.where(gap <= half[near], 0.01, 0.0) * bad[near]
-        best = near[np.arange(len(x)), cost.argmin(axis=1)]
-        place = Place(road[best], lane[best], s[best].copy(), np.zeros(len(x)))
-        for r, ln in sorted({*zip(place.road.tolist(), place.lane.tolist(), strict=True)}):
-            rows = (place.road == r) & (place.lane == ln)
-            for _ in range(2):
-                cx, cy, heading = self.world(r, ln, place.s[rows], np.zeros(int(rows.sum())))
-                heading = heading if self.runs_along(r, ln) else heading - np.pi
-                dx, dy = points[rows, 0] - cx, points[rows, 1] - cy
-                step = dx * np.cos(heading) + dy * np.sin(heading)
-                place.s[rows] = np.clip(place.s[rows] + step, 0.0, self.lengths[r])
-                place.offset[rows] = dy * np.cos(heading) - dx * np.sin(heading)
-        return place
+        return self._locator.locate(x, y)
 
     def road_from(
         self, last: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
@@ -349,60 +360,11 @@ class RoadNetwork:
         s : ndarray of float64, shape (N,)
             m.
         """
-        road, s = last.copy(), last_s.copy()
-        lost = ~self._holds(last, x, y, s, 1, _SLACK)
-        if lost.any():
-            at = np.flatnonzero(lost)
-            new = self.locate(x[at], y[at])
-            road[at], s[at] = new.road, new.s
-            apart = np.full(len(at), np.inf)
-            inside = np.isin(road[at], self._overlapping)
-            for r in self._overlapping if inside.any() else ():
-                tree, places = self._reference(r)
-                along = places[tree.query(np.stack([x[at], y[at]], axis=1))[1]]
-                found = self._holds(np.full(len(at), r), x[at], y[at], along, 2, 0.0) & inside
-                turn = np.abs(np.sin(heading[at] - self.roads[r].reference(along)[2]))
-                better = found & (turn < apart)
-                apart[better] = turn[better]
-                road[at[better]], s[at[better]] = r, along[better]
-        return road, s
-
-    def _holds(
-        self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, projections: int, slack: float
-    ) -> BoolArray:
-        """Whether points lie on given roads; `s`, a first guess, becomes their s where they do."""
-        inside = np.zeros(len(x), dtype=np.bool_)
-        for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
-            rows = np.flatnonzero((road == r) & np.isfinite(x))
-            one, along = self.roads[r], s[rows]
-            for _ in range(projections):
-                px, py, heading = one.reference(np.clip(along, 0.0, one.length))
-                dx, dy, cos, sin = x[rows] - px, y[rows] - py, np.cos(heading), np.sin(heading)
-                along = np.clip(along, 0.0, one.length) + dx * cos + dy * sin
-            t = dy * cos - dx * sin
-            within = (along >= 0.0) & (along <= one.length)
-            along = np.clip(along, 0.0, one.length)
-            right, left = one.margins(along)
-            good = within & (t >= right - slack) & (t <= left + slack)
-            inside[rows] = good
-            s[rows[good]] = along[good]
-        return inside
-
-    def _reference(self, road: int) -> tuple[cKDTree, FloatArray]:
-        if road not in self._trees:
-            length = self.roads[road].length
-            s = np.linspace(0.0, length, max(2, int(length) + 1))
-            x, y, _ = self.roads[road].reference(s)
-            self._trees[road] = cKDTree(np.stack([x, y], axis=1)), s
-        return self._trees[road]
+        return self._locator.road_from(last, last_s, x, y, heading)
 
     @cached_property
-    def _trees(self) -> dict[int, tuple[cKDTree, FloatArray]]:
-        return {}
-
-    @cached_property
-    def _overlapping(self) -> list[int]:
-        return [i for i, road in enumerate(self.roads) if road.junction not in ("-1", "")]
+    def _locator(self) -> Locator:
+        return Locator(self.roads)
 
     def path_of_lane(
         self,
@@ -428,7 +390,7 @@ class RoadNetwork:
         Returns
         -------
         LanePath or None
-            Its ``origin`` is the distance at which the piece that holds `s` begins. None where there is no such lane.
+            None where there is no such lane.
         """
         one = self.roads[road]
         section = int(one.section_at(np.array([s]))[0])
@@ -439,17 +401,18 @@ class RoadNetwork:
         if key not in self._paths:
             # The road it starts on may be among those to pass, as it is in most routes.
             ahead = self._graph.walk(here, [goal for goal, _, _ in via], _LONGEST_PATH)
-            behind = [piece.reversed() for piece in self._graph.walk(here.reversed(), [], _LONGEST_BACK)[1:]][::-1]
-            before = [self._graph.piece(piece) for piece in behind]
-            after = [self._graph.piece(piece) for piece in ahead]
-            # A lane that opens beside another names it as the one before, but does not go on from its middle.
-            kept, start = list[LanePath](), after[0]
-            for piece in reversed(before):
-                if np.hypot(piece.x[-1] - start.x[0], piece.y[-1] - start.y[0]) > _JUMP:
+            behind = self._graph.walk(here.reversed(), (), _LONGEST_BACK)
+            after = [self._graph.piece(*piece) for piece in zip(ahead.stretches, ahead.passed, strict=True)]
+            kept, begins = [after[0]], behind.ends
+            for stretch in behind.stretches[1:]:
+                piece = self._graph.piece(stretch.reversed())
+                # A lane that opens beside another names it as the one before, but does not go on from its middle.
+                if np.hypot(piece.x[-1] - kept[0].x[0], piece.y[-1] - kept[0].y[0]) > _JUMP:
+                    begins = True
                     break
                 kept.insert(0, piece)
-                start = piece
-            self._paths[key] = join([*kept, *after], len(kept))
+            path = join([*kept[:-1], *after], len(kept) - 1)
+            self._paths[key] = replace(path, ends=ahead.ends, begins=begins)
         return self._paths[key]
 
     @cached_property
@@ -460,35 +423,22 @@ class RoadNetwork:
     def _paths(self) -> dict[Any, LanePath]:
         return {}
 
-    @cached_property
-    def _samples(self) -> tuple[cKDTree, IntArray, IntArray, FloatArray, FloatArray, BoolArray]:
-        points, road, lane, where, half, bad = [], [], [], [], [], []
-        for r, one in enumerate(self.roads):
-            stops = [start for start, _ in one.sections[1:]] + [one.length]
-            for k, (start, lanes) in enumerate(one.sections):
-                s = np.linspace(start, stops[k], max(2, int(np.ceil((stops[k] - start) / 0.5)) + 1))
-                for number, one_lane in lanes.items():
-                    x, y, _ = one.at(s, one.center(k, number, s))
-                    points.append(np.stack([x, y], axis=1))
-                    road.append(np.full(len(s), r))
-                    lane.append(np.full(len(s), number))
-                    where.append(s)
-                    half.append(0.5 * one.width(k, number, s))
-                    bad.append(np.full(len(s), not one_lane.drivable))
-        return (
-            cKDTree(np.concatenate(points)),
-            np.concatenate(road),
-            np.concatenate(lane),
-            np.concatenate(where),
-            np.concatenate(half),
-            np.concatenate(bad),
-        )
+
+def _places_of_links(root: etree._Element, path: Path) -> dict[str, list[float]]:
+    """Where roads begin or end along others, in m on these, by their id."""
+    found: dict[str, list[float]] = {}
+    for road in root.iterfind("road"):
+        for link in (*road.iterfind("link/predecessor"), *road.iterfind("link/successor")):
+            if link.get("elementS") is not None:
+                s = read_number(link, "elementS", f"{path}, road {road.get('id')}")
+                found.setdefault(link.get("elementId", ""), []).append(s)
+    return found
 
 
-def _connections(junction: etree._Element) -> list[tuple[str, str, str, dict[int, int]]]:
+def _connections(junction: etree._Element, where: str) -> list[tuple[str, str, str, dict[int, int]]]:
     found = []
     for e in junction.iterfind("connection"):
-        links = {int(k.get("from", "0")): int(k.get("to", "0")) for k in e.iterfind("laneLink")}
+        links = {lane_number(k, where, "from"): lane_number(k, where, "to") for k in e.iterfind("laneLink")}
         connecting = e.get("connectingRoad") or e.get("linkedRoad") or ""
         found.append((e.get("incomingRoad", ""), connecting, e.get("contactPoint", "start"), links))
     return found

@@ -10,38 +10,35 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads.lane import Polynomial, Section, evaluate_polynomials, read_polynomials, read_sections
 from cornercase.roads.reference_line import Geometry, read_geometry, read_number
 
 _LONGEST_ROAD: Final = 1e5
-_DRIVABLE: Final = ("driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp")
-
-Polynomial = tuple[float, float, float, float, float]
-
-
-@dataclass(frozen=True)
-class Lane:
-    """A lane of one lane section."""
-
-    kind: str
-    widths: tuple[Polynomial, ...]
-    borders: tuple[Polynomial, ...]
-    predecessor: int | None
-    successor: int | None
-
-    @property
-    def drivable(self) -> bool:
-        """Whether vehicles may drive on it."""
-        return self.kind in _DRIVABLE
 
 
 @dataclass(frozen=True)
 class Link:
-    """What lies at an end of a road: another road's ``start`` or ``end``, or a junction."""
+    """What lies at an end of a road: another road's ``start`` or ``end``, a place along it, or a junction.
+
+    Attributes
+    ----------
+    kind : {"road", "junction"}
+    element : str
+        Its id.
+    contact : str
+        ``"start"`` or ``"end"``; nothing where it is linked to a place along a road, or to a junction.
+    s : float, optional
+        That place, in m.
+    forward : bool, default True
+        Whether the linked road is driven along its s there, by who drives along the s of the road that has the link.
+    """
 
     kind: str
     element: str
     contact: str
+    s: float | None = None
+    forward: bool = True
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ class Road:
     right_hand: bool
     geometries: tuple[Geometry, ...]
     offsets: tuple[Polynomial, ...]
-    sections: tuple[tuple[float, dict[int, Lane]], ...]
+    sections: tuple[Section, ...]
     predecessor: Link | None
     successor: Link | None
 
@@ -72,6 +69,15 @@ class Road:
         """Return x, y and heading of points beside the reference line, each (N,)."""
         x, y, heading = self.reference(s)
         return x - t * np.sin(heading), y + t * np.cos(heading), heading
+
+    def at_lane(
+        self, lane: int, s: FloatArray, offset: FloatArray | float = 0.0
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return x, y of points beside a lane's centre, and heading along s, each (N,)."""
+        section, t = self.section_at(s), np.empty(len(s))
+        for k in np.unique(section):
+            t[section == k] = self.center(int(k), lane, s[section == k])
+        return self.at(s, t + offset)
 
     def section_at(self, s: FloatArray) -> IntArray:
         """Index of the lane section at each s, shape (N,)."""
@@ -98,28 +104,30 @@ class Road:
             left[rows] = self._edges(int(k), max((*lanes, 0)), s[rows])[1]
         return right, left
 
-    def along(self, lane: int) -> bool:
-        """Whether traffic on the lane runs along s."""
-        return lane == 0 or (lane < 0) == self.right_hand
+    def along(self, lane: int, s: FloatArray) -> BoolArray:
+        """Whether traffic on the lane runs along s, at each s, shape (N,)."""
+        usual = lane == 0 or (lane < 0) == self.right_hand
+        reverse = np.array([lane in lanes and lanes[lane].reverse for _, lanes in self.sections])
+        return usual ^ reverse[self.section_at(s)]
 
     def _edges(self, section: int, lane: int, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         start, lanes = self.sections[section]
-        sign = 1.0 if lane > 0 else -1.0
-        zero = _polynomials(self.offsets, s)
+        sign = 1 if lane > 0 else -1
+        zero = evaluate_polynomials(self.offsets, s)
         inner = outer = zero
-        for i in range(1, abs(lane) + 1):
-            inner = outer
-            one = lanes.get(int(sign) * i)
-            if one is None:
-                continue
-            if one.borders:
-                outer = zero + _polynomials(one.borders, s - start)
+        last = 0
+        for number in sorted(n for n in (abs(other) for other in lanes if other * sign > 0) if n <= abs(lane)):
+            inner, last = outer, number
+            one = lanes[sign * number]
+            if one.borders and not one.widths:
+                outer = zero + evaluate_polynomials(one.borders, s - start)
             else:
-                outer = inner + sign * np.maximum(_polynomials(one.widths, s - start), 0.0)
-        return inner, outer
+                outer = inner + sign * np.maximum(evaluate_polynomials(one.widths, s - start), 0.0)
+        # A lane that does not exist is as wide as nothing.
+        return (inner, outer) if last == abs(lane) else (outer, outer)
 
 
-def read_road(element: etree._Element, where: str) -> Road:
+def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -> Road:
     """Read a <road>.
 
     Parameters
@@ -127,6 +135,8 @@ def read_road(element: etree._Element, where: str) -> Road:
     element : lxml element
     where : str
         File and road, for messages.
+    cuts : iterable of float
+        Where other roads begin or end along it, in m.
 
     Raises
     ------
@@ -143,10 +153,7 @@ def read_road(element: etree._Element, where: str) -> Road:
     )
     if not geometries:
         raise InputError(f"{where}: has no <geometry> in its <planView>.")
-    sections = tuple(
-        (read_number(section, "s", where), dict(_lanes(section, where)))
-        for section in element.iterfind("lanes/laneSection")
-    )
+    sections = element.findall("lanes/laneSection")
     if not sections:
         raise InputError(f"{where}: has no <laneSection>.")
     return Road(
@@ -155,51 +162,21 @@ def read_road(element: etree._Element, where: str) -> Road:
         element.get("junction", "-1"),
         element.get("rule", "RHT") != "LHT",
         geometries,
-        _read_polynomials(element.iterfind("lanes/laneOffset"), "s", where),
-        tuple(sorted(sections, key=lambda section: section[0])),
-        _link(element.find("link/predecessor")),
-        _link(element.find("link/successor")),
+        read_polynomials(element.iterfind("lanes/laneOffset"), "s", where),
+        tuple(read_sections(sections, length, cuts, where)),
+        _link(element.find("link/predecessor"), where),
+        _link(element.find("link/successor"), where),
     )
 
 
-def _lanes(section: etree._Element, where: str) -> list[tuple[int, Lane]]:
-    lanes = []
-    for element in (*section.iterfind("left/lane"), *section.iterfind("right/lane")):
-        links = [element.find(f"link/{end}") for end in ("predecessor", "successor")]
-        numbers = [None if link is None else int(read_number(link, "id", where)) for link in links]
-        lane = Lane(
-            element.get("type", "none"),
-            _read_polynomials(element.iterfind("width"), "sOffset", where),
-            _read_polynomials(element.iterfind("border"), "sOffset", where),
-            numbers[0],
-            numbers[1],
-        )
-        lanes.append((int(read_number(element, "id", where)), lane))
-    return lanes
-
-
-def _link(element: etree._Element | None) -> Link | None:
+def _link(element: etree._Element | None, where: str) -> Link | None:
     if element is None:
         return None
-    return Link(element.get("elementType", "road"), element.get("elementId", ""), element.get("contactPoint", ""))
-
-
-def _read_polynomials(elements: Iterable[etree._Element], name: str, where: str) -> tuple[Polynomial, ...]:
-    found: list[Polynomial] = []
-    for e in elements:
-        start, a, b, c, d = (read_number(e, key, where) for key in (name, "a", "b", "c", "d"))
-        found.append((start, a, b, c, d))
-    return tuple(sorted(found))
-
-
-def _polynomials(polynomials: tuple[Polynomial, ...], s: FloatArray) -> FloatArray:
-    if not polynomials:
-        return np.zeros(len(s))
-    if len(polynomials) == 1:
-        start, *cubic = polynomials[0]
-        d = s - start
-        return np.asarray(cubic[0] + d * (cubic[1] + d * (cubic[2] + d * cubic[3])))
-    table = np.array(polynomials)
-    k = np.clip(np.searchsorted(table[:, 0], s, "right") - 1, 0, len(table) - 1)
-    d = s - table[k, 0]
-    return np.asarray(table[k, 1] + d * (table[k, 2] + d * (table[k, 3] + d * table[k, 4])))
+    along = element.get("elementS") is not None
+    return Link(
+        element.get("elementType", "road"),
+        element.get("elementId", ""),
+        element.get("contactPoint", ""),
+        read_number(element, "elementS", where) if along else None,
+        element.get("elementDir", "+") != "-",
+    )

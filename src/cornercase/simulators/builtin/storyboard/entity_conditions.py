@@ -274,9 +274,10 @@ def _angle(element: etree._Element, scope: Scope, world: World) -> EntityTest:
         elif system in ("road", "lane") and world.network is not None:
             pose = lane_of(world, e)
             now = now - road_heading(world, pose)
-            if system == "lane" and pose.lane is not None and pose.road is not None:
+            if system == "lane" and pose.lane is not None and pose.road is not None and pose.s is not None:
                 against = [
-                    not world.network.runs_along(int(r), int(k)) for r, k in zip(pose.road, pose.lane, strict=True)
+                    not world.network.runs_along(int(r), int(k), float(s))
+                    for r, k, s in zip(pose.road, pose.lane, pose.s, strict=True)
                 ]
                 now = now - np.where(against, np.pi, 0.0)
         apart = np.abs((now - angle + np.pi) % (2 * np.pi) - np.pi)

@@ -16,15 +16,33 @@ from cornercase.simulators.builtin.tracks.track import Pose, Track
 # than the smallest by at most so many m count as passing, too.
 _PASSES: Final = 16
 _SAME: Final = 0.3
+# So far before the place where a path is cut, in m, an entity goes over to one that leads on.
+_AHEAD: Final = 1000.0
+_BACK: Final = 250.0
 
 
 class LaneTrack(Track):
-    """The centre line of a lane and of those that follow it, the same for all scenarios."""
+    """The centre line of a lane and of those that follow it, the same for all scenarios.
+
+    Attributes
+    ----------
+    path : LanePath
+    length : float
+        m.
+    span : tuple of (float, float)
+        Distances in m between which it is followed; beyond them another one leads on.
+    """
 
     def __init__(self, path: LanePath) -> None:
         self.path = path
         self.length = float(path.distance[-1])
         self._tree: cKDTree | None = None
+        begin, end = float(path.distance[path.first]), float(path.distance[path.last])
+        # Where the path is cut at an end, it is left between its own lane and that end.
+        self.span = (
+            -np.inf if path.begins else min(_BACK, 0.5 * begin),
+            np.inf if path.ends else self.length - min(_AHEAD, 0.5 * (self.length - end)),
+        )
 
     @classmethod
     def of_lane(

@@ -14,6 +14,8 @@ from cornercase.simulators.builtin.world.whereabouts import lane_of, on_lane
 
 # Headings that differ by less, in rad, are the same.
 _ALIGNED: Final = 1e-3
+# So near the place where two lanes meet, in m, a sample of a path may belong to either.
+_SEAM: Final = 0.5
 
 
 def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> None:
@@ -108,7 +110,7 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
     pose = lane_of(world, entity)
     assert pose.s is not None
     road, section, along = _direction(world, pose, where)
-    route = world.route[entity]
+    route = _route_ahead(world, entity, where)
     done = np.zeros_like(where)
     keys = np.stack([road, section, lane, along, route])
     for one in np.unique(keys[:, where], axis=1).T:
@@ -126,8 +128,72 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
         world.offset[entity][at] = dy * np.cos(heading) - dx * np.sin(heading)
         world.turn[entity][at] = 0.0
         world.frozen[entity][at] = False
+        world.route[entity][at] = one[4]
         done |= rows
     return done
+
+
+def go_on(world: World, entity: int, number: int) -> None:
+    """Make an entity that comes near the place where its lane's path is cut follow the next part of its way.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    number : int
+        Of the track, among those of the entity.
+    """
+    assert world.network is not None
+    track = world.tracks[entity][number]
+    assert isinstance(track, LaneTrack)
+    distance = world.distance[entity]
+    near = (distance < track.span[0]) | (distance > track.span[1])
+    at = np.flatnonzero(world.running & (world.track[entity] == number) & near)
+    routes, path = _route_ahead(world, entity, near & world.running), track.path
+    sample = np.clip(np.searchsorted(path.distance, distance[at], "right") - 1, 0, path.x.size - 1)
+    s = path.s[sample] + np.where(path.along[sample], 1.0, -1.0) * (distance[at] - path.distance[sample])
+    keys = np.stack([path.road[sample], path.lane[sample], path.along[sample], routes[at]])
+    for one in np.unique(keys, axis=1).T if at.size else ():
+        road, lane, along, route = int(one[0]), int(one[1]), bool(one[2]), int(one[3])
+        # Where two lanes meet the sample may belong to either: then it is a matter of the next step.
+        starts = np.array([*(start for start, _ in world.network.roads[road].sections), world.network.lengths[road]])
+        rows = (keys == one[:, None]).all(axis=0) & (np.abs(s[:, None] - starts) > _SEAM).all(axis=1) & (s > _SEAM)
+        for section in np.unique(world.network.roads[road].section_at(s[rows])):
+            here = rows & (world.network.roads[road].section_at(s) == section)
+            new = lane_track(world, road, lane, float(s[here][0]), along, route)
+            if new is not None:
+                # On a ring it is the path that it follows already, begun again.
+                new = LaneTrack(new.path) if new is track else new
+                _carry_over(world, entity, track, new, at[here], s[here])
+                world.route[entity][at[here]] = route
+
+
+def _route_ahead(world: World, entity: int, where: BoolArray) -> IntArray:
+    """Route of an entity without the roads that it has passed, to which a new path would lead back, shape (N,)."""
+    result: IntArray = world.route[entity].copy()
+    for k, track in enumerate(world.tracks[entity]):
+        at = np.flatnonzero(where & (world.track[entity] == k) & (world.route[entity] > 0))
+        if not (at.size and isinstance(track, LaneTrack)):
+            continue
+        sample = np.searchsorted(track.path.distance, world.distance[entity][at], "right") - 1
+        passed = track.path.passed[np.clip(sample, 0, track.path.x.size - 1)]
+        for route, count in sorted({*zip(world.route[entity][at].tolist(), passed.tolist(), strict=True)}):
+            ahead = world.routes[route][count:]
+            if ahead not in world.routes:
+                world.routes.append(ahead)
+            result[at[(world.route[entity][at] == route) & (passed == count)]] = world.routes.index(ahead)
+    return result
+
+
+def _carry_over(world: World, entity: int, old: LaneTrack, new: LaneTrack, at: IntArray, s: FloatArray) -> None:
+    x, y, _ = old.at(world.distance[entity][at], np.zeros(len(at)), at)
+    place = new.distance_of(s)
+    there_x, there_y, heading = new.at(place, np.zeros(len(at)), at)
+    distance, rows = np.zeros(world.scenarios), np.zeros(world.scenarios, dtype=np.bool_)
+    distance[at] = place + (x - there_x) * np.cos(heading) + (y - there_y) * np.sin(heading)
+    rows[at] = True
+    follow_track(world, entity, new, distance, rows)
 
 
 def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Track
+from cornercase.simulators.builtin.world.lanes import go_on
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import on_road
 
@@ -35,6 +36,9 @@ def move_entities(world: World, dt: float) -> None:
             at = np.flatnonzero(rows & ~world.moved[e] & (world.track[e] == k))
             if at.size:
                 _advance(world, e, track, at, way[at])
+        for k, track in enumerate([*world.tracks[e]]):
+            if isinstance(track, LaneTrack) and np.isfinite(track.span).any():
+                go_on(world, e, k)
         free = rows & (world.track[e] == FREE)
         if not free.any():
             continue

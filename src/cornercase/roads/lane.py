@@ -1,0 +1,196 @@
+"""Lanes of a lane section, and how the sections of a road follow each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.typing import FloatArray
+from cornercase.roads.reference_line import read_number
+
+# A side of a road has at most so many lanes.
+_MOST_LANES: Final = 1000
+# A lane section longer than this, in m, is read as several that follow each other.
+_LONGEST_SECTION: Final = 10_000.0
+_DRIVABLE: Final = (
+    "driving", "bidirectional", "entry", "exit", "mwyEntry", "mwyExit", "onRamp", "offRamp", "connectingRamp",
+    "slipLane", "bus", "taxi", "HOV",
+)  # fmt: skip
+
+Polynomial = tuple[float, float, float, float, float]
+"""Where it starts in m, and the coefficients of a cubic from there on."""
+
+Section = tuple[float, "dict[int, Lane]"]
+"""Where it starts on the road in m, and its lanes by their number."""
+
+
+@dataclass(frozen=True)
+class Lane:
+    """A lane of one lane section.
+
+    Attributes
+    ----------
+    kind : str
+        Its type.
+    widths, borders : tuple of Polynomial
+        A lane that has widths takes no notice of its borders; so the standard settles it.
+    predecessors, successors : tuple of int
+        Lanes that it is linked to; several where it merges or splits.
+    reverse : bool, default False
+        Whether its traffic runs against the direction that is usual on its side.
+    """
+
+    kind: str
+    widths: tuple[Polynomial, ...]
+    borders: tuple[Polynomial, ...]
+    predecessors: tuple[int, ...]
+    successors: tuple[int, ...]
+    reverse: bool = False
+
+    @property
+    def drivable(self) -> bool:
+        """Whether vehicles may drive on it."""
+        return self.kind in _DRIVABLE
+
+
+class _Side(NamedTuple):
+    """Lanes of one side of the road from `start` on, in m."""
+
+    start: float
+    lanes: dict[int, Lane]
+
+
+def read_sections(
+    elements: Sequence[etree._Element], length: float, cuts: Iterable[float], where: str
+) -> list[Section]:
+    """Read the lane sections of a road.
+
+    Parameters
+    ----------
+    elements : sequence of lxml element
+        Its ``laneSection``.
+    length : float
+        Of the road, in m.
+    cuts : iterable of float
+        Where a section shall begin even if the file has none there, in m.
+    where : str
+        File and road, for messages.
+
+    Returns
+    -------
+    list of Section
+        In the order of their starts. Each holds the lanes of both sides, also where the file starts a new section for
+        one side only.
+
+    Raises
+    ------
+    InputError
+        A lane cannot be used.
+    """
+    sides: dict[str, list[_Side]] = {"left": [], "right": []}
+    for element in sorted(elements, key=lambda e: read_number(e, "s", where)):
+        start, single = read_number(element, "s", where), element.get("singleSide") in ("true", "1")
+        for side, found in sides.items():
+            if not single or element.find(side) is not None:
+                found.append(_Side(start, _read_lanes(element, side, where)))
+    starts = sorted({one.start for found in sides.values() for one in found})
+    starts = sorted({*starts, *(cut for cut in cuts if starts[0] < cut < length)})
+    for start, end in zip(starts, [*starts[1:], length], strict=True):
+        parts = int(np.ceil((end - start) / _LONGEST_SECTION))
+        starts = sorted({*starts, *np.linspace(start, end, parts, endpoint=False).tolist()}) if parts > 1 else starts
+    return [
+        (start, {number: lane for found in sides.values() for number, lane in _lanes_at(found, starts, k).items()})
+        for k, start in enumerate(starts)
+    ]
+
+
+def _lanes_at(side: list[_Side], starts: list[float], k: int) -> dict[int, Lane]:
+    """Lanes of one side between a start and the next, linked to themselves where no section of the file begins."""
+    begun = [i for i, one in enumerate(side) if one.start <= starts[k]]
+    if not begun:
+        return {}
+    one = side[begun[-1]]
+    goes_on = k + 1 < len(starts) and all(starts[k + 1] != other.start for other in side)
+    if one.start == starts[k] and not goes_on:
+        return one.lanes
+    return {
+        number: replace(
+            lane,
+            widths=_shifted(lane.widths, starts[k] - one.start),
+            borders=_shifted(lane.borders, starts[k] - one.start),
+            predecessors=lane.predecessors if one.start == starts[k] else (number,),
+            successors=(number,) if goes_on else lane.successors,
+        )
+        for number, lane in one.lanes.items()
+    }
+
+
+def _shifted(polynomials: tuple[Polynomial, ...], by: float) -> tuple[Polynomial, ...]:
+    return tuple((start - by, a, b, c, d) for start, a, b, c, d in polynomials)
+
+
+def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lane]:
+    return {
+        lane_number(element, where): Lane(
+            element.get("type", "none"),
+            read_polynomials(element.iterfind("width"), "sOffset", where),
+            read_polynomials(element.iterfind("border"), "sOffset", where),
+            tuple(lane_number(link, where) for link in element.iterfind("link/predecessor")),
+            tuple(lane_number(link, where) for link in element.iterfind("link/successor")),
+            element.get("direction") == "reversed",
+        )
+        for element in section.iterfind(f"{side}/lane")
+    }
+
+
+def lane_number(element: etree._Element, where: str, name: str = "id") -> int:
+    """Read the number of a lane, or say which attribute is none.
+
+    Raises
+    ------
+    InputError
+        It is not whole, or larger than any road has lanes.
+    """
+    number = read_number(element, name, where)
+    if number != int(number):
+        raise InputError(f"{where}: {name} of <{element.tag}> is '{element.get(name)}', not a whole number.")
+    if abs(number) > _MOST_LANES:
+        raise InputError(
+            f"{where}: {name} of <{element.tag}> is '{element.get(name)}'; at most {_MOST_LANES} lanes are read on"
+            " each side of a road."
+        )
+    return int(number)
+
+
+def read_polynomials(elements: Iterable[etree._Element], name: str, where: str) -> tuple[Polynomial, ...]:
+    """Read cubics that follow each other, each from where its attribute `name` says.
+
+    Raises
+    ------
+    InputError
+        A number is missing or not finite.
+    """
+    found: list[Polynomial] = []
+    for e in elements:
+        start, a, b, c, d = (read_number(e, key, where) for key in (name, "a", "b", "c", "d"))
+        found.append((start, a, b, c, d))
+    return tuple(sorted(found))
+
+
+def evaluate_polynomials(polynomials: tuple[Polynomial, ...], s: FloatArray) -> FloatArray:
+    """Value of cubics that follow each other at each s, shape (N,); 0 where there are none."""
+    if not polynomials:
+        return np.zeros(len(s))
+    if len(polynomials) == 1:
+        start, *cubic = polynomials[0]
+        d = s - start
+        return np.asarray(cubic[0] + d * (cubic[1] + d * (cubic[2] + d * cubic[3])))
+    table = np.array(polynomials)
+    k = np.clip(np.searchsorted(table[:, 0], s, "right") - 1, 0, len(table) - 1)
+    d = s - table[k, 0]
+    return np.asarray(table[k, 1] + d * (table[k, 2] + d * (table[k, 3] + d * table[k, 4])))

@@ -1,0 +1,191 @@
+"""The way from road to road, whatever the lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from heapq import heappop, heappush
+from typing import Final
+
+import numpy as np
+
+from cornercase.roads.road import Link, Road
+
+GAP: Final = 1.0
+"""Ends of roads, and of lanes beyond their widths, that lie further apart than this, in m, do not meet."""
+
+Connection = tuple[str, str, str, dict[int, int]]
+"""Incoming road, connecting road, contact point and lane links of a junction's connection."""
+
+
+class RoadGraph:
+    """Roads of a network, and which of them follow each other.
+
+    Parameters
+    ----------
+    roads : sequence of Road
+    connections : mapping of str to sequence of Connection
+        By junction.
+    index : mapping of str to int
+        Place of each road among the `roads`, by its id.
+    """
+
+    def __init__(
+        self, roads: Sequence[Road], connections: Mapping[str, Sequence[Connection]], index: Mapping[str, int]
+    ) -> None:
+        self._roads, self._connections, self._index = roads, connections, index
+        self._entries: dict[tuple[int, int, bool, int], list[tuple[float, float, bool]]] = {}
+        self._touching: dict[tuple[int, float, int, float], bool] = {}
+
+    def way(self, road: int, s: float, along: bool, goal: int, goal_s: float) -> float:
+        """Way in m from a place on a road to another, by the shortest way ahead or back.
+
+        Parameters
+        ----------
+        road, goal : int
+            Indices of the roads.
+        s, goal_s : float
+            Places on them, in m.
+        along : bool
+            Whether ahead is along the s of the road where it begins.
+
+        Returns
+        -------
+        float
+            Negative for a way back; infinite where there is none.
+        """
+        if road == goal:
+            return (goal_s - s) if along else (s - goal_s)
+        ways = [self._way(road, s, direction, goal, goal_s) for direction in (along, not along)]
+        return ways[0] if ways[0] <= ways[1] else -ways[1]
+
+    def length_to(self, road: int, section: int, along: bool, goal: int) -> float:
+        """Length in m of the roads before a goal, from the begin of a lane section; infinite where none leads there."""
+        if road == goal:
+            return 0.0
+        start, end = self._span(road, section)
+        return end - start + min((way for way, _, _ in self._ways_to(road, section, along, goal)), default=float("inf"))
+
+    def _way(self, road: int, s: float, along: bool, goal: int, goal_s: float) -> float:
+        section = int(self._roads[road].section_at(np.array([s]))[0])
+        start, end = self._span(road, section)
+        rest = end - s if along else s - start
+        return min(
+            (
+                rest + way + abs(goal_s - begin)
+                for way, begin, onward in self._ways_to(road, section, along, goal)
+                if (goal_s - begin) * (1 if onward else -1) >= 0.0
+            ),
+            default=float("inf"),
+        )
+
+    def _span(self, road: int, section: int) -> tuple[float, float]:
+        one = self._roads[road]
+        ends = [*(start for start, _ in one.sections[1:]), one.length]
+        return max(one.sections[section][0], 0.0), ends[section]
+
+    def _ways_to(self, road: int, section: int, along: bool, goal: int) -> list[tuple[float, float, bool]]:
+        """Ways from the end of a lane section onto a road: m, where they come onto it, and whether along its s."""
+        key = road, section, along, goal
+        if key in self._entries:
+            return self._entries[key]
+        s = self._span(road, section)[1 if along else 0]
+        found, done, queue = list[tuple[float, float, bool]](), set[tuple[int, bool]](), [(0.0, road, along, s)]
+        while queue:
+            way, road, along, s = heappop(queue)
+            if road == goal:
+                found.append((way, s, along))
+                continue
+            if (road, along) in done:
+                continue
+            done.add((road, along))
+            for leg, other, onward, begin in self._exits(road, along, s):
+                if (other, onward) not in done:
+                    heappush(queue, (way + leg, other, onward, begin))
+        self._entries[key] = list(dict.fromkeys(found))
+        return self._entries[key]
+
+    def _exits(self, road: int, along: bool, s: float) -> list[tuple[float, int, bool, float]]:
+        """Roads that follow: m to where they begin, their index, direction of travel on them, and where they begin."""
+        one, ahead = self._roads[road], 1 if along else -1
+        found = [
+            (abs(at - s), *self._at_end(name, contact))
+            for at, name, contact in self.leaving.get((one.name, along), ())
+            if (at - s) * ahead >= 0.0
+        ]
+        link = one.successor if along else one.predecessor
+        rest = one.length - s if along else s
+        if link is not None and link.kind == "road":
+            if link.s is not None and link.element in self._index:
+                found.append((rest, self._index[link.element], link.forward == along, link.s))
+            elif link.element in self._index:
+                found.append((rest, *self._at_end(link.element, link.contact)))
+        elif link is not None:
+            key = (link.element, one.name, "end" if along else "start")
+            names = [*self.connecting.get(key, ())]
+            for incoming, connecting, contact, _ in self._connections.get(link.element, ()):
+                if incoming == one.name and connecting in self._index:
+                    names.append((connecting, contact))
+            found += [(rest, *self._at_end(name, contact)) for name, contact in names]
+        end = one.length if along else 0.0
+        return [
+            (leg, other, onward, begin)
+            for leg, other, onward, begin in dict.fromkeys(found)
+            if self._meet(road, s + leg * ahead if leg < rest else end, other, begin)
+        ]
+
+    def _meet(self, road: int, s: float, other: int, other_s: float) -> bool:
+        """Whether two roads touch at a place of each."""
+        key = road, s, other, other_s
+        if key not in self._touching:
+            one, two = (self._across(r, at) for r, at in ((road, s), (other, other_s)))
+            apart = min(_apart_from(point, *line) for points, line in ((one, two), (two, one)) for point in points)
+            self._touching[key] = apart <= GAP
+        return self._touching[key]
+
+    def _across(self, road: int, s: float) -> tuple[complex, complex]:
+        """Right and left edge of a road, as x + iy in m."""
+        one, at = self._roads[road], np.array([s])
+        x, y, _ = one.at(np.repeat(at, 2), np.concatenate(one.margins(at)))
+        return complex(x[0], y[0]), complex(x[1], y[1])
+
+    def _at_end(self, name: str, contact: str) -> tuple[int, bool, float]:
+        road = self._index[name]
+        return road, contact != "end", self._roads[road].length if contact == "end" else 0.0
+
+    @cached_property
+    def connecting(self) -> dict[tuple[str, str, str], list[tuple[str, str]]]:
+        """Roads of a junction that begin or end at the end of a road, with their own end that meets it."""
+        found: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
+        for name, contact, link in self._connecting_ends():
+            if link.s is None:
+                key = (self._roads[self._index[name]].junction, link.element, link.contact or "end")
+                found.setdefault(key, []).append((name, contact))
+        return found
+
+    @cached_property
+    def leaving(self) -> dict[tuple[str, bool], list[tuple[float, str, str]]]:
+        """Connecting roads that leave a road on its way, by the road and whether it is driven along its s."""
+        found: dict[tuple[str, bool], list[tuple[float, str, str]]] = {}
+        for name, contact, link in self._connecting_ends():
+            if link.s is not None:
+                found.setdefault((link.element, link.forward == (contact == "start")), []).append(
+                    (link.s, name, contact)
+                )
+        return found
+
+    def _connecting_ends(self) -> list[tuple[str, str, Link]]:
+        return [
+            (road.name, contact, link)
+            for road in self._roads
+            if road.junction not in ("-1", "")
+            for link, contact in ((road.predecessor, "start"), (road.successor, "end"))
+            if link is not None and link.kind == "road"
+        ]
+
+
+def _apart_from(point: complex, start: complex, end: complex) -> float:
+    """Distance of a point from a straight line between two others, in m."""
+    line, way = end - start, point - start
+    part = (way * line.conjugate()).real / max(abs(line) ** 2, 1e-12)
+    return abs(way - min(max(part, 0.0), 1.0) * line)

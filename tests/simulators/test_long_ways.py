@@ -1,0 +1,77 @@
+"""Entities on ways that are longer than the path that is made of them at once, and where ways end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conftest import car, scenario_file, speed_action
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import BuiltinSimulator
+from road_networks import chain, lane, linked, road, virtual, write
+
+
+def placed(road_id: str, s: float, speed: float, entity: str = "Ego", turned: bool = False) -> str:
+    orientation = '<Orientation type="relative" h="3.141592653589793"/>' if turned else ""
+    return f"""<Private entityRef="{entity}"><PrivateAction><TeleportAction><Position><LanePosition roadId="{road_id}"
+laneId="-1" s="{s}">{orientation}</LanePosition></Position></TeleportAction></PrivateAction>
+{speed_action(str(speed))}</Private>"""
+
+
+def run(folder, init, *parts, duration=10.0, entities="", story="") -> Recording:
+    scenario = scenario_file(folder, init=init, story=story, entities=entities or car("Ego"))
+    write(folder, *parts)
+    (result,) = BuiltinSimulator(time_step=0.1, duration=duration).run([ConcreteScenario(scenario, {})])
+    assert isinstance(result, Recording), result
+    return result
+
+
+def test_an_entity_drives_on_after_five_kilometres_of_road(tmp_path):
+    recording = run(tmp_path, placed("0", 10.0, 60.0), *chain(16, 600.0), duration=140.0)
+    np.testing.assert_allclose(recording.speed[0], 60.0)
+    np.testing.assert_allclose(np.diff(recording.x[0][1:]), 6.0, atol=1e-6)
+    np.testing.assert_allclose(recording.y[0], -2.0, atol=1e-9)
+
+
+def test_an_entity_that_drives_backwards_drives_on_after_half_a_kilometre(tmp_path):
+    recording = run(tmp_path, placed("3", 300.0, -40.0), *chain(4, 600.0), duration=45.0)
+    np.testing.assert_allclose(recording.speed[0], -40.0)
+    np.testing.assert_allclose(np.diff(recording.x[0][1:]), -4.0, atol=1e-6)
+
+
+def test_an_entity_drives_around_a_ring_for_as_long_as_it_wants(tmp_path):
+    # Two half circles, 1 km around.
+    radius = 500.0 / np.pi
+    ring = [
+        road(str(k), 500.0, at=(0.0, -radius + 2 * radius * k, np.pi * k), shape=f'<arc curvature="{1 / radius}"/>',
+             links=linked("predecessor", str(1 - k), "end") + linked("successor", str(1 - k), "start"))
+        for k in range(2)
+    ]  # fmt: skip
+    recording = run(tmp_path, placed("0", 0.0, 50.0), *ring, duration=200.0)
+    np.testing.assert_allclose(recording.speed[0], 50.0)
+    np.testing.assert_allclose(np.hypot(recording.x[0], recording.y[0]), radius + 2.0, atol=1e-3)
+    np.testing.assert_allclose(np.hypot(np.diff(recording.x[0]), np.diff(recording.y[0]))[1:], 5.0, atol=2e-3)
+
+
+def test_an_entity_stops_where_its_road_ends_before_the_next_begins(tmp_path):
+    recording = run(
+        tmp_path,
+        placed("1", 50.0, 20.0),
+        road("1", 100.0, links=linked("successor", "2", "start")),
+        road("2", 100.0, at=(140.0, 0.0, 0.0), links=linked("predecessor", "1", "end")),
+    )
+    assert recording.x[0].max() == pytest.approx(100.0)
+    assert recording.speed[0][-1] == 0.0
+
+
+def test_an_entity_comes_onto_a_road_where_the_road_that_it_leaves_says(tmp_path):
+    recording = run(tmp_path, placed("aside", 10.0, 10.0), *virtual(), duration=5.0)
+    assert recording.x[0][-1] == pytest.approx(80.0, abs=1.0)
+    assert recording.y[0][-1] == pytest.approx(-2.0)
+
+
+def test_an_entity_on_a_reversed_lane_drives_against_the_s_of_its_road(tmp_path):
+    reversed_ = lane(-1, more='direction="reversed"')
+    recording = run(tmp_path, placed("1", 80.0, 10.0), road("1", 100.0, right=reversed_), duration=5.0)
+    assert recording.x[0][-1] == pytest.approx(30.0, abs=1.5)
