@@ -33,3 +33,48 @@ def _places(ledger: Ledger, schema: Path, *roots: str) -> dict[tuple[str, ...], 
         return entry is not None and entry.status is not Status.USED
 
     return Schema(schema).places(*roots, ends=ends)
+
+
+def page(ledger: Ledger, head: str) -> str:
+    """Markdown of a ledger, below a text that says what it is about."""
+    lines = [head.strip(), ""]
+    for status, title in _TITLES.items():
+        entries = [entry for entry in ledger.entries if entry.status is status]
+        lines += [f"## {title}", ""]
+        if status is Status.USED:
+            lines += [f"{_sentence(entries)}", "", *_noted([one for one in entries if one.note])]
+        else:
+            lines += _noted(entries)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+_TITLES = {
+    Status.REFUSED: "Refused",
+    Status.WITHOUT_EFFECT: "Without effect",
+    Status.USED: "Used",
+}
+
+
+def _noted(entries: list[Entry]) -> list[str]:
+    """Table of entries; those with one note are one row."""
+    rows: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for entry in entries:
+        name = f"`{entry.element}`" if not entry.attribute else f"`{entry.attribute}` of `{entry.element}`"
+        rows.setdefault((entry.note, entry.unless), []).append(name)
+    lines = ["| what | why, and what instead | said unless it is |", "| --- | --- | --- |"]
+    for (note, unless), names in rows.items():
+        never = "never said" if unless == ("*",) else ", ".join(f"`{one}`" for one in unless)
+        lines.append(f"| {', '.join(names)} | {note} | {never} |")
+    return [*lines, ""]
+
+
+def _sentence(entries: list[Entry]) -> str:
+    by_element: dict[str, list[str]] = {}
+    for entry in entries:
+        by_element.setdefault(entry.element, [])
+        if entry.attribute:
+            by_element[entry.element].append(entry.attribute)
+    return "; ".join(
+        f"`{element}`" + (f" ({', '.join(attributes)})" if attributes else "")
+        for element, attributes in sorted(by_element.items())
+    )

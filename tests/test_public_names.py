@@ -17,7 +17,7 @@ TYPES = (
     "Simulator", "Study", "Summary",
 )  # fmt: skip
 REGISTRIES = ("DRIVERS", "METRICS", "OPTIMIZERS", "SIMULATORS")
-ERRORS = ("InputError", "SimulationError")
+ERRORS = ("InputError", "NoticeWarning", "SimulationError")
 
 
 def names() -> list[str]:

@@ -1,4 +1,5 @@
 from ._common.errors import InputError as InputError
+from ._common.errors import NoticeWarning as NoticeWarning
 from ._common.errors import SimulationError as SimulationError
 from ._common.version import __version__ as __version__
 from .clustering import Analysis as Analysis

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from cornercase._common.errors import InputError
-from cornercase._common.ledger import Entry, Ledger, Status
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.ledger import Entry, Ledger, Status, warn_of
 from cornercase.scenario.xml import XmlFiles
 
 LEDGER = Ledger(
@@ -39,7 +39,7 @@ def read(tmp_path):
 
 
 def _notices(root: etree._Element, path: Path) -> list[str]:
-    return [f"{one.what}: {one.why}; {list(one.lines)}" for one in LEDGER.notices(root, path)]
+    return [f"{', '.join(one.what)}: {one.why}; {list(one.lines)}" for one in LEDGER.notices(root, path)]
 
 
 def test_names_what_is_without_effect(read):
@@ -61,8 +61,7 @@ def test_names_what_it_does_not_know(read):
     _, root, path = read("<House rent='3'><Roof/></House>")
     root.get("name")
     assert _notices(root, path) == [
-        "rent of <House>: is not known here; [1]",
-        "<Roof> in <House>: is not known here; [1]",
+        "rent of <House>, <Roof> in <House>: is not known here; [1]",
     ]
 
 
@@ -71,8 +70,7 @@ def test_names_what_is_used_elsewhere_but_nobody_read(read):
     rooms = root.findall("Room")
     rooms[0].get("size")
     assert _notices(root, path) == [
-        "name of <House>: nothing reads it here; [1]",
-        "size of <Room>: nothing reads it here; [3, 4]",
+        "name of <House>, size of <Room>: nothing reads it here; [1, 3, 4]",
     ]
 
 
@@ -114,3 +112,16 @@ def test_what_was_read_is_kept_however_the_elements_are_reached(read):
     del room
     assert _notices(root, path) == []
     assert files.root(path) is root
+
+
+def test_warnings_are_of_who_called(read):
+    _, root, path = read("<House><Garden/></House>")
+    with pytest.warns(NoticeWarning, match="without effect: <Garden>") as caught:
+        warn_of(LEDGER.notices(root, path))
+    assert caught[0].filename == __file__
+
+
+def test_what_nobody_read_is_not_named_where_reading_did_not_end(read):
+    _, root, path = read("<House><Room/><Garden/><Shed/></House>")
+    whats = [one.what for one in LEDGER.notices(root, path, read=False)]
+    assert whats == [("<Garden>",), ("<Shed> in <House>",)]

@@ -157,6 +157,47 @@ curvatureStart="{1 / 30}" curvatureEnd="{1 / 30}" length="{quarter}"/></Clothoid
     assert recording.heading[0][k] == pytest.approx(0.5 * np.pi, abs=0.02)
 
 
+def spline(*segments, more=""):
+    """A spline whose segments are given by curvature, length, more attributes and where they begin."""
+    parts = (
+        f'<ClothoidSplineSegment curvatureStart="{bend}" curvatureEnd="{bend}" length="{length}" {own}>'
+        + (f'<PositionStart><WorldPosition x="{at[0]}" y="{at[1]}" h="0"/></PositionStart>' if at else "")
+        + "</ClothoidSplineSegment>"
+        for bend, length, own, at in segments
+    )
+    return f"<ClothoidSpline {more}>{''.join(parts)}</ClothoidSpline>"
+
+
+def test_the_segments_of_a_spline_are_travelled_at_their_times(tmp_path):
+    # 20 m in 2 s, and 40 m in 8 s; the last 20 m in the 4 s that are left, as no time is said for them.
+    shape = spline(
+        (0, 20, 'timeStart="0"', (50, -2)), (0, 40, 'timeStart="2"', None), (0, 20, "", None), more='timeEnd="14"'
+    )
+    reference = '<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>'
+    recording = run(one_event(tmp_path, trajectory(shape, reference), at="0"), 12.0)
+    way = np.interp([1.0, 2.0, 6.0, 10.0, 11.0], recording.time, recording.x[0]) - 50.0
+    np.testing.assert_allclose(way, [10.0, 20.0, 40.0, 60.0, 65.0], atol=0.5)
+    np.testing.assert_allclose(np.interp([1.0, 6.0], recording.time, recording.speed[0]), [10.0, 5.0], atol=1e-6)
+
+
+def test_a_segment_of_a_spline_turns_by_its_offset(tmp_path):
+    shape = spline((0, 20, 'hOffset="0.1"', (50, -2)), (0, 40, 'hOffset="0.3"', None))
+    recording = run(one_event(tmp_path, trajectory(shape), at="0"), 5.0)
+    x, y = 50 + 20 * np.cos(0.1) + 20 * np.cos(0.4), -2 + 20 * np.sin(0.1) + 20 * np.sin(0.4)
+    assert np.interp(4.0, recording.time, recording.x[0]) == pytest.approx(x, abs=1e-6)
+    assert np.interp(4.0, recording.time, recording.y[0]) == pytest.approx(y, abs=1e-6)
+    assert np.interp(1.0, recording.time, recording.heading[0]) == pytest.approx(0.1)
+    assert np.interp(4.0, recording.time, recording.heading[0]) == pytest.approx(0.4)
+
+
+def test_a_segment_of_a_spline_may_begin_elsewhere(tmp_path):
+    shape = spline((0, 20, "", (50, -2)), (0, 40, "", (90, 1)))
+    recording = run(one_event(tmp_path, trajectory(shape), at="0"), 5.0)
+    assert np.interp(1.5, recording.time, recording.y[0]) == pytest.approx(-2.0)
+    assert np.interp(4.0, recording.time, recording.x[0]) == pytest.approx(110.0, abs=1e-6)
+    assert np.interp(4.0, recording.time, recording.y[0]) == pytest.approx(1.0, abs=1e-6)
+
+
 def test_a_clothoid_is_the_fresnel_integral(tmp_path):
     from scipy.integrate import quad
 

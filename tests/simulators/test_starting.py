@@ -49,7 +49,7 @@ def test_the_least_simulator_refuses_nothing_and_has_nothing_to_close():
     scenario = Scenario.read(X)
     with Least() as simulator:
         simulator.require_means(scenario)
-        assert simulator.without_effect(scenario) == {}
+        assert simulator.notices(scenario) == ()
         assert list(simulator.run([])) == []
     assert Least.availability().missing == ""
     assert (Least.in_process, Least.takes_batches, Least.needs) == (False, False, ())

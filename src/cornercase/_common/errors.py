@@ -23,6 +23,10 @@ class SimulatorError(SimulationError):
     """The simulator failed, not the scenario; the same scenario may be run again."""
 
 
+class NoticeWarning(UserWarning):
+    """Something in a file has no effect."""
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Say what could have been meant by an unknown name.
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -12,7 +14,7 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.recorded_xml import asked_attributes, children, was_read
 
 # More lines than this are counted, not named.
@@ -43,7 +45,8 @@ class Entry:
     status : Status
     unless : tuple of str
         Values of the attribute that change nothing, so that nothing is said about them; numbers count as equal
-        however they are written.
+        however they are written. With ``"*"`` nothing is ever said: what has no effect is not meant to have one, and
+        what is used need not be.
     note : str
         What happens instead, or what to do instead: without a capital at its beginning or a full stop at its end.
     """
@@ -56,25 +59,25 @@ class Entry:
 
     def is_silent(self, value: str) -> bool:
         """Whether a value of the attribute changes nothing."""
-        return any(value == one or _same_number(value, one) for one in self.unless)
+        return any(one in ("*", value) or _same_number(value, one) for one in self.unless)
 
 
 @dataclass(frozen=True)
 class Notice:
-    """A part of a file that has no effect.
+    """Parts of a file that have no effect, all for one reason.
 
     Attributes
     ----------
-    what : str
-        The element, or the attribute with its element.
+    what : tuple of str
+        Elements, and attributes with their elements: ``("<Axles>", "mass of <Vehicle>")``.
     why : str
-        In plain words.
+        What happens instead, in plain words; without a capital at its beginning or a full stop at its end.
     file : Path
     lines : tuple of int
-        Where it stands.
+        Where they stand, in order.
     """
 
-    what: str
+    what: tuple[str, ...]
     why: str
     file: Path
     lines: tuple[int, ...]
@@ -83,8 +86,17 @@ class Notice:
         named = ", ".join(map(str, self.lines[:_MOST_LINES]))
         more = len(self.lines) - _MOST_LINES
         named += f" and {more} more" if more > 0 else ""
-        place = f"{self.file.name}, line{'s' if len(self.lines) > 1 else ''} {named}"
-        return f"{self.what} ({place}): {self.why}"
+        place = f"{self.file.name}, line{'s' if len(self.lines) > 1 else ''} {named}" if self.lines else self.file.name
+        return f"{', '.join(self.what)} ({place}): {self.why}"
+
+
+def warn_of(notices: Iterable[Notice]) -> None:
+    """Give each notice as a `NoticeWarning` of whoever called cornercase."""
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("cornercase."):
+        level, frame = level + 1, frame.f_back
+    for notice in notices:
+        warnings.warn(f"without effect: {notice}", NoticeWarning, stacklevel=level)
 
 
 class Ledger:
@@ -180,39 +192,46 @@ class Ledger:
         entry = self.entry(path)
         return entry is not None and entry.status is not Status.USED
 
-    def notices(self, element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
+    def notices(self, element: etree._Element, file: Path | str, read: bool = True) -> tuple[Notice, ...]:
         """Name what has no effect, below an element and in it, after the file was read.
 
         Parameters
         ----------
         element : lxml element
         file : path
+        read : bool, default True
+            Whether the file was read to its end; otherwise it is not said what nobody read.
 
         Returns
         -------
         tuple of Notice
             Parts without effect by the ledger, parts that the ledger does not know, and parts that it calls used but
-            that nobody read; one for each kind of thing.
+            that nobody read; one for each reason.
         """
-        lines: dict[tuple[str, str], list[int]] = {}
-        for what, why, line in self._silent(element, _path(element)):
-            lines.setdefault((what, why), []).append(line)
-        return tuple(Notice(what, why, Path(file), tuple(where)) for (what, why), where in lines.items())
+        found: dict[str, tuple[dict[str, None], dict[int, None]]] = {}
+        for what, why, line in self._silent(element, _path(element), read):
+            names, lines = found.setdefault(why, ({}, {}))
+            names[what] = None
+            lines[line] = None
+        return tuple(
+            Notice(tuple(names), why, Path(file), tuple(sorted(lines))) for why, (names, lines) in found.items()
+        )
 
-    def _silent(self, element: etree._Element, path: tuple[str, ...]) -> Iterator[tuple[str, str, int]]:
+    def _silent(self, element: etree._Element, path: tuple[str, ...], read: bool) -> Iterator[tuple[str, str, int]]:
         entry, line = self.entry(path), _line(element)
         if entry is None:
             yield f"<{path[-1]}> in <{path[-2]}>" if len(path) > 1 else f"<{path[-1]}>", "is not known here", line
             return
         if entry.status is Status.WITHOUT_EFFECT:
-            yield f"<{path[-1]}>", entry.note, line
+            if not entry.is_silent(""):
+                yield f"<{path[-1]}>", entry.note, line
             return
         if entry.status is Status.REFUSED:
             return
-        if len(path) > 1 and not _anything_read(element):
-            yield f"<{path[-1]}> in <{path[-2]}>", "nothing reads it here", line
+        if read and len(path) > 1 and not _anything_read(element) and not entry.is_silent(""):
+            yield f"<{path[-1]}> in <{path[-2]}>", _unread(entry), line
             return
-        asked = asked_attributes(element)
+        asked = asked_attributes(element) if read else None
         for name, value in _attributes(element):
             entry = self.entry(path, name)
             if entry is None:
@@ -220,10 +239,14 @@ class Ledger:
             elif entry.status is Status.WITHOUT_EFFECT:
                 if not entry.is_silent(value):
                     yield f"{name} of <{path[-1]}>", entry.note, line
-            elif entry.status is Status.USED and asked is not None and name not in asked:
-                yield f"{name} of <{path[-1]}>", "nothing reads it here", line
+            elif entry.status is Status.USED and asked is not None and name not in asked and not entry.is_silent(value):
+                yield f"{name} of <{path[-1]}>", _unread(entry), line
         for child in children(element):
-            yield from self._silent(child, (*path, local_name(child)))
+            yield from self._silent(child, (*path, local_name(child)), read)
+
+
+def _unread(entry: Entry) -> str:
+    return f"nothing reads it here; {entry.note}" if entry.note else "nothing reads it here"
 
 
 def local_name(element: etree._Element) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from lxml import etree
@@ -42,10 +42,7 @@ class RecordedElement(etree.ElementBase):
 
     def find(self, path: Any, namespaces: Any = None) -> Any:
         """First element at a path."""
-        element: Any = _find(self, path, namespaces)
-        if element is not None:
-            element.found = True
-        return element
+        return _found(_find(self, path, namespaces))
 
     def findall(self, path: Any, namespaces: Any = None) -> Any:
         """All elements at a path."""
@@ -79,9 +76,21 @@ def children(element: etree._Element) -> Iterator[etree._Element]:
     return _children(element, "*") if isinstance(element, RecordedElement) else element.iterchildren("*")
 
 
-def mark_as_read(element: etree._Element) -> None:
-    """Count an element as found, however it was come by."""
-    _found(element)
+def unrecorded(element: etree._Element, *tags: str) -> list[etree._Element]:
+    """Give the elements that lie below an element, by the tags on the way to them, without recording it."""
+    found = [element]
+    for tag in tags:
+        found = [child for one in found for child in children(one) if child.tag == tag]
+    return found
+
+
+def named(elements: Iterable[etree._Element], name: str) -> etree._Element | None:
+    """First element with a name, which then counts as found, and none of the others; None where there is none."""
+    for element in elements:
+        if element.attrib.get("name") == name:
+            element.get("name")
+            return element
+    return None
 
 
 def was_read(element: etree._Element) -> bool:

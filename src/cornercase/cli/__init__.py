@@ -10,7 +10,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.platform import forgive_narrow_output
 from cornercase._common.texts import shorten
 from cornercase.cli import running, studies
-from cornercase.cli.messages import in_words_of_the_command_line
+from cornercase.cli.messages import in_words_of_the_command_line, show_notices
 from cornercase.cli.options import app, err
 
 __all__ = ["app", "main", "running", "studies"]
@@ -22,6 +22,7 @@ _LONGEST: Final = 1400
 def main() -> None:
     """Run the command line; an `InputError` becomes one sentence and exit code 2."""
     forgive_narrow_output()
+    show_notices()
     try:
         app(standalone_mode=True)
     except InputError as error:

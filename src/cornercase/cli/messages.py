@@ -1,9 +1,13 @@
-"""Messages about parameters of the API, in the words of the command line."""
+"""Messages and notices of the API, in the words of the command line."""
 
 from __future__ import annotations
 
 import re
-from typing import Final
+import warnings
+from typing import Any, Final
+
+from cornercase._common.errors import NoticeWarning
+from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
     "archetypes", "archetypes_by", "batch", "budget", "by", "continuous", "cover", "critical", "duration", "ego", "eps",
@@ -53,3 +57,16 @@ def in_words_of_the_command_line(message: str) -> str:
         return f"'cornercase {name}'" if name in _COMMANDS else match[0]
 
     return _QUOTED.sub(translated, message)
+
+
+def show_notices() -> None:
+    """Print each `NoticeWarning` from now on as a line of its own on standard error, and others as before."""
+    show = warnings.showwarning
+
+    def shown(message: Any, category: Any, *place: Any, **more: Any) -> None:
+        if issubclass(category, NoticeWarning):
+            err.print(f"{str(message)[:1].upper()}{str(message)[1:]}.")
+        else:
+            show(message, category, *place, **more)
+
+    warnings.showwarning = shown

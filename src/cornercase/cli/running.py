@@ -113,7 +113,6 @@ def explore(
     from cornercase.scenario import LogicalScenario
 
     logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
-    _notice(logical.scenario, simulator)
     result = exploration.explore(
         logical,
         output,
@@ -165,8 +164,8 @@ def check(
     out.print(f"parameters: {', '.join(found.parameters) or 'none'}")
     if found.variables:
         out.print(f"variables: {', '.join(found.variables)}")
-    if found.ignored:
-        out.print("without effect: " + ", ".join(f"{tag} ({count})" for tag, count in found.ignored.items()))
+    for notice in found.notices:
+        out.print(f"without effect: {notice}")
     if found.schema is None:
         out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'")
     else:
@@ -225,13 +224,10 @@ def simulate(
           --set ego_start=40 -o recording.csv
     """
     from cornercase import simulators
-    from cornercase.scenario import Scenario
 
     require_other_file(output, scenario)
-    read = Scenario.read(scenario)
-    _notice(read, "builtin")
     recording = simulators.simulate(
-        read,
+        scenario,
         parsing.pairs(values or (), "--set"),
         time_step=time_step,
         duration=duration,
@@ -380,12 +376,3 @@ def _words_of(parameter: Any) -> str:
         return f"{parameter.name}: {len(parameter.choices)} choices"
     step = "" if parameter.step is None else f" in steps of {parameter.step:g}"
     return f"{parameter.name}: {parameter.low:g} to {parameter.high:g}{step} {parameter.unit}".rstrip()
-
-
-def _notice(scenario: Any, simulator: str) -> None:
-    """Say once what of a file has no effect in a simulator."""
-    from cornercase.simulators import SIMULATORS
-
-    ignored = SIMULATORS.class_of(simulator).without_effect(scenario)
-    if ignored:
-        err.print(f"Without effect here: {', '.join(ignored)}.")

@@ -9,12 +9,13 @@ from typing import Any
 
 from cornercase._common.arguments import flag, path, texts
 from cornercase._common.errors import InputError
+from cornercase._common.ledger import Notice, warn_of
 from cornercase.drivers import Driver, named_driver
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.optimizers import create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario
-from cornercase.simulators import Simulator, start_simulator
+from cornercase.simulators import SIMULATORS, Simulator, start_simulator
 from cornercase.study import Study
 
 
@@ -115,6 +116,11 @@ def explore(
     ------
     InputError
         Something cannot be used, or the study is of another exploration; it is left as it is.
+
+    Warns
+    -----
+    NoticeWarning
+        Something in the scenario's files has no effect in the simulator.
     """
     path("study", study)
     if not isinstance(scenario, LogicalScenario):
@@ -188,10 +194,17 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
     with _simulator(one) as simulator:
         # Asked before a study is made, since without these means no scenario can be run.
         simulator.require_means(one.logical.scenario)
+        warn_of(_notices(one))
         meta = one.meta(objective, simulator.settings)
         with Study.open(path) if path.exists() else Study.create(path, meta) as study:
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
             return ScenarioExplorer(one, simulator, optimizer, study, objective).run(progress)
+
+
+def _notices(one: Configuration) -> tuple[Notice, ...]:
+    """What of the scenario has no effect, as it is read in the middle of the space."""
+    middle = one.logical.space.values(one.logical.space.middle())
+    return SIMULATORS.class_of(one.simulator).notices(one.logical.scenario, middle[0] if middle else None)
 
 
 def _simulator(one: Configuration) -> Simulator:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from lxml import etree
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import portable_name, read_file, written_whole
+from cornercase._common.recorded_xml import children, named, unrecorded, was_read
 from cornercase.scenario.declared_types import typed_value, value_text
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.parameter import Value
@@ -36,10 +38,13 @@ class Scenario:
     Attributes
     ----------
     path : Path
+    kept : dict
+        What others have made of it and keep, by its type.
     """
 
     def __init__(self, path: Path | str, fingerprint: str | None = None) -> None:
         self.path = Path(path)
+        self.kept: dict[type, Any] = {}
         self._files = XmlFiles()
         self._fingerprint = fingerprint
 
@@ -98,6 +103,23 @@ class Scenario:
         """
         return self._files.root(path)
 
+    def read_parts(self) -> list[tuple[Path, etree._Element]]:
+        """Give what of the scenario's files was read, as the elements that hold it.
+
+        Returns
+        -------
+        list of (Path, lxml element)
+            The root of the scenario file, the catalog entries that were asked for, and the roots of road files.
+        """
+        found = []
+        for path, root in self._files.parsed().items():
+            catalog = etree.ElementBase.find(root, "Catalog") if root.tag == "OpenSCENARIO" else None
+            if catalog is None:
+                found.append((path, root))
+            else:
+                found += [(path, entry) for entry in children(catalog) if was_read(entry)]
+        return found
+
     def _require_scenario(self, root: etree._Element) -> None:
         if root.tag != "OpenSCENARIO":
             raise InputError(
@@ -125,8 +147,23 @@ class Scenario:
     @cached_property
     def drivers(self) -> dict[str, str]:
         """Driver that a controller property asks for, by entity."""
-        asked = {e.get("name", ""): driver_property(e) for e in self.root.iterfind("Entities/ScenarioObject")}
+        asked = {e.get("name", ""): self._driver_of(e) for e in self.root.iterfind("Entities/ScenarioObject")}
         return {name: driver for name, driver in asked.items() if driver is not None}
+
+    def _driver_of(self, scenario_object: etree._Element) -> str | None:
+        driver = driver_property(scenario_object)
+        if driver is not None:
+            return driver
+        # A controller of a catalog counts where the file names it itself, not by a parameter.
+        for reference in unrecorded(scenario_object, "ObjectController", "CatalogReference"):
+            catalog, name = (str(reference.attrib.get(key, "")) for key in ("catalogName", "entryName"))
+            entries = unrecorded(self._catalogs[catalog], "Controller") if catalog in self._catalogs else []
+            for entry in entries:
+                driver = driver_of(entry) if entry.attrib.get("name") == name else None
+                if driver is not None:
+                    self.catalog_entry(reference.get("catalogName", ""), reference.get("entryName", ""))
+                    return driver
+        return None
 
     def require_entity(self, name: str, role: str) -> None:
         """Refuse a name that no entity has.
@@ -202,11 +239,12 @@ class Scenario:
         """
         if catalog not in self._catalogs:
             raise InputError(f"{self.path}: there is no catalog '{catalog}'; {suggestion(catalog, self._catalogs)}")
-        entries = {e.get("name", ""): e for e in self._catalogs[catalog].iterchildren("*")}
+        entries = {str(e.attrib.get("name", "")): e for e in children(self._catalogs[catalog])}
         if entry not in entries:
             raise InputError(
                 f"{self.path}: the catalog '{catalog}' has no entry '{entry}'; {suggestion(entry, entries)}"
             )
+        entries[entry].get("name")
         return entries[entry]
 
     @cached_property
@@ -310,18 +348,16 @@ class Scenario:
         return text
 
 
-def controllers(scenario_object: etree._Element) -> Iterator[etree._Element]:
-    """Give the controllers of a ``ScenarioObject`` that stand in the file itself."""
-    yield from scenario_object.iterfind("ObjectController/Controller")
-
-
 def driver_property(scenario_object: etree._Element) -> str | None:
-    """Name of the driver that a controller property of a ``ScenarioObject`` asks for."""
-    for controller in controllers(scenario_object):
-        for item in controller.iterfind("Properties/Property"):
-            if item.get("name") == DRIVER_PROPERTY:
-                return item.get("value")
-    return None
+    """Name of the driver that a controller of a ``ScenarioObject``, which stands in the file itself, asks for."""
+    drivers = (driver_of(one) for one in unrecorded(scenario_object, "ObjectController", "Controller"))
+    return next((driver for driver in drivers if driver is not None), None)
+
+
+def driver_of(controller: etree._Element) -> str | None:
+    """Name of the driver that a property of a ``Controller`` asks for; any other controller does not count as read."""
+    item = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
+    return None if item is None else item.get("value")
 
 
 def write_concrete(
@@ -407,7 +443,7 @@ def _typed_text(value: Value, declaration: etree._Element, path: Path) -> str:
 
 
 def _set_driver(scenario_object: etree._Element, driver: str) -> None:
-    for controller in controllers(scenario_object):
+    for controller in scenario_object.iterfind("ObjectController/Controller"):
         for item in controller.iterfind("Properties/Property"):
             if item.get("name") == DRIVER_PROPERTY:
                 item.set("value", driver)

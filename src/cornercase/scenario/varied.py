@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import named, unrecorded
 from cornercase.scenario.distributions import read_distribution
 from cornercase.scenario.parameter import Parameter
 from cornercase.scenario.xml import read_xml
@@ -204,10 +205,9 @@ def _read_deterministic(element: Any, path: str) -> Parameter:
 
 def _with_unit(parameter: Parameter, distribution: Any) -> Parameter:
     """Take the unit from a property of the file named ``unit of NAME``."""
-    for item in distribution.getroottree().iterfind("FileHeader/Properties/Property"):
-        if item.get("name") == f"unit of {parameter.name}":
-            return replace(parameter, unit=item.get("value", ""))
-    return parameter
+    properties = unrecorded(distribution.getparent(), "FileHeader", "Properties", "Property")
+    item = named(properties, f"unit of {parameter.name}")
+    return parameter if item is None else replace(parameter, unit=item.get("value", ""))
 
 
 def _number(text: str | None, where: str) -> float:

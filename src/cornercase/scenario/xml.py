@@ -95,6 +95,10 @@ class XmlFiles:
             self._elements[path] = list(root.iter())
         return self._roots[path]
 
+    def parsed(self) -> dict[Path, etree._Element]:
+        """Roots of the files that were asked for, by their path."""
+        return dict(self._roots)
+
     def _content(self, path: Path) -> bytes:
         if path not in self._data:
             self._data[path] = read_file(path)

@@ -9,9 +9,10 @@ from typing import ClassVar, Self
 
 from cornercase._common.arguments import number, text
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.ledger import Notice
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.scenario import ConcreteScenario, Scenario, Value
 
 
 @dataclass(frozen=True)
@@ -120,19 +121,21 @@ class Simulator(ABC):
         """
 
     @classmethod
-    def without_effect(cls, scenario: Scenario) -> dict[str, int]:
-        """Count what of a scenario file changes nothing in this simulator.
+    def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+        """Name what of a scenario changes nothing in this simulator.
 
         Parameters
         ----------
         scenario : Scenario
+        values : mapping of str to float or str, optional
+            Of its parameters, on which may depend what is read.
 
         Returns
         -------
-        dict of str to int
-            How many there are of each kind of element; empty by default.
+        tuple of Notice
+            Empty by default.
         """
-        return {}
+        return ()
 
     @classmethod
     def availability(cls) -> Availability:

@@ -9,12 +9,14 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.recorded_xml import named, unrecorded
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Scenario, Scope, Value
 from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
 from cornercase.simulators.builtin.history import History
+from cornercase.simulators.builtin.openscenario import refuse_unusable
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
@@ -83,6 +85,7 @@ class Batch:
 
     def _read(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
         scenario = prepared.scenario
+        refuse_unusable(scenario)
         file = scenario.root.find("RoadNetwork/LogicFile")
         road_file = "" if file is None else scope.text(file, "filepath", "")
         network = prepared.network(road_file) if road_file else None
@@ -109,6 +112,8 @@ class Batch:
             self._world.kept[e] = name in drivers
             self._world.control(e, np.ones(scope.scenarios, dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
+        # Once more, now that it is known which entries of catalogs there are.
+        refuse_unusable(scenario)
         for why, where in scope.refused():
             self._world.fail(where, why)
 
@@ -233,8 +238,18 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
     length, width = scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width")
     if not (length > 0 and width > 0):
         raise InputError(f"{scenario.path}: the bounding box of '{name}' needs a positive length and width.")
-    slides = any(
-        item.get("name") == "ignoreHeadingForTrajMotion" and scope.text(item, "value") == "true"
-        for item in body.iterfind("Properties/Property")
-    )
+    _refuse_trailer(body, scope, name)
+    item = named(unrecorded(body, "Properties", "Property"), "ignoreHeadingForTrajMotion")
+    slides = item is not None and scope.text(item, "value") == "true"
     return Entity(name, kind, length, width, scope.one_number(center, "x"), limits[0], limits[1], limits[2], slides)
+
+
+def _refuse_trailer(body: etree._Element, scope: Scope, name: str) -> None:
+    """Refuse a vehicle that pulls something; a reference to no entity is no trailer."""
+    reference = body.find("Trailer/TrailerRef")
+    pulled = "" if reference is None else scope.text(reference, "entityRef", "")
+    if reference is not None and pulled:
+        raise InputError(
+            f"{scope.source}: the entity '{name}' pulls '{pulled}', but trailers are not simulated; leave entityRef of"
+            " its <TrailerRef> empty."
+        )

@@ -11,8 +11,9 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.ledger import Notice
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, Scenario, read_xml
-from cornercase.simulators.builtin.effect import without_effect
+from cornercase.simulators.builtin.effect import notices_after_reading
 from cornercase.simulators.builtin.simulator import BuiltinSimulator
 
 _COUNTED: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
@@ -33,9 +34,8 @@ class Check:
         How many there are of each kind of element.
     parameters, variables : tuple of str
         Names of those that it declares.
-    ignored : dict of str to int
-        What changes nothing in the builtin simulator, and how many of each: actions, conditions, the elevation of
-        roads.
+    notices : tuple of Notice
+        What of the scenario and its catalogs, roads and space changes nothing in the builtin simulator, and why.
     schema : str or None
         Version of the schema that it was held against; None where the schema is not installed.
     invalid : tuple of str
@@ -50,7 +50,7 @@ class Check:
     contents: dict[str, int]
     parameters: tuple[str, ...]
     variables: tuple[str, ...]
-    ignored: dict[str, int]
+    notices: tuple[Notice, ...]
     schema: str | None
     invalid: tuple[str, ...]
     space: ParameterSpace | None
@@ -67,8 +67,7 @@ class Check:
         if self.schema is not None:
             validity += f"{len(self.invalid)} errors" if self.invalid else "valid"
         lines = [f"<Check of {self.path.name}: {'cannot' if self.trouble else 'can'} be run, {validity}; {held}"]
-        if self.ignored:
-            lines.append("without effect: " + ", ".join(self.ignored))
+        lines += [f"without effect: {notice}" for notice in self.notices]
         return "\n  ".join([*lines, *self.invalid, *self.trouble]) + ">"
 
 
@@ -124,7 +123,7 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None) -> C
         contents={tag: tags[tag] for tag in _COUNTED},
         parameters=file.parameters,
         variables=tuple(e.get("name", "") for e in file.root.iterfind("VariableDeclarations/VariableDeclaration")),
-        ignored=without_effect(file),
+        notices=notices_after_reading(file, read=not trouble),
         schema=version,
         invalid=tuple(invalid),
         space=varied,

@@ -1,57 +1,87 @@
-"""Parts of a scenario file without effect in the builtin simulator."""
+"""Parts of a scenario without effect in the builtin simulator."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from lxml import etree
 
-from cornercase.scenario import DRIVER_PROPERTY, Scenario
-from cornercase.simulators.builtin.actions.basic import WITHOUT_EFFECT
-from cornercase.simulators.builtin.storyboard.triggers import NEVER_TRUE
+from cornercase._common.errors import InputError
+from cornercase._common.ledger import Notice, local_name
+from cornercase.scenario import Scenario, Value, VariesError
+from cornercase.simulators.builtin.batch import Batch
+from cornercase.simulators.builtin.openscenario import LEDGER
+from cornercase.simulators.builtin.prepared import PreparedScenario
 
 # A road that climbs or banks by more than this is reported, since the simulator drives in the plane.
 _HILLY: Final = 0.02
 
 
-def without_effect(scenario: Scenario) -> dict[str, int]:
-    """Count what of a scenario file changes nothing in the builtin simulator.
+def notices(scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+    """Read a scenario as for a run, and name what of its files changes nothing.
 
     Parameters
     ----------
     scenario : Scenario
+    values : mapping of str to float or str, optional
+        Of its parameters, on which may depend what is read.
 
     Returns
     -------
-    dict of str to int
-        Actions, conditions and controllers, by the name of the element; and roads that climb or bank by more than 2 %,
-        since it drives in the plane.
+    tuple of Notice
+        Where the scenario cannot be run, without what nobody read.
     """
-    tags = Counter(str(e.tag) for e in scenario.root.iter() if isinstance(e.tag, str))
-    found = {tag: tags[tag] for tag in (*WITHOUT_EFFECT, *NEVER_TRUE) if tags[tag]}
-    foreign = sum(
-        all(item.get("name") != DRIVER_PROPERTY for item in controller.iterfind("Properties/Property"))
-        for controller in scenario.root.iterfind(".//Controller")
-    )
-    if foreign:
-        found["Controller of another program"] = foreign
-    road = scenario.road_file()
-    hilly = _hilly_roads(scenario.xml(road)) if road is not None and road.is_file() else 0
-    return {**found, "elevation of roads": hilly} if hilly else found
+    try:
+        scenario.catalog_files()
+        Batch(PreparedScenario.of(scenario), [dict(values or {})], 0.05, 1.0, False, {})
+    except (InputError, VariesError):
+        return notices_after_reading(scenario, read=False)
+    return notices_after_reading(scenario)
 
 
-def _hilly_roads(network: etree._Element) -> int:
-    hilly = 0
+def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice, ...]:
+    """Name what of the files of a scenario changed nothing, once it was read.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    read : bool, default True
+        Whether it was read to its end.
+
+    Returns
+    -------
+    tuple of Notice
+    """
+    found: list[Notice] = []
+    for file, element in scenario.read_parts():
+        if local_name(element) == "OpenDRIVE":
+            found += _of_road(element, file)
+        else:
+            found += LEDGER.notices(element, file, read)
+    return tuple(found)
+
+
+def _of_road(network: etree._Element, file: Path) -> list[Notice]:
+    lines = _hilly_roads(network)
+    why = "vehicles drive in the plane, also on roads that climb or bank by more than 2 %"
+    return [Notice(("elevation of roads",), why, file, lines)] if lines else []
+
+
+def _hilly_roads(network: etree._Element) -> tuple[int, ...]:
+    """Lines of the roads that climb or bank."""
+    hilly = []
     for road in network.iterfind("{*}road"):
         length = road.get("length", "0")
         climbs = (
             _steepest(road.findall("{*}elevationProfile/{*}elevation"), length, slope=True),
             _steepest(road.findall("{*}lateralProfile/{*}superelevation"), length, slope=False),
         )
-        hilly += max(climbs) > _HILLY
-    return hilly
+        if max(climbs) > _HILLY:
+            hilly.append(int(str(road.sourceline)))
+    return tuple(hilly)
 
 
 def _steepest(records: list[etree._Element], length: str, slope: bool) -> float:

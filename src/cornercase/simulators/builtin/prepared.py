@@ -58,6 +58,14 @@ class PreparedScenario:
         self.own_error: str | None = None
         self._networks: dict[Path, RoadNetwork] = {}
 
+    @classmethod
+    def of(cls, scenario: Scenario) -> PreparedScenario:
+        """Prepared file of a scenario, the same each time."""
+        if cls not in scenario.kept:
+            scenario.kept[cls] = cls(scenario)
+        kept: PreparedScenario = scenario.kept[cls]
+        return kept
+
     def scope(self, values: Sequence[Mapping[str, Value]]) -> Scope:
         """Parameters of the file for scenarios with these values."""
         return Scope.of_file(str(self.scenario.path), self.scenario.root, values, self.scenario.catalog_entry)

@@ -7,9 +7,11 @@ from pathlib import Path
 
 from cornercase._common.arguments import numbers_or_texts
 from cornercase._common.errors import InputError
+from cornercase._common.ledger import warn_of
 from cornercase.drivers import Driver, named_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
+from cornercase.simulators.builtin.effect import notices_after_reading
 from cornercase.simulators.builtin.simulator import BuiltinSimulator
 
 
@@ -48,6 +50,11 @@ def simulate(
     InputError
         The scenario cannot be run, an option is out of range, or a driver or parameter does not exist.
 
+    Warns
+    -----
+    NoticeWarning
+        Something in the files has no effect.
+
     See Also
     --------
     BuiltinSimulator : Runs many at once.
@@ -74,4 +81,5 @@ def simulate(
     (result,) = simulator.run([ConcreteScenario(file.path, given, file)])
     if isinstance(result, Exception):
         raise InputError(f"{file.path}: {result}.")
+    warn_of(notices_after_reading(file))
     return result

@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.ledger import Notice
 from cornercase._common.version import __version__
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, VariesError, value_text
+from cornercase.scenario import ConcreteScenario, Scenario, Value, VariesError, value_text
 from cornercase.simulators.base import Availability, Simulator, checked_settings
 from cornercase.simulators.builtin.batch import Batch
-from cornercase.simulators.builtin.effect import without_effect
+from cornercase.simulators.builtin.effect import notices
 from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
 
 # A batch keeps the whole motion of its scenarios; so many bytes at most, and so many scenarios.
@@ -71,19 +72,20 @@ class BuiltinSimulator(Simulator):
         )  # fmt: skip
 
     @classmethod
-    def without_effect(cls, scenario: Scenario) -> dict[str, int]:
-        """Count what of a scenario file changes nothing here.
+    def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+        """Name what of a scenario changes nothing here.
 
         Parameters
         ----------
         scenario : Scenario
+        values : mapping of str to float or str, optional
+            Of its parameters.
 
         Returns
         -------
-        dict of str to int
-            Actions, conditions and controllers, by the name of the element, and roads that climb or bank.
+        tuple of Notice
         """
-        return without_effect(scenario)
+        return notices(scenario, values)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Give one recording or one error per concrete scenario, in order.
@@ -158,7 +160,7 @@ class BuiltinSimulator(Simulator):
         """Prepared file of a concrete scenario: that of the last run, if its content is the same."""
         scenario = concrete.scenario(None if self._prepared is None else self._prepared.scenario)
         if self._prepared is None or self._prepared.scenario is not scenario:
-            self._prepared = PreparedScenario(scenario)
+            self._prepared = PreparedScenario.of(scenario)
         return self._prepared
 
     def _batch(self, prepared: PreparedScenario, concretes: Sequence[ConcreteScenario]) -> Batch:

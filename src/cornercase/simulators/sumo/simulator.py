@@ -9,13 +9,14 @@ from importlib.util import find_spec
 import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError, suggestion
+from cornercase._common.ledger import Notice
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import DRIVERS, Driver, Situation
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 from cornercase.simulators.builtin.batch import Batch
-from cornercase.simulators.builtin.effect import without_effect
+from cornercase.simulators.builtin.effect import notices
 from cornercase.simulators.builtin.prepared import PreparedScenario
 from cornercase.simulators.sumo.coupling import TYPES, SumoCoupling
 from cornercase.simulators.sumo.network import sumo_network
@@ -97,19 +98,21 @@ class SumoSimulator(Simulator):
         )
 
     @classmethod
-    def without_effect(cls, scenario: Scenario) -> dict[str, int]:
-        """Count what of a scenario file changes nothing in the builtin storyboard.
+    def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+        """Name what of a scenario changes nothing here.
 
         Parameters
         ----------
         scenario : Scenario
+        values : mapping of str to float or str, optional
+            Of its parameters.
 
         Returns
         -------
-        dict of str to int
-            As of the builtin simulator.
+        tuple of Notice
+            As of the builtin simulator, whose storyboard it has.
         """
-        return without_effect(scenario)
+        return notices(scenario, values)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios.

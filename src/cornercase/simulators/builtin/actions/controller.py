@@ -6,6 +6,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.recorded_xml import named, unrecorded
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import DRIVERS, DrivenPath, Driver, Situation
 from cornercase.scenario import DRIVER_PROPERTY, Scope
@@ -138,17 +139,19 @@ class ControllerAction:
         return where.copy()
 
     def _assigned(self, assign: etree._Element, scope: Scope, world: World) -> int:
-        controller = assign.find("Controller")
-        reference = assign.find("CatalogReference")
+        # Of other programs' controllers is said that they have no effect, so that they do not count as read.
+        holder = next(iter(unrecorded(assign, "ObjectController")), assign)
+        controller = next(iter(unrecorded(holder, "Controller")), None)
+        reference = holder.find("CatalogReference")
         if controller is None and reference is not None:
             controller, scope = scope.from_catalog(reference, "Controller")
         if controller is None:
             return -1
-        for item in controller.iterfind("Properties/Property"):
-            if item.get("name") == DRIVER_PROPERTY:
-                driver = registered_driver(scope.text(item, "value"), scope.source)
-                return Driving(world, self._entity, driver).number
-        return -1
+        item = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
+        if item is None:
+            return -1
+        driver = registered_driver(scope.text(item, "value"), scope.source)
+        return Driving(world, self._entity, driver).number
 
 
 class VisibilityAction:

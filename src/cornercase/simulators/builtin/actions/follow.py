@@ -24,7 +24,9 @@ class FollowTrajectoryAction:
         self._shape = read_trajectory(element if holder is None else holder, scope, world, read_position)
         mode = element.find("TrajectoryFollowingMode")
         self._smooth = mode is not None and scope.text(mode, "followingMode", "position") == "follow"
-        timing = element.find("TimeReference/Timing")
+        reference = element.find("TimeReference")
+        kind = None if reference is None else next(reference.iterchildren("*"), None)
+        timing = kind if kind is not None and kind.tag == "Timing" else None
         self._absolute = False
         self._scale: FloatArray | None = None
         self._shift: FloatArray | None = None

@@ -132,10 +132,13 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
     else:
         start = np.stack([scope.number(one, "curvatureStart") for one in segments], axis=1)
         end = np.stack([scope.number(one, "curvatureEnd") for one in segments], axis=1)
-        last = scope.number(element, "timeEnd", 0.0)
-        clock = np.stack([np.zeros_like(last), last], axis=1)
+        clock = _segment_times(element, segments, length, scope)
         holder = segments[0].find("PositionStart")
     position = None if holder is None else read(holder, scope, world)
+    # Where later segments begin elsewhere than the ones before them end.
+    holders = {k: one.find("PositionStart") for k, one in enumerate(segments[1:], start=1)}
+    later = {k: read(holder, scope, world) for k, holder in holders.items() if holder is not None}
+    turns = np.stack([scope.number(one, "hOffset", 0.0) for one in segments], axis=1)
 
     def lay_out(
         world: World,
@@ -151,9 +154,25 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
             x, y, heading = world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy()
         else:
             raise InputError(f"{scope.source}, line {element.sourceline}: the trajectory has no start position.")
-        return ClothoidSpline(x, y, heading, start, end, length, _times(clock, scale, shift))
+        begins = {k: place(world) for k, place in later.items()}
+        times = _times(clock, scale, shift)
+        return ClothoidSpline(x, y, heading, start, end, length, times, begins, turns)
 
     return lay_out
+
+
+def _segment_times(
+    element: etree._Element, segments: list[etree._Element], length: FloatArray, scope: Scope
+) -> FloatArray:
+    """Times at which the segments of a spline begin, and the last one ends; even between those that are given."""
+    given: dict[int, FloatArray] = {
+        k: scope.number(one, "timeStart") for k, one in enumerate(segments) if one.get("timeStart") is not None
+    }
+    places = np.concatenate([np.zeros((len(length), 1)), np.cumsum(length, axis=1)], axis=1)
+    given = {0: np.zeros(len(length)), **given, len(segments): scope.number(element, "timeEnd", 0.0)}
+    known = sorted(given)
+    at, times = places[:, known], np.stack([given[k] for k in known], axis=1)
+    return np.stack([np.interp(*one) for one in zip(places, at, times, strict=True)])
 
 
 def _nurbs(element: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 from scipy.special import fresnel
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.tracks.track import Trajectory
+from cornercase.simulators.builtin.tracks.track import Pose, Trajectory
 
 # Chords of a clothoid spline in m, and how many there are at most; longer splines get longer chords.
 _CHORD: Final = 1.0
@@ -29,8 +30,12 @@ class ClothoidSpline(Trajectory):
         Where it starts.
     start, end, length : ndarray of float64, shape (N, K)
         Curvature at both ends of the segments, in 1/m, and their lengths in m.
-    clock : ndarray of float64, shape (N, 2), optional
-        Times in s of its start and its end, between which it is travelled at constant speed.
+    clock : ndarray of float64, shape (N, K + 1), optional
+        Times in s at which the segments begin, and the last one ends; each is travelled at constant speed.
+    begins : mapping of int to Pose, optional
+        Where segments begin, by their number, that do not begin where the one before ends.
+    turns : ndarray of float64, shape (N, K), optional
+        By how much in rad the heading of each segment differs at its beginning from that of the place.
     """
 
     _arrays = ("_start", "_rate", "_begin", "lengths", "_x", "_y", "_turn", "_clock")
@@ -44,6 +49,8 @@ class ClothoidSpline(Trajectory):
         end: FloatArray,
         length: FloatArray,
         clock: FloatArray | None = None,
+        begins: Mapping[int, Pose] | None = None,
+        turns: FloatArray | None = None,
     ) -> None:
         self._start, self._rate, self._clock = start, (end - start) / length, clock
         self.version = 0
@@ -54,6 +61,10 @@ class ClothoidSpline(Trajectory):
         for k in range(length.shape[1]):
             u, v, turn = clothoid(length[:, k], start[:, k], self._rate[:, k])
             x, y, heading = nodes[-1]
+            if begins is not None and k in begins:
+                x, y, heading = begins[k].x, begins[k].y, begins[k].heading
+            heading = heading if turns is None else heading + turns[:, k]
+            nodes[-1] = x, y, heading
             cos, sin = np.cos(heading), np.sin(heading)
             nodes.append((x + cos * u - sin * v, y + sin * u + cos * v, heading + turn))
         self._x, self._y, self._turn = (np.stack(parts, axis=1) for parts in zip(*nodes, strict=True))
@@ -138,9 +149,12 @@ class ClothoidSpline(Trajectory):
 
     def distance_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
         assert self._clock is not None
-        begin, end = self._clock.T
-        speed = self.lengths / np.where(end > begin, end - begin, 1.0)
-        return np.clip(time - begin, 0.0, end - begin) * speed, speed
+        rows = np.arange(len(time))
+        k = np.clip((self._clock <= time[:, None]).sum(axis=1) - 1, 0, self._clock.shape[1] - 2)
+        begin, end = self._clock[rows, k], self._clock[rows, k + 1]
+        way = self._begin[rows, k + 1] - self._begin[rows, k]
+        speed = way / np.where(end > begin, end - begin, 1.0)
+        return self._begin[rows, k] + np.clip(time - begin, 0.0, end - begin) * speed, speed
 
 
 def clothoid(along: FloatArray, start: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
