@@ -20,11 +20,13 @@ from cornercase.simulators.builtin.openscenario import refuse_unusable
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
+from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES
 from cornercase.simulators.builtin.world.contacts import find_contacts
 from cornercase.simulators.builtin.world.motion import move_entities
 from cornercase.simulators.builtin.world.state import Entity, World
 
 _MOST_ENTITIES: Final = 500
+_TURNING: Final = {"segment": ALONG_LEGS, "corner": AT_CORNERS, "off": AT_VERTICES, "none": AT_VERTICES}
 
 
 class Coupling(Protocol):
@@ -239,9 +241,14 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
     if not (length > 0 and width > 0):
         raise InputError(f"{scenario.path}: the bounding box of '{name}' needs a positive length and width.")
     _refuse_trailer(body, scope, name)
-    item = named(unrecorded(body, "Properties", "Property"), "ignoreHeadingForTrajMotion")
-    slides = item is not None and scope.text(item, "value") == "true"
-    return Entity(name, kind, length, width, scope.one_number(center, "x"), limits[0], limits[1], limits[2], slides)
+    # Two of esmini's own properties.
+    own = {
+        key: "" if (item := named(unrecorded(body, "Properties", "Property"), key)) is None else scope.text(item, "value")
+        for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")
+    }
+    slides, turning = own["ignoreHeadingForTrajMotion"] == "true", _TURNING.get(own["plineInterpolation"], "")
+    reach = scope.one_number(center, "x")
+    return Entity(name, kind, length, width, reach, limits[0], limits[1], limits[2], slides, turning)
 
 
 def _refuse_trailer(body: etree._Element, scope: Scope, name: str) -> None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from lxml import etree
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.positions import read_position
-from cornercase.simulators.builtin.paths.trajectory_shapes import read_trajectory
+from cornercase.simulators.builtin.paths.trajectory_shapes import Clock, read_trajectory
 from cornercase.simulators.builtin.tracks.track import Trajectory
 from cornercase.simulators.builtin.world.lanes import attach_to_lane, follow_track
 from cornercase.simulators.builtin.world.motion import settle_on_track
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
+
+# Places and instants that differ by less, in m and s, are the same.
+_TINY: Final = 1e-6
 
 
 class FollowTrajectoryAction:
@@ -23,25 +28,26 @@ class FollowTrajectoryAction:
         holder = element.find("TrajectoryRef")
         self._shape = read_trajectory(element if holder is None else holder, scope, world, read_position)
         mode = element.find("TrajectoryFollowingMode")
-        self._smooth = mode is not None and scope.text(mode, "followingMode", "position") == "follow"
         reference = element.find("TimeReference")
         kind = None if reference is None else next(reference.iterchildren("*"), None)
         timing = kind if kind is not None and kind.tag == "Timing" else None
+        self._smooth = mode is None or scope.text(mode, "followingMode", "follow") == "follow"
         self._absolute = False
-        self._scale: FloatArray | None = None
-        self._shift: FloatArray | None = None
+        self._clock: Clock | None = None
         if timing is not None:
             self._absolute = scope.text(timing, "domainAbsoluteRelative", "relative") == "absolute"
-            self._scale, self._shift = scope.number(timing, "scale", 1.0), scope.number(timing, "offset", 0.0)
+            self._clock = Clock(scope.number(timing, "scale", 1.0), scope.number(timing, "offset", 0.0))
         self._skip = scope.number(element, "initialDistanceOffset", 0.0)
-        self._since = np.zeros(scope.scenarios)
+        # What the trajectory's clock shows when the simulation time is 0.
+        self._ahead = np.zeros(scope.scenarios)
         self._track: Trajectory | None = None
-        # 1 where driving forwards leads along the trajectory, -1 where against it.
+        # -1 where the entity is turned against the line, so that driving forwards leads back along it.
         self._sign = np.ones(scope.scenarios)
+        self._was_oriented = np.zeros(scope.scenarios, dtype=np.bool_)
 
     def start(self, world: World, where: BoolArray) -> None:
-        e, rows = self._entity, np.flatnonzero(where)
-        track = self._shape(world, self._smooth, self._scale, self._shift, e)
+        e, every = self._entity, np.arange(world.scenarios)
+        track = self._shape(world, self._smooth, self._clock, e)
         # All scenarios share one track, whenever each starts it, since each step loops over an entity's tracks.
         if self._track is None:
             self._track = track
@@ -49,29 +55,26 @@ class FollowTrajectoryAction:
             self._track.adopt(track, where)
             track = self._track
         world.claim(LATERAL, e, self._id, where)
-        if self._scale is not None:
-            world.claim(LONGITUDINAL, e, self._id, where)
         world.present[e] |= where
         follow_track(world, e, track, self._skip, where)
         world.offset[e][where] = world.turn[e][where] = 0.0
         world.frozen[e][where] = False
-        self._since[where] = 0.0 if self._absolute else world.time
-        x, y, heading = track.at(self._skip[rows], np.zeros(len(rows)), rows)
-        against = np.cos(heading - track.direction(self._skip[rows], rows)) < -1e-6
-        against &= not world.entities[e].slides
-        if self._scale is None:
-            # An entity that drives backwards is turned round, unless the file gives its heading.
-            back = (world.speed[e][rows] < 0) & ~track.oriented(self._skip[rows], rows)
-            world.turn[e][rows[back]] = np.pi
-            heading = heading + np.where(back, np.pi, 0.0)
-            against = against | back
-        else:
-            speed = track.distance_at(world.time - self._since)[1][rows]
-            turned = against & track.oriented(self._skip[rows], rows)
-            world.speed[e][rows] = np.where(turned, -speed, speed)
-        self._sign[rows] = np.where(against, -1.0, 1.0)
-        if world.time == 0.0:
-            world.x[e][where], world.y[e][where], world.heading[e][where] = x, y, heading
+        x, y, heading = track.at(self._skip, np.zeros(world.scenarios), every)
+        line, oriented = track.direction(self._skip, every), track.oriented(self._skip, every)
+        backwards = world.speed[e] < 0.0
+        if self._clock is not None:
+            world.claim(LONGITUDINAL, e, self._id, where)
+            clock, speed = track.clock_at(self._skip)
+            ahead = np.zeros_like(clock) if self._absolute else clock - self._clock.shift - world.time
+            self._ahead[where] = ahead[where]
+            backwards = oriented & _against(heading, line)
+            world.speed[e][where] = np.where(backwards, -speed, speed)[where]
+        # Without a heading of its own, an entity that drives backwards is turned round.
+        heading = np.where(oriented, heading, line + np.where(backwards, np.pi, 0.0))
+        turned = _against(heading, line) & ~(oriented & world.entities[e].slides)
+        self._sign[where] = np.where(turned, -1.0, 1.0)[where]
+        self._was_oriented[where] = oriented[where]
+        world.x[e][where], world.y[e][where], world.heading[e][where] = x[where], y[where], heading[where]
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
@@ -79,7 +82,7 @@ class FollowTrajectoryAction:
         track = self._track
         if track is None or not acting.any():
             return np.asarray(where & ~acting)
-        timed = acting & world.controls(LONGITUDINAL, e, self._id) & (self._scale is not None)
+        timed = acting & world.controls(LONGITUDINAL, e, self._id) & (self._clock is not None)
         arrived = np.zeros_like(where)
         if timed.any():
             arrived |= self._keep_time(world, track, dt, timed)
@@ -88,50 +91,61 @@ class FollowTrajectoryAction:
         return np.asarray(where & (arrived | ~acting))
 
     def _keep_time(self, world: World, track: Trajectory, dt: float, rows: BoolArray) -> BoolArray:
-        e = self._entity
-        time = world.time + dt - self._since
-        along, speed = track.distance_at(time)
+        e, before = self._entity, world.distance[self._entity].copy()
         assert track.time is not None
+        time, last = world.time + dt + self._ahead, track.time[:, -1]
+        over = rows & (time > last - _TINY)
+        along = track.distance_at(time)
         if dt > 0:
-            speed = (along - world.distance[e]) / dt
-        # A heading against the trajectory means driving backwards.
-        heading = world.heading[e]
-        every = np.arange(world.scenarios)
-        backwards = np.cos(heading - track.direction(along, every)) < -1e-6
-        backwards &= track.oriented(along, every)
-        over = rows & (time > track.time[:, -1] - 1e-6)
-        going = rows & ~(over & (time > track.time[:, -1] + 1e-6))
-        world.speed[e][going] = np.where(backwards, -speed, speed)[going]
-        world.distance[e][rows] = along[rows]
-        world.moved[e] |= rows
-        settle_on_track(world, e, rows)
+            # An entity turned against the line drives backwards.
+            against = _against(world.heading[e], track.direction(before, np.arange(world.scenarios)))
+            gone = np.where(along < before, -1.0, 1.0) * np.where(against, -1.0, 1.0) * np.abs(along - before) / dt
+            going = rows & (time < last + _TINY)
+            world.speed[e][going] = gone[going]
+        self._put(world, track, along, rows)
         if over.any():
-            rest = np.maximum(time - track.time[:, -1], 0.0) * np.abs(world.speed[e])
-            self._leave(world, track, track.lengths, rest, over)
+            self._leave(world, track, (time - last) * world.speed[e], over)
         return over
 
     def _go(self, world: World, track: Trajectory, dt: float, rows: BoolArray) -> BoolArray:
-        e = self._entity
+        e, before = self._entity, world.distance[self._entity].copy()
         way = world.speed[e] * self._sign * dt
-        distance = world.distance[e] + way
-        reached = rows & (distance > track.lengths - 1e-6) & (way > 0)
-        begun = rows & (distance < 1e-6) & (way < 0)
-        world.distance[e][rows] = distance[rows]
-        world.moved[e] |= rows
-        settle_on_track(world, e, rows)
-        if reached.any():
-            self._leave(world, track, track.lengths, distance - track.lengths, reached)
-        if begun.any():
-            self._leave(world, track, np.zeros(world.scenarios), np.maximum(-distance, 0.0), begun)
+        along = np.clip(before + way, 0.0, track.lengths)
+        self._put(world, track, along, rows)
+        reached = rows & (along > track.lengths - _TINY) & (way > 0)
+        begun = rows & (along < _TINY) & (way < 0)
+        if (reached | begun).any():
+            # Back at the start, the rest of the step is lost, as in esmini.
+            rest = np.where(reached, np.maximum(np.abs(way) - np.abs(along - before), 0.0), 0.0)
+            self._leave(world, track, rest, reached | begun)
         return np.asarray(reached | begun)
 
-    def _leave(self, world: World, track: Trajectory, end: FloatArray, beyond: FloatArray, where: BoolArray) -> None:
-        """Go the rest of the step straight on, and from there along the road, with the heading kept."""
+    def _put(self, world: World, track: Trajectory, along: FloatArray, rows: BoolArray) -> None:
+        """Move the entity to a distance along the trajectory, with the heading that it has there."""
+        e, every = self._entity, np.arange(world.scenarios)
+        oriented = track.oriented(along, every)
+        loose = rows & ~oriented & self._was_oriented
+        if loose.any():
+            # From here on the line alone gives the heading: the entity keeps to the side that it is turned to.
+            heading = track.at(along, np.zeros(world.scenarios), every)[2]
+            against = _against(heading, track.direction(along, every))
+            self._sign[loose] = np.where(against, -1.0, 1.0)[loose]
+        self._was_oriented[rows] = oriented[rows]
+        world.turn[e][rows] = np.where(oriented | (self._sign > 0.0), 0.0, np.pi)[rows]
+        world.distance[e][rows] = along[rows]
+        world.moved[e] |= rows
+        settle_on_track(world, e, rows)
+
+    def _leave(self, world: World, track: Trajectory, beyond: FloatArray, where: BoolArray) -> None:
+        """Go the rest of the step as the trajectory points, and from there along the road, with the heading kept."""
         e, rows = self._entity, np.flatnonzero(where)
-        x, y, heading = track.at(end[rows], np.zeros(len(rows)), rows)
-        heading = heading + world.turn[e][rows]
-        x, y = x + beyond[rows] * np.cos(heading), y + beyond[rows] * np.sin(heading)
-        world.x[e][rows], world.y[e][rows], world.heading[e][rows] = x, y, heading
-        world.moved[e] |= where
+        heading = world.heading[e][rows] - world.turn[e][rows]
+        world.x[e][rows] += beyond[rows] * np.cos(heading)
+        world.y[e][rows] += beyond[rows] * np.sin(heading)
         attach_to_lane(world, e, where)
         world.frozen[e][where] = True
+
+
+def _against(heading: FloatArray, line: FloatArray) -> BoolArray:
+    """Whether a heading points back along a line."""
+    return np.asarray(np.cos(heading - line) < -_TINY)

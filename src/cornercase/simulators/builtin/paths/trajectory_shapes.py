@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -14,7 +15,7 @@ from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
 from cornercase.simulators.builtin.tracks.nurbs import nurbs_points
 from cornercase.simulators.builtin.tracks.polyline import Polyline
-from cornercase.simulators.builtin.tracks.track import Pose, Trajectory
+from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, Pose, Trajectory
 from cornercase.simulators.builtin.world.state import World
 
 Position = Callable[[World], Pose]
@@ -24,20 +25,27 @@ PositionReader = Callable[[etree._Element, Scope, World], Position]
 """Reads the position that an element holds."""
 
 
+@dataclass(frozen=True)
+class Clock:
+    """How the times of a file become those of a trajectory: scaled, then shifted, each (N,)."""
+
+    scale: FloatArray
+    shift: FloatArray
+
+    def times(self, given: FloatArray) -> FloatArray:
+        """Times of the trajectory of those in the file, each (N, V)."""
+        return np.asarray(given * self.scale[:, None] + self.shift[:, None])
+
+
 class Shape(Protocol):
     """Lays a trajectory out in the world as it is now.
 
-    `smooth` is the following mode ``follow``; `scale` and `shift`, each (N,), make the file's times those of the
-    trajectory's clock, and without them it has none. `entity` is who follows it.
+    `smooth` is the following mode ``follow``; without a `clock` the trajectory has no times. `entity` is who follows
+    it.
     """
 
     def __call__(
-        self,
-        world: World,
-        smooth: bool = False,
-        scale: FloatArray | None = None,
-        shift: FloatArray | None = None,
-        entity: int | None = None,
+        self, world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
     ) -> Trajectory:
         """Return the trajectory."""
         ...
@@ -72,30 +80,25 @@ def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: Po
     return (_nurbs if kind.tag == "Nurbs" else _clothoids)(kind, inner, world, read)
 
 
-def _times(times: FloatArray, scale: FloatArray | None, shift: FloatArray | None) -> FloatArray | None:
-    if scale is None or shift is None:
-        return None
-    return np.asarray(times * scale[:, None] + shift[:, None])
-
-
 def _polyline(element: etree._Element, scope: Scope, world: World, read: PositionReader, closed: bool) -> Shape:
     vertices = list(element.iterfind("Vertex"))
     if len(vertices) < 2:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <Polyline> needs at least two vertices.")
     positions = [read(_position(one, scope), scope, world) for one in vertices]
     oriented = [
-        one.find("Position//Orientation") is not None or next(one.iterfind("Position/*")).get("h") is not None
+        one.find("Position//Orientation[@h]") is not None or next(one.iterfind("Position/*")).get("h") is not None
         for one in vertices
     ]
     times = np.stack([scope.number(one, "time", 0.0) for one in vertices], axis=1)
 
     def lay_out(
-        world: World,
-        smooth: bool = False,
-        scale: FloatArray | None = None,
-        shift: FloatArray | None = None,
-        entity: int | None = None,
+        world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
     ) -> Trajectory:
+        turning, begin_speed = ALONG_LEGS if smooth else AT_CORNERS, None
+        if entity is not None:
+            turning = world.entities[entity].turning or turning
+        if smooth:
+            begin_speed = np.zeros(world.scenarios) if entity is None else world.speed[entity].copy()
         poses = [position(world) for position in positions]
         headings = [
             pose.heading if said else np.full_like(pose.heading, np.nan)
@@ -105,9 +108,10 @@ def _polyline(element: etree._Element, scope: Scope, world: World, read: Positio
             np.stack([pose.x for pose in poses], axis=1),
             np.stack([pose.y for pose in poses], axis=1),
             np.stack(headings, axis=1),
-            _times(times, scale, shift),
+            None if clock is None else clock.times(times),
             closed,
-            smooth,
+            turning,
+            begin_speed,
         )
 
     return lay_out
@@ -127,12 +131,12 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
         start = scope.number(element, "curvature")[:, None]
         name = "curvaturePrime" if element.get("curvatureDot") is None else "curvatureDot"
         end = start + scope.number(element, name)[:, None] * length
-        clock = np.stack([scope.number(element, name, 0.0) for name in ("startTime", "stopTime")], axis=1)
+        times = np.stack([scope.number(element, name, 0.0) for name in ("startTime", "stopTime")], axis=1)
         holder = element.find("Position")
     else:
         start = np.stack([scope.number(one, "curvatureStart") for one in segments], axis=1)
         end = np.stack([scope.number(one, "curvatureEnd") for one in segments], axis=1)
-        clock = _segment_times(element, segments, length, scope)
+        times = _segment_times(element, segments, length, scope)
         holder = segments[0].find("PositionStart")
     position = None if holder is None else read(holder, scope, world)
     # Where later segments begin elsewhere than the ones before them end.
@@ -141,11 +145,7 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
     turns = np.stack([scope.number(one, "hOffset", 0.0) for one in segments], axis=1)
 
     def lay_out(
-        world: World,
-        smooth: bool = False,
-        scale: FloatArray | None = None,
-        shift: FloatArray | None = None,
-        entity: int | None = None,
+        world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
     ) -> Trajectory:
         if position is not None:
             pose = position(world)
@@ -155,8 +155,8 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
         else:
             raise InputError(f"{scope.source}, line {element.sourceline}: the trajectory has no start position.")
         begins = {k: place(world) for k, place in later.items()}
-        times = _times(clock, scale, shift)
-        return ClothoidSpline(x, y, heading, start, end, length, times, begins, turns)
+        reached = None if clock is None else clock.times(times)
+        return ClothoidSpline(x, y, heading, start, end, length, reached, begins, turns)
 
     return lay_out
 
@@ -191,16 +191,12 @@ def _nurbs(element: etree._Element, scope: Scope, world: World, read: PositionRe
     times = np.stack([scope.number(one, "time", 0.0) for one in controls], axis=1)
 
     def lay_out(
-        world: World,
-        smooth: bool = False,
-        scale: FloatArray | None = None,
-        shift: FloatArray | None = None,
-        entity: int | None = None,
+        world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
     ) -> Trajectory:
         poses = [position(world) for position in positions]
         x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
-        px, py, heading, clock = nurbs_points(x, y, times, weights, knots, order)
-        return Polyline(px, py, heading, _times(clock, scale, shift), False, smooth)
+        px, py, heading, reached = nurbs_points(x, y, times, weights, knots, order)
+        return Polyline(px, py, heading, None if clock is None else clock.times(reached), False, ALONG_LEGS)
 
     return lay_out
 

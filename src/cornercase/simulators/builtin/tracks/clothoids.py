@@ -147,14 +147,23 @@ class ClothoidSpline(Trajectory):
     def time(self) -> FloatArray | None:
         return self._clock
 
-    def distance_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def distance_at(self, time: FloatArray) -> FloatArray:
         assert self._clock is not None
         rows = np.arange(len(time))
         k = np.clip((self._clock <= time[:, None]).sum(axis=1) - 1, 0, self._clock.shape[1] - 2)
         begin, end = self._clock[rows, k], self._clock[rows, k + 1]
         way = self._begin[rows, k + 1] - self._begin[rows, k]
         speed = way / np.where(end > begin, end - begin, 1.0)
-        return self._begin[rows, k] + np.clip(time - begin, 0.0, end - begin) * speed, speed
+        return np.asarray(self._begin[rows, k] + np.clip(time - begin, 0.0, end - begin) * speed)
+
+    def clock_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        assert self._clock is not None
+        rows = np.arange(len(distance))
+        k = np.clip((self._begin <= distance[:, None]).sum(axis=1) - 1, 0, self._clock.shape[1] - 2)
+        begin, end = self._clock[rows, k], self._clock[rows, k + 1]
+        way = self._begin[rows, k + 1] - self._begin[rows, k]
+        part = (distance - self._begin[rows, k]) / np.where(way > 0.0, way, 1.0)
+        return begin + part * (end - begin), way / np.where(end > begin, end - begin, np.inf)
 
 
 def clothoid(along: FloatArray, start: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

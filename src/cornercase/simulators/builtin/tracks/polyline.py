@@ -7,10 +7,13 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.tracks.track import Trajectory
+from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, Trajectory
 
 # Half of the stretch over which the heading turns at a corner of a polyline, in m; esmini's figure.
 _CORNER: Final = 2.0
+
+# Vertices that are closer, in m or s, are at one place or instant.
+_TINY: Final = 1e-6
 
 
 class Polyline(Trajectory):
@@ -21,18 +24,20 @@ class Polyline(Trajectory):
     x, y : ndarray of float64, shape (N, V)
         Vertices in m.
     heading : ndarray of float64, shape (N, V)
-        rad; NaN where the file gives none and the heading follows the line.
+        rad; NaN where the file gives none and the heading is that of the leg that begins there.
     time : ndarray of float64, shape (N, V), optional
         s, not decreasing.
     closed : bool
         Whether it goes on from its end to its start, for ever.
-    smooth : bool
-        Whether the heading turns over whole legs (following mode ``follow``) rather than near corners; and the speed
-        at given times changes linearly rather than in steps.
+    turning : {"legs", "corners", "vertices"}, default "corners"
+        Where the heading turns from that of one vertex to that of the next: over whole legs, near corners, or at once.
+    begin_speed : ndarray of float64, shape (N,), optional
+        Speed at the first vertex in m/s: with it, the acceleration is constant on each leg, so that the next vertex is
+        reached in time; without it, the speed is.
     """
 
     _arrays = (
-        "x", "y", "heading", "_time", "distance", "_length", "lengths", "_direction", "_facing", "_speeds",
+        "x", "y", "heading", "_time", "distance", "_length", "lengths", "_direction", "_facing", "_speeds", "_rates",
     )  # fmt: skip
 
     def __init__(
@@ -42,27 +47,26 @@ class Polyline(Trajectory):
         heading: FloatArray,
         time: FloatArray | None = None,
         closed: bool = False,
-        smooth: bool = False,
+        turning: str = AT_CORNERS,
+        begin_speed: FloatArray | None = None,
     ) -> None:
         if closed:
             x, y, heading = (np.concatenate([a, a[:, :1]], axis=1) for a in (x, y, heading))
         self.x, self.y, self.heading, self._time = x, y, heading, time
         self.version = 0
-        self._closed, self._smooth = closed, smooth
+        self._closed, self._turning = closed, turning
         legs = np.hypot(np.diff(x), np.diff(y))
         self.distance = np.concatenate([np.zeros((len(x), 1)), np.cumsum(legs, axis=1)], axis=1)
         self._length = self.distance[:, -1]
         self.lengths = np.full(len(x), np.inf) if closed else self._length
-        direction = np.arctan2(np.diff(y), np.diff(x))
-        # A leg of no length means waiting; it has the direction of the leg before.
-        for k in range(direction.shape[1]):
-            still = legs[:, k] < 1e-6
-            direction[still, k] = direction[still, k - 1] if k else direction[still, min(1, direction.shape[1] - 1)]
-        self._direction = np.unwrap(direction, axis=1)
-        # A heading that is given only at the beginning of a leg holds for the whole leg.
-        facing = np.where(~np.isnan(heading[:, :-1]) & np.isnan(heading[:, 1:]), heading[:, :-1], direction)
-        self._facing = np.unwrap(facing, axis=1)
-        self._speeds = None if time is None else self._speeds_at_vertices(legs, time)
+        self._direction = _directions(x, y, legs)
+        # At the last vertex, a line without headings goes on as it came.
+        ends = np.concatenate([self._direction, self._direction[:, -1:]], axis=1)
+        # From one vertex to the next it turns the shorter way; half a turn goes the way that leads through no full one.
+        self._facing = np.unwrap(np.mod(np.where(np.isnan(heading), ends, heading), 2 * np.pi), axis=1)
+        self._speeds, self._rates = None, None
+        if time is not None:
+            self._speeds, self._rates = _motion(legs, np.diff(time), begin_speed)
 
     @property
     def time(self) -> FloatArray | None:
@@ -95,64 +99,99 @@ class Polyline(Trajectory):
         return np.asarray(distance[each, best] + part[each, best] * np.diff(distance)[each, best])
 
     def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:
-        _, leg, _ = self._leg(np.mod(distance, self._length[rows]) if self._closed else distance, rows)
-        return np.asarray(~np.isnan(self.heading[rows, leg]))
+        distance = np.mod(distance, self._length[rows]) if self._closed else distance
+        _, leg, _ = self._leg(distance, rows)
+        # On a leg the vertex at its beginning counts.
+        vertex = np.where(distance > self._length[rows] - _TINY, self.heading.shape[1] - 1, leg)
+        return np.asarray(~np.isnan(self.heading[rows, vertex]))
 
     def direction(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        distance = np.mod(distance, self._length[rows]) if self._closed else distance
         return np.asarray(self._direction[rows, self._leg(distance, rows)[1]])
 
-    def distance_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def distance_at(self, time: FloatArray) -> FloatArray:
         assert self._time is not None
         assert self._speeds is not None
-        rows = np.arange(len(time))
-        last = self._time.shape[1] - 2
-        leg = np.clip((self._time <= time[:, None]).sum(axis=1) - 1, 0, last)
-        t0, t1 = self._time[rows, leg], self._time[rows, leg + 1]
-        span = np.where(t1 > t0, t1 - t0, 1.0)
-        part = np.clip((time - t0) / span, 0.0, 1.0)
-        d0, d1 = self.distance[rows, leg], self.distance[rows, leg + 1]
-        v0, v1 = self._speeds[rows, leg], self._speeds[rows, leg + 1]
-        if not self._smooth:
-            return np.asarray(d0 + part * (d1 - d0)), np.asarray((d1 - d0) / span)
-        elapsed = part * span
-        distance = d0 + v0 * elapsed + 0.5 * (v1 - v0) / span * elapsed**2
-        return np.asarray(np.minimum(distance, np.maximum(d1, d0))), np.asarray(v0 + part * (v1 - v0))
+        assert self._rates is not None
+        every = np.arange(len(time))
+        leg = (self._time[:, 1:-1] < time[:, None]).sum(axis=1)
+        elapsed = np.maximum(time - self._time[every, leg], 0.0)
+        speed, rate = self._speeds[every, leg], self._rates[every, leg]
+        # Who brakes to a stop waits there for the rest of the leg's time.
+        stops = rate < 0.0
+        elapsed = np.where(stops, np.minimum(elapsed, -speed / np.where(stops, rate, 1.0)), elapsed)
+        distance = self.distance[every, leg] + speed * elapsed + 0.5 * rate * elapsed**2
+        return np.asarray(np.where(time > self._time[:, -1], self._length, distance))
 
-    def _speeds_at_vertices(self, legs: FloatArray, time: FloatArray) -> FloatArray:
-        """Speeds of constant acceleration on every leg: each follows from the one before and the leg's mean."""
-        span = np.diff(time)
-        mean = np.where(span > 0, legs / np.where(span > 0, span, 1.0), 0.0)
-        speeds = np.empty_like(time)
-        speeds[:, 0] = mean[:, 0]
-        for k in range(mean.shape[1]):
-            speeds[:, k + 1] = np.maximum(2.0 * mean[:, k] - speeds[:, k], 0.0)
-        return speeds
+    def clock_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        assert self._time is not None
+        assert self._speeds is not None
+        every = np.arange(len(distance))
+        _, leg, part = self._leg(distance, every)
+        t0, t1 = self._time[every, leg], self._time[every, leg + 1]
+        v0, v1 = self._speeds[every, leg], self._speeds[every, leg + 1]
+        return t0 + part * (t1 - t0), v0 + part * (v1 - v0)
 
     def _leg(self, distance: FloatArray, rows: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Distance within the line, the leg there, and how much of the leg is gone."""
         table = self.distance[rows]
         along = np.clip(distance, 0.0, table[:, -1])
-        leg = np.clip((table <= along[:, None]).sum(axis=1) - 1, 0, table.shape[1] - 2)
+        leg = (table[:, 1:-1] + _TINY < along[:, None]).sum(axis=1)
         each = np.arange(len(rows))
         span = table[each, leg + 1] - table[each, leg]
         part = (along - table[each, leg]) / np.where(span > 0, span, 1.0)
-        return along, leg, part
+        return along, leg, np.where(span > 0, part, 0.0)
 
     def _heading(self, along: FloatArray, leg: IntArray, part: FloatArray, rows: IntArray) -> FloatArray:
-        given0, given1 = self.heading[rows, leg], self.heading[rows, leg + 1]
-        turn = (given1 - given0 + np.pi) % (2 * np.pi) - np.pi
-        heading = self._facing[rows, leg]
-        if self._smooth:
-            ahead = self._facing[rows, np.minimum(leg + 1, self._facing.shape[1] - 1)]
-            return np.where(np.isnan(given0 + given1), heading + part * (ahead - heading), given0 + part * turn)
-        table = self.distance[rows]
-        each = np.arange(len(rows))
-        for side in (0, 1):
-            corner = leg + side
-            neighbour = np.clip(leg - 1 if side == 0 else leg + 1, 0, self._facing.shape[1] - 1)
-            difference = self._facing[rows, neighbour] - self._facing[rows, leg]
-            reach = np.minimum(_CORNER, 0.5 * (table[each, leg + 1] - table[each, leg]))
-            away = np.abs(along - table[each, corner])
-            close = (away < reach) & (neighbour != leg)
-            share = 0.5 * (1.0 - away / np.where(reach > 0, reach, 1.0))
-            heading = heading + np.where(close, share * difference, 0.0)
-        return np.where(np.isnan(given0 + given1), heading, given0 + part * turn)
+        now, after = self._facing[rows, leg], self._facing[rows, leg + 1]
+        table, each, last = self.distance[rows], np.arange(len(rows)), self.distance.shape[1] - 2
+        at_end = along > table[:, -1] - _TINY
+        if self._turning == ALONG_LEGS:
+            return np.asarray(now + np.where(at_end, 1.0, part) * (after - now))
+        heading = now
+        if self._turning == AT_CORNERS:
+            before = self._facing[rows, np.maximum(leg - 1, 0)]
+            span = table[each, leg + 1] - table[each, leg]
+            reach = np.maximum(np.minimum(_CORNER, 0.5 * span), _TINY)
+            gone = along - table[each, leg]
+            left = span - gone
+            begins, ends = gone < reach, left < reach
+            # The last leg turns wholly to the heading of its end, any other halfway.
+            share = np.where(leg < last, 0.5 * (1.0 - left / reach), 1.0 - left / reach)
+            entered = before + 0.5 * (1.0 + gone / reach) * (now - before)
+            leaving = np.where(ends, now + share * (after - now), now)
+            heading = np.where(begins, np.where(leg > 0, entered, now), leaving)
+        return np.where(at_end, after, heading)
+
+
+def _directions(x: FloatArray, y: FloatArray, legs: FloatArray) -> FloatArray:
+    """Directions of legs; one without length has that of the leg before it, or of the first that has one."""
+    dx, dy = np.diff(x), np.diff(y)
+    # As esmini has it, which settles the way in which an entity turns that goes straight back.
+    direction = np.arctan2(dy, np.where(np.abs(dx) < _TINY, np.where(dx < 0.0, -_TINY, _TINY), dx))
+    every, first = np.arange(len(x)), (legs > _TINY).argmax(axis=1)
+    known = direction[every, first]
+    for k in range(direction.shape[1]):
+        known = np.where(legs[:, k] > _TINY, direction[:, k], known)
+        direction[:, k] = known
+    return np.asarray(np.unwrap(direction, axis=1))
+
+
+def _motion(legs: FloatArray, spans: FloatArray, begin: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Speeds at vertices, and accelerations of the legs that begin there, each (N, V)."""
+    lasts = spans > _TINY
+    mean = np.where(lasts, legs / np.where(lasts, spans, 1.0), 0.0)
+    if begin is None:
+        return np.concatenate([mean, mean[:, -1:]], axis=1), np.zeros((len(legs), legs.shape[1] + 1))
+    speeds, rates = [begin], []
+    for k in range(legs.shape[1]):
+        span = np.where(lasts[:, k], spans[:, k], 1.0)
+        rate = 2.0 * (mean[:, k] - speeds[-1]) / span
+        speed = speeds[-1] + rate * span
+        # Too much time to go on with any speed: it stops at the next vertex, before the time.
+        turns = (speed < 0.0) != (speeds[-1] < 0.0)
+        moves = legs[:, k] > _TINY
+        braking = -(speeds[-1] ** 2) / (2.0 * np.where(moves, legs[:, k], 1.0))
+        rates.append(np.where(moves & lasts[:, k], np.where(turns, braking, rate), 0.0))
+        speeds.append(np.where(moves & ~turns, np.where(lasts[:, k], speed, speeds[-1]), 0.0))
+    return np.stack(speeds, axis=1), np.stack([*rates, np.zeros_like(begin)], axis=1)

@@ -11,6 +11,9 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 FREE: Final = -1
 """Number of no track: the entity goes where its heading points."""
 
+ALONG_LEGS, AT_CORNERS, AT_VERTICES = "legs", "corners", "vertices"
+"""Where the heading turns along a trajectory: over whole legs, near corners, or at each vertex at once."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pose:
@@ -103,8 +106,12 @@ class Trajectory(Track):
         """Times in s of its vertices, or of its start and its end, shape (N, V); None without a clock."""
 
     @abstractmethod
-    def distance_at(self, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distance along the trajectory in m, and speed in m/s, at times of its own clock, each (N,)."""
+    def distance_at(self, time: FloatArray) -> FloatArray:
+        """Distance along the trajectory in m, at times of its own clock, shape (N,)."""
+
+    @abstractmethod
+    def clock_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Time of its own clock in s, and speed in m/s, at distances along the trajectory, each (N,)."""
 
     @abstractmethod
     def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:

@@ -42,6 +42,9 @@ class Entity:
         m/s, m/s², m/s²; infinite where the file sets no limit.
     slides : bool
         Whether it goes along trajectories whatever heading they give it.
+    turning : str
+        Where its heading turns along a polyline, if its properties say so: one of `ALONG_LEGS`, `AT_CORNERS` and
+        `AT_VERTICES`; else empty, and the following mode decides.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Entity:
     max_acceleration: float
     max_deceleration: float
     slides: bool = False
+    turning: str = ""
 
 
 class World:
