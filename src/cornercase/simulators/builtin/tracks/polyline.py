@@ -62,8 +62,11 @@ class Polyline(Trajectory):
         self._direction = _directions(x, y, legs)
         # At the last vertex, a line without headings goes on as it came.
         ends = np.concatenate([self._direction, self._direction[:, -1:]], axis=1)
-        # From one vertex to the next it turns the shorter way; half a turn goes the way that leads through no full one.
-        self._facing = np.unwrap(np.mod(np.where(np.isnan(heading), ends, heading), 2 * np.pi), axis=1)
+        facing = np.where(np.isnan(heading), ends, heading)
+        # Which way half a turn goes depends on the last digit: straight up or down is a little to the right, as in
+        # esmini.
+        nudged = np.where(np.isnan(heading) & (np.abs(np.cos(ends)) < _TINY), ends - _TINY * np.sin(ends), facing)
+        self._facing = _unwound(facing, nudged)
         self._speeds, self._rates = None, None
         if time is not None:
             self._speeds, self._rates = _motion(legs, np.diff(time), begin_speed)
@@ -74,7 +77,7 @@ class Polyline(Trajectory):
 
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         distance = np.mod(distance, self._length[rows]) if self._closed else distance
-        along, leg, part = self._leg(distance, rows)
+        along, leg, part = self._leg(distance, rows, 0.0)
         x0, y0 = self.x[rows, leg], self.y[rows, leg]
         x = x0 + part * (self.x[rows, leg + 1] - x0)
         y = y0 + part * (self.y[rows, leg + 1] - y0)
@@ -83,7 +86,7 @@ class Polyline(Trajectory):
             direction = self._direction[rows, leg]
             cos, sin = np.cos(direction), np.sin(direction)
             x, y = x + beyond * cos - offset * sin, y + beyond * sin + offset * cos
-        return x, y, self._heading(along, leg, part, rows)
+        return x, y, self._heading(distance, rows)
 
     def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         return np.zeros_like(distance)
@@ -114,13 +117,17 @@ class Polyline(Trajectory):
         assert self._speeds is not None
         assert self._rates is not None
         every = np.arange(len(time))
-        leg = (self._time[:, 1:-1] < time[:, None]).sum(axis=1)
+        leg = (self._time[:, 1:-1] <= time[:, None]).sum(axis=1)
         elapsed = np.maximum(time - self._time[every, leg], 0.0)
         speed, rate = self._speeds[every, leg], self._rates[every, leg]
+        begin, way = self.distance[every, leg], self.distance[every, leg + 1] - self.distance[every, leg]
+        span = self._time[every, leg + 1] - self._time[every, leg]
+        even = begin + np.clip(elapsed / np.where(span > 0.0, span, np.inf), 0.0, 1.0) * way
         # Who brakes to a stop waits there for the rest of the leg's time.
         stops = rate < 0.0
         elapsed = np.where(stops, np.minimum(elapsed, -speed / np.where(stops, rate, 1.0)), elapsed)
-        distance = self.distance[every, leg] + speed * elapsed + 0.5 * rate * elapsed**2
+        bent = begin + speed * elapsed + 0.5 * rate * elapsed**2
+        distance = np.where(rate == 0.0, even, bent)
         return np.asarray(np.where(time > self._time[:, -1], self._length, distance))
 
     def clock_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -132,17 +139,20 @@ class Polyline(Trajectory):
         v0, v1 = self._speeds[every, leg], self._speeds[every, leg + 1]
         return t0 + part * (t1 - t0), v0 + part * (v1 - v0)
 
-    def _leg(self, distance: FloatArray, rows: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Distance within the line, the leg there, and how much of the leg is gone."""
+    def _leg(
+        self, distance: FloatArray, rows: IntArray, beyond: float = _TINY
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Distance within the line, the leg there, and how much of it is gone; one begins `beyond` its vertex."""
         table = self.distance[rows]
         along = np.clip(distance, 0.0, table[:, -1])
-        leg = (table[:, 1:-1] + _TINY < along[:, None]).sum(axis=1)
+        leg = (table[:, 1:-1] + beyond <= along[:, None]).sum(axis=1)
         each = np.arange(len(rows))
         span = table[each, leg + 1] - table[each, leg]
         part = (along - table[each, leg]) / np.where(span > 0, span, 1.0)
         return along, leg, np.where(span > 0, part, 0.0)
 
-    def _heading(self, along: FloatArray, leg: IntArray, part: FloatArray, rows: IntArray) -> FloatArray:
+    def _heading(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        along, leg, part = self._leg(distance, rows)
         now, after = self._facing[rows, leg], self._facing[rows, leg + 1]
         table, each, last = self.distance[rows], np.arange(len(rows)), self.distance.shape[1] - 2
         at_end = along > table[:, -1] - _TINY
@@ -164,11 +174,19 @@ class Polyline(Trajectory):
         return np.where(at_end, after, heading)
 
 
+def _unwound(heading: FloatArray, nudged: FloatArray) -> FloatArray:
+    """Headings with full turns added, so that from each to the next it is the shorter way; the first stays as it is.
+
+    Where both ways are as short, `nudged` tells which it is.
+    """
+    turns = np.round((np.unwrap(np.mod(nudged, 2 * np.pi), axis=1) - heading) / (2 * np.pi))
+    return np.asarray(heading + 2 * np.pi * (turns - turns[:, :1]))
+
+
 def _directions(x: FloatArray, y: FloatArray, legs: FloatArray) -> FloatArray:
     """Directions of legs; one without length has that of the leg before it, or of the first that has one."""
     dx, dy = np.diff(x), np.diff(y)
-    # As esmini has it, which settles the way in which an entity turns that goes straight back.
-    direction = np.arctan2(dy, np.where(np.abs(dx) < _TINY, np.where(dx < 0.0, -_TINY, _TINY), dx))
+    direction = np.arctan2(dy, dx)
     every, first = np.arange(len(x)), (legs > _TINY).argmax(axis=1)
     known = direction[every, first]
     for k in range(direction.shape[1]):
