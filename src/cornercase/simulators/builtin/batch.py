@@ -242,10 +242,9 @@ def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity
         raise InputError(f"{scenario.path}: the bounding box of '{name}' needs a positive length and width.")
     _refuse_trailer(body, scope, name)
     # Two of esmini's own properties.
-    own = {
-        key: "" if (item := named(unrecorded(body, "Properties", "Property"), key)) is None else scope.text(item, "value")
-        for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")
-    }
+    items = unrecorded(body, "Properties", "Property")
+    found = {key: named(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
+    own = {key: "" if item is None else scope.text(item, "value") for key, item in found.items()}
     slides, turning = own["ignoreHeadingForTrajMotion"] == "true", _TURNING.get(own["plineInterpolation"], "")
     reach = scope.one_number(center, "x")
     return Entity(name, kind, length, width, reach, limits[0], limits[1], limits[2], slides, turning)
