@@ -37,12 +37,12 @@ def esmini(path):
     path.write_text("\n".join(lines) + "\n")
 
 
-def erg(path, without=()):
-    """Ego and T00 with boxes of 4.5 m x 1.8 m from their rear ends, 30 m apart."""
+def erg(path, without=(), speed=SPEED):
+    """Ego, which tells this speed, and T00 with boxes of 4.5 m x 1.8 m from their rear ends, 30 m apart."""
     x, y = way(TIME)
     other_x, other_y = way(TIME, 30.0)
     columns = {
-        "Time": ("Double", TIME), "Car.tx": ("Double", x), "Car.ty": ("Double", y), "Car.v": ("Float", 0 * TIME + SPEED),
+        "Time": ("Double", TIME), "Car.tx": ("Double", x), "Car.ty": ("Double", y), "Car.v": ("Float", 0 * TIME + speed),
         "Car.Yaw": ("Float", 0 * TIME + HEADING), "Traffic.T00.tx": ("Double", other_x),
         "Traffic.T00.ty": ("Double", other_y), "Traffic.T00.v_0.x": ("Float", 0 * TIME + SPEED * np.cos(HEADING)),
         "Traffic.T00.v_0.y": ("Float", 0 * TIME + SPEED * np.sin(HEADING)), "Driver.GearNo": ("Int", TIME),

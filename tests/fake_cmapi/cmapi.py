@@ -4,6 +4,8 @@ import asyncio
 import enum
 import json
 import os
+import subprocess
+import sys
 
 import foreign_recordings
 
@@ -17,6 +19,12 @@ class StorageMode(enum.Enum):
 class ConditionSimState(enum.Enum):
     finished = 1
     idle = 2
+
+
+class SimControlState(enum.Enum):
+    configure = 1
+    running = 2
+    finished = 3
 
 
 class Task:
@@ -69,42 +77,80 @@ class Variation:
 
 
 class CarMaker:
-    pass
+    process: "subprocess.Popen[bytes]"
+
+    def start(self):
+        self.process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+
+    def get_pid(self):
+        return self.process.pid
+
+
+class Condition:
+    def __init__(self, control, state):
+        self.control, self.state = control, state
+
+    async def wait(self):
+        if self.state is ConditionSimState.finished and self.control.status is SimControlState.running:
+            await self.control.run()
+        if self.state is ConditionSimState.idle:
+            if WRONG == "restless":
+                await asyncio.sleep(60)
+            self.control.status = SimControlState.configure
 
 
 class SimControlInteractive:
+    """Takes a variation, and starts it, only while it is configured: after a run it has to be stopped first."""
+
+    def __init__(self):
+        self.status = SimControlState.running if WRONG in ("busy", "restless") else SimControlState.configure
+
     async def set_master(self, master):
         assert isinstance(master, CarMaker)
+        self.master = master
 
     def set_variation(self, variation):
-        self.variation = variation
+        if self.status is SimControlState.configure:
+            self.variation = variation
+
+    def get_status(self):
+        return self.status
 
     async def start_and_connect(self):
+        self.master.start()
         if WRONG == "start":
             raise ConnectionError("no licence")
+        if WRONG == "slow start":
+            await asyncio.sleep(60)
         self.note("connected")
 
     async def start_sim(self):
         if WRONG == "raise":
             raise RuntimeError("the application is gone")
-        self.note(json.dumps(self.variation.values))
+        if self.status is SimControlState.configure:
+            self.note(json.dumps(self.variation.values))
+            self.status = SimControlState.running
 
     def create_simstate_condition(self, state):
-        assert state is ConditionSimState.finished
-        return self
+        return Condition(self, state)
 
-    async def wait(self):
+    async def run(self):
         if WRONG == "hang":
             await asyncio.sleep(60)
         if WRONG != "no file":
             number = len(list((Project.loaded.path / "SimOutput").glob("*.erg")))
-            foreign_recordings.erg(Project.loaded.path / "SimOutput" / f"run{number}.erg")
+            path = Project.loaded.path / "SimOutput" / f"run{number}.erg"
+            foreign_recordings.erg(path, speed=self.variation.values.get("ego_speed", foreign_recordings.SPEED))
+        self.status = SimControlState.finished
 
     def stop_sim(self):
         self.note("stopped")
 
     async def stop_and_disconnect(self):
+        if WRONG == "stays":
+            await asyncio.sleep(60)
         self.note("disconnected")
+        self.master.process.kill()
 
     def note(self, words):
         with (Project.loaded.path / "said.txt").open("a") as file:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import sys
 import threading
 import time
 from contextlib import suppress
+from functools import partialmethod
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import psutil
 import pytest
 
 import foreign_recordings as foreign
@@ -21,6 +24,7 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMakerSimulator, WorkerSimulator
 from cornercase.simulators.carmaker.cmapi import CarMakerApi
 from cornercase.simulators.carmaker.port import CommandPort
+from cornercase.simulators.carmaker.port_run import PortRun
 
 SAMPLE = Path(__file__).parents[3] / "shared" / "reference" / "simulators" / "carmaker" / "example.erg"
 SCENARIO = """<?xml version="1.0"?>
@@ -36,13 +40,22 @@ SCENARIO = """<?xml version="1.0"?>
 
 
 class Port:
-    """Answers as CarMaker's command port does; ``odd`` says how, by the word a command begins with."""
+    """A CarMaker that listens on its command port, and goes through its states as one does.
 
-    def __init__(self, result="SimOutput/pc/run.erg", pieces=1, odd=None):
+    After ``StartSim`` it prepares, adapts its driver, runs and postprocesses, each for some questions for its status;
+    then it is idle, and its result lies in a new file; without a course it never begins. ``odd`` says what it answers instead, by the word a command
+    begins with; ``waits`` whether ``WaitForStatus`` waits, comes back at once, or is an error.
+    """
+
+    def __init__(self, pieces=1, odd=None, waits="waits", course=(-1, -5, 0, 0, -3), write=None, state=(-2,)):
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.number = self._listener.getsockname()[1]
         self.asked: list[str] = []
-        self._result, self._pieces, self._odd = result, pieces, odd or {}
+        self.project = Path()
+        self._pieces, self._odd, self._waits, self._course = pieces, odd or {}, waits, course
+        self._write = write or (lambda path, values: foreign.erg(path, speed=float(values["ego_speed"])))
+        self._states, self._values, self._runs, self._begun = list(state), {}, 0, False
+        self._result = ""
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self):
@@ -73,7 +86,7 @@ class Port:
                         return
                     if odd == "silence":
                         time.sleep(2)
-                    answer = odd.encode() if odd else self._answer(word)
+                    answer = odd.encode() if odd else self._answer(command.decode())
                     half = odd == "Ocut"
                     for k in range(0, len(answer), self._pieces):
                         line.sendall(answer[k : k + self._pieces])
@@ -81,13 +94,43 @@ class Port:
                     if half:
                         return
 
-    def _answer(self, word):
-        known = {"WaitForStatus": "O0", "GetLastResultFName": f"O{self._result}", "SimStatus": "O-2", "NamedValue": "O"}
-        if word in known:
-            return known[word].encode() + b"\r\n\r\n"
+    def _answer(self, command):
+        word, *rest = command.split()
+        if word == "SimStatus":
+            return b"O%d\r\n\r\n" % self._next()
+        if word == "WaitForStatus":
+            for _ in range(100 if self._waits == "waits" else 0):
+                if self._state() >= 0 if rest[0] == "running" else self._state() == -2:
+                    break
+                self._next()
+            return b"Etimeout\r\n\r\n" if self._waits == "error" else b"O0\r\n\r\n"
+        if word == "NamedValue":
+            self._values[rest[1]] = rest[2]
+            return b"O\r\n\r\n"
+        if word == "GetLastResultFName":
+            return f"O{self._result}\r\n\r\n".encode()
+        if word == "StartSim" and self._course is not None:
+            self._states, self._begun = [*self._course, -2], True
+        if word == "StopSim":
+            self._states, self._begun = [-3, -2], False
         if word in ("LoadTestRun", "SaveMode", "StartSim", "StopSim"):
             return b"\r\n"
         return f'Einvalid command name "{word}"\r\n\r\n'.encode()
+
+    def _state(self):
+        if self._states[0] == -2 and self._begun:
+            self._begun = False
+            self._runs += 1
+            self._result = f"SimOutput/pc/run{self._runs}.erg"
+            self._write(self.project / self._result, self._values)
+        return self._states[0]
+
+    def _next(self):
+        """The state, after which it goes on to the next; the last one stays."""
+        state = self._state()
+        if len(self._states) > 1:
+            self._states.pop(0)
+        return state
 
     def close(self):
         # Wakes who waits for a call.
@@ -104,7 +147,15 @@ def project(tmp_path):
     return folder
 
 
+@pytest.fixture
+def quick(monkeypatch):
+    """Little patience, since what is waited for never comes."""
+    monkeypatch.setattr(PortRun, "__init__", partialmethod(PortRun.__init__, waiting=0.3))
+    monkeypatch.setattr("cornercase.simulators.carmaker.simulator.WAITING", -59.5)
+
+
 def run(project, port, values=None, **options):
+    port.project = project
     simulator = CarMakerSimulator(
         testrun="Crossing", project=str(project), hosts="127.0.0.1", port=port.number, **options
     )
@@ -117,21 +168,106 @@ def test_a_run_from_end_to_end_however_the_answers_are_split(project, pieces):
     port = Port(pieces=pieces)
     found = run(project, port)
     assert found.names == ("Ego", "T00")
-    np.testing.assert_allclose(found.speed[0], foreign.SPEED, atol=1e-4)
+    np.testing.assert_allclose(found.speed[0], 42.5, atol=1e-4)
     commands = [command.partition(" ")[0] for command in port.asked]
     assert commands == [
-        "LoadTestRun", "NamedValue", "SaveMode", "StartSim", "WaitForStatus", "SimStatus", "WaitForStatus", "SimStatus",
-        "GetLastResultFName",
+        "SimStatus", "LoadTestRun", "NamedValue", "SaveMode", "StartSim", "WaitForStatus", "SimStatus", "WaitForStatus",
+        "SimStatus", "GetLastResultFName",
     ]  # fmt: skip
-    assert port.asked[0] == 'LoadTestRun "Crossing"'
-    assert port.asked[1] == "NamedValue set ego_speed 42.5"
+    assert port.asked[1] == 'LoadTestRun "Crossing"'
+    assert port.asked[2] == "NamedValue set ego_speed 42.5"
+    port.close()
+
+
+SPEEDS = (10.0, 20.0, 30.0)
+
+
+@pytest.mark.parametrize("waits", ["waits", "at once", "error"])
+@pytest.mark.parametrize("course", [(-1, -5, 0, 0, -3), (-10, -11, -1, -4, 3), (), (-3,), (5,)])
+def test_three_speeds_give_three_recordings_however_the_waits_end(project, waits, course):
+    # Without any state it is idle again before anyone asks.
+    port = Port(waits=waits, course=course)
+    found = [run(project, port, {"ego_speed": speed}) for speed in SPEEDS]
+    assert [one.speed[0, 0] for one in found] == pytest.approx(SPEEDS)
+    port.close()
+
+
+@pytest.mark.parametrize("waits", ["waits", "at once", "error"])
+@pytest.mark.parametrize(
+    ("behaviour", "words"),
+    [
+        ({"course": None}, r"did not begin the TestRun within 0\.3 s: it is idle"),
+        (
+            {"course": (-1, *[-5] * 10_000)},
+            r"did not begin the TestRun within 0\.3 s: it is adapting its driver \(-5\)",
+        ),
+        ({"course": (0, *[-8] * 10_000)}, "has paused the TestRun"),
+        ({"course": [-8] * 10_000}, r"it is paused \(-8\)"),
+        ({"course": [1] * 10_000}, "did not end the TestRun within"),
+        ({"course": (1, *[-3] * 10_000)}, "did not end the TestRun within"),
+        ({"course": (1, *[-6] * 10_000)}, "ended the TestRun with a fatal error"),
+        ({"course": (-1, *[-6] * 10_000)}, "ended the TestRun with a fatal error"),
+        ({"write": lambda path, values: None}, "did not begin|cannot be read|stored no result file"),
+        ({"odd": {"GetLastResultFName": "OSimOutput/pc/run.erg\r\n\r\n"}}, "which was there before this run"),
+    ],
+)
+def test_an_old_result_is_never_taken_for_a_new_one(project, quick, waits, behaviour, words):
+    port = Port(waits=waits, **behaviour)
+    for speed in SPEEDS[:2]:
+        found = run(project, port, {"ego_speed": speed})
+        assert isinstance(found, SimulationError), found
+        assert re.search(words, str(found)), str(found)
+    port.close()
+
+
+def test_what_is_still_running_is_stopped_first(project):
+    port = Port(state=(7, 7, 7, 7))
+    assert run(project, port).speed[0, 0] == pytest.approx(42.5)
+    assert [one.partition(" ")[0] for one in port.asked[:4]] == ["SimStatus", "StopSim", "WaitForStatus", "SimStatus"]
+    port.close()
+
+
+def test_a_carmaker_that_does_not_stop_is_left(project, quick):
+    port = Port(odd={"SimStatus": "O7\r\n\r\n"})
+    found = run(project, port)
+    assert isinstance(found, SimulatorError)
+    assert "is not idle but running (7), also 0.3 s after StopSim" in str(found)
+    assert not any(one.startswith(("LoadTestRun", "StartSim")) for one in port.asked)
+    port.close()
+
+
+def test_boxes_and_kinds_come_from_the_scenario(project, caplog):
+    path = project.parent / "s.xosc"
+    body = """<{0} {1}><BoundingBox><Center x="1" y="0" z="1"/><Dimensions length="{2}" width="{3}" height="1"/>
+</BoundingBox></{0}>"""
+    truck = body.format("Vehicle", 'name="t" vehicleCategory="truck"', "$long", 2.5)
+    walker = body.format("Pedestrian", 'name="p" mass="80" pedestrianCategory="pedestrian"', 0.5, 0.6)
+    text = SCENARIO.replace('<ScenarioObject name="Ego"/>', f'<ScenarioObject name="Ego">{truck}</ScenarioObject>')
+    text = text.replace('<ScenarioObject name="T00"/>', f'<ScenarioObject name="T00">{walker}</ScenarioObject>')
+    declared = '<ParameterDeclaration name="long" parameterType="double" value="10"/></ParameterDeclarations>'
+    path.write_text(text.replace("</ParameterDeclarations>", declared))
+    port = Port()
+    found = run(project, port, {"ego_speed": 8.0, "long": 12.0})
+    assert found.kinds == ("truck", "pedestrian")
+    assert found.length.tolist() == [12.0, 0.5]
+    assert found.width.tolist() == [2.5, 0.6]
+    # The position in the file is the middle of the rear end.
+    np.testing.assert_allclose([found.x[0, 0], found.y[0, 0]], foreign.way(0.0, 6.0), atol=1e-6)
+    assert not caplog.records
+    port.close()
+
+
+def test_who_has_no_box_is_said(project, caplog):
+    port = Port()
+    assert run(project, port).length.tolist() == [4.5, 4.5]
+    assert "s.xosc: Ego, T00 have no <BoundingBox>" in caplog.text
     port.close()
 
 
 def test_values_are_one_tcl_word(project):
     port = Port()
     run(project, port, {"ego_speed": -1.5e-7, "weather": "heavy rain; exit"})
-    assert port.asked[1:3] == ["NamedValue set ego_speed -1.5e-07", "NamedValue set weather {heavy rain; exit}"]
+    assert port.asked[2:4] == ["NamedValue set ego_speed -1.5e-07", "NamedValue set weather {heavy rain; exit}"]
     found = run(project, port, {"weather": "} exit {"})
     assert "Tcl" in str(found)
     port.close()
@@ -149,12 +285,11 @@ def test_values_are_one_tcl_word(project):
         ({"GetLastResultFName": "Ocut"}, "CarMaker closed the line in its answer to 'GetLastResultFName'", True),
         ({"SimStatus": ["O-6\r\n\r\n"]}, "CarMaker ended the TestRun with a fatal error", True),
         ({"SimStatus": "Owell\r\n\r\n"}, "tells the status 'well', which is no number", False),
-        ({"SimStatus": "O1\r\n\r\n"}, "did not end the TestRun within", False),
         ({"GetLastResultFName": "O\r\n\r\n"}, "stored no result file", False),
         ({"GetLastResultFName": "OSimOutput/none.erg\r\n\r\n"}, "cannot be read", False),
     ],
 )
-def test_what_goes_wrong_costs_the_scenario_alone(project, odd, words, lost):
+def test_what_goes_wrong_costs_the_scenario_alone(project, quick, odd, words, lost):
     port = Port(odd=odd)
     found = run(project, port)
     assert isinstance(found, SimulationError)
@@ -163,9 +298,10 @@ def test_what_goes_wrong_costs_the_scenario_alone(project, odd, words, lost):
     port.close()
 
 
-def test_a_lost_licence_stops_all_and_says_so(project):
-    port = Port(odd={"SimStatus": "O-7\r\n\r\n"})
-    with pytest.raises(InputError, match="lost its licence"):
+@pytest.mark.parametrize("course", [[-7] * 10_000, [-1, *[-7] * 10_000], [3, *[-7] * 10_000]])
+def test_a_lost_licence_stops_all_and_says_so(project, course):
+    port = Port(course=course)
+    with pytest.raises(InputError, match="waits for a licence"):
         run(project, port)
     port.close()
 
@@ -186,6 +322,7 @@ def test_nobody_listens(project):
 
 def test_a_broken_line_is_tried_again_on_a_new_one(project):
     port = Port(odd={"StartSim": ["close"]})
+    port.project = project
     options = {"testrun": "Crossing", "project": str(project), "hosts": "127.0.0.1", "port": port.number}
     simulator = WorkerSimulator("carmaker", options)
     found = ran(simulator, [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": float(k)}) for k in range(3)])
@@ -198,19 +335,25 @@ def test_a_broken_line_is_tried_again_on_a_new_one(project):
 
 
 def test_a_truncated_result_costs_the_scenario_alone(project):
-    file = project / "SimOutput" / "pc" / "run.erg"
-    whole = file.read_bytes()
-    port = Port()
+    whole = (project / "SimOutput" / "pc" / "run.erg").read_bytes()
+    about = (project / "SimOutput" / "pc" / "run.erg.info").read_bytes()
+    parts = iter(range(10))
+
+    def write(path, values):
+        path.write_bytes(whole[: len(whole) * next(parts) // 10 + 3])
+        path.with_name(path.name + ".info").write_bytes(about)
+
+    port = Port(write=write)
     for tenth in range(10):
-        file.write_bytes(whole[: len(whole) * tenth // 10 + 3])
         found = run(project, port)
         assert isinstance(found, SimulationError), tenth
-        assert str(file) in str(found)
+        assert f"run{tenth + 1}.erg" in str(found)
     port.close()
 
 
 def test_explores(project):
     port = Port()
+    port.project = project
     study = project.parent / "s.db"
     done = cornercase(
         "explore", project.parent / "s.xosc", "--range", "ego_speed=30:60", "--ego", "Ego", "--other", "T00", "--metric",
@@ -237,15 +380,17 @@ def test_explores(project):
 def test_refuses_in_one_sentence(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         CarMakerSimulator(**({"testrun": "a", "project": str(tmp_path)} | options))
-    assert Path(tmp_path).is_dir()
+    # What is refused is at fault: the rest can be used.
+    assert CarMakerSimulator(testrun="a", project=str(tmp_path)).name == "carmaker"
 
 
 @pytest.mark.skipif(not SAMPLE.is_file(), reason="the real sample is not beside the checkout")
 def test_a_real_result_without_positions_says_what_to_store(project):
-    for ending in ("", ".info"):
-        target = project / "SimOutput" / "pc" / f"run.erg{ending}"
-        target.write_bytes(SAMPLE.with_name(SAMPLE.name + ending).read_bytes())
-    port = Port()
+    def write(path, values):
+        for ending in ("", ".info"):
+            path.with_name(path.name + ending).write_bytes(SAMPLE.with_name(SAMPLE.name + ending).read_bytes())
+
+    port = Port(write=write)
     found = run(project, port)
     assert isinstance(found, SimulationError)
     assert "has no Car.tx, Car.ty, Car.Yaw, Car.v; add it to the quantities that CarMaker stores." in str(found)
@@ -278,11 +423,16 @@ def cmapi(monkeypatch, project):
 def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, project):
     simulator = CarMakerSimulator(testrun="Crossing", project=str(project))
     concretes = [ConcreteScenario(project.parent / "s.xosc", {"ego_speed": speed}) for speed in (42.5, 50.0)]
-    for found in ran(simulator, concretes):
+    for found, speed in zip(ran(simulator, concretes), (42.5, 50.0), strict=True):
         assert found.names == ("Ego", "T00")
-        np.testing.assert_allclose(found.speed[0], foreign.SPEED, atol=1e-4)
+        np.testing.assert_allclose(found.speed[0], speed, atol=1e-4)
     said = (project / "said.txt").read_text().splitlines()
-    assert said == ["connected", '{"ego_speed": 42.5}', '{"ego_speed": 50.0}']
+    # A run that has ended is left before the next one is configured.
+    assert said == ["connected", '{"ego_speed": 42.5}', "stopped", '{"ego_speed": 50.0}']
+    process = simulator._api._master.process  # type: ignore[union-attr]
+    assert process.poll() is None
+    simulator.close()
+    assert process.wait(10) is not None
     with pytest.raises(InputError, match=r"each needs a CarMaker project of its own, and there are 1; give more as"):
         CarMakerSimulator(testrun="Crossing", project=str(project), worker=1)
     CarMakerSimulator(testrun="Crossing", project=f"{project}+{project.parent}", worker=1)
@@ -310,13 +460,53 @@ def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, k
     control.close()
 
 
-def test_a_carmaker_that_does_not_start_by_ipgs_module_is_said(cmapi, project):
-    cmapi("start")
-    with pytest.raises(InputError, match=r"does not start by IPG's cmapi \(no licence\).*carmaker:via=port"):
+def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, project):
+    cmapi("busy")
+    control = CarMakerApi(project, "Crossing", 5.0)
+    assert control.run({"ego_speed": 7.0}).is_file()
+    assert (project / "said.txt").read_text().splitlines()[:2] == ["connected", "stopped"]
+    control.close()
+
+
+def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project, monkeypatch):
+    monkeypatch.setattr("cornercase.simulators.carmaker.cmapi._ENDING", 0.3)
+    cmapi("restless")
+    control = CarMakerApi(project, "Crossing", 5.0)
+    with pytest.raises(SimulatorError, match="does not come to rest"):
+        control.run({"ego_speed": 7.0})
+    control.close()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [("start", r"does not start by IPG's cmapi \(no licence\).*carmaker:via=port"), ("slow start", "no answer")],
+)
+def test_a_carmaker_that_does_not_start_by_ipgs_module_is_said_and_ended(cmapi, project, wrong, words):
+    cmapi(wrong)
+    begun = _begun_processes()
+    with pytest.raises(InputError, match=words):
         CarMakerApi(project, "Crossing", 0.5)
-    cmapi("")
+    left = [psutil.Process(one) for one in _begun_processes() - begun]
+    assert not psutil.wait_procs(left, timeout=10)[1]
+
+
+def test_a_testrun_that_is_not_there_is_said(cmapi, project):
     with pytest.raises(InputError, match="no TestRun Nowhere"):
         CarMakerApi(project, "Nowhere", 0.5)
+
+
+def test_a_carmaker_that_does_not_end_is_ended_by_force(cmapi, project, monkeypatch):
+    monkeypatch.setattr("cornercase.simulators.carmaker.cmapi._ENDING", 0.3)
+    cmapi("stays")
+    control = CarMakerApi(project, "Crossing", 5.0)
+    process = control._master.process
+    control.close()
+    assert process.wait(10) is not None
+
+
+def _begun_processes():
+    alive = (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
+    return {one.pid for one in psutil.Process().children() if one.status() not in alive}
 
 
 def test_a_way_that_is_not_there_is_refused(project):

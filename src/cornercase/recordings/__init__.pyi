@@ -5,6 +5,7 @@ from .reading import read_recording as read_recording
 from .recording import MOTION as MOTION
 from .recording import Collision as Collision
 from .recording import Recording as Recording
+from .samples import EntityBox as EntityBox
 from .samples import EntitySamples as EntitySamples
 from .samples import box_center as box_center
 from .samples import recording_of as recording_of

@@ -40,6 +40,23 @@ class EntitySamples:
     samples: dict[float, tuple[float, float, float, float, float]] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class EntityBox:
+    """What an entity is, where the file of its motion does not tell.
+
+    Attributes
+    ----------
+    kind : str
+        As in `Recording`.
+    length, width : float
+        Bounding box in m.
+    """
+
+    kind: str
+    length: float
+    width: float
+
+
 def box_center(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:
     """Tell where the centre of a box is.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase._common.typing import FloatArray
 from cornercase.recordings.recording import Recording
-from cornercase.recordings.samples import EntitySamples, recording_of
+from cornercase.recordings.samples import EntityBox, EntitySamples, recording_of
 
 _HEADER: Final = 16
 _TYPES: Final = {
@@ -25,8 +25,8 @@ _NAME: Final = re.compile(r"File\.At\.(\d{1,9})\.Name")
 _BYTES: Final = re.compile(r"(\d{1,5}) Bytes")
 # Bytes of a result file: an hour of a thousand quantities.
 _LARGEST: Final = 2_000_000_000
-# In m; CarMaker's files do not hold the size of an entity.
-_LENGTH, _WIDTH = 4.5, 1.8
+# CarMaker's files do not hold the size of an entity.
+_USUAL: Final = EntityBox("car", 4.5, 1.8)
 
 
 def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
@@ -90,19 +90,21 @@ def _facts(text: str) -> Iterator[tuple[str, str]]:
 
 
 @np.errstate(all="ignore")
-def read_erg(path: Path | str) -> Recording:
+def read_erg(path: Path | str, bodies: Mapping[str, EntityBox] | None = None) -> Recording:
     """Read the motion of the ego and of the traffic objects from a result file.
 
     Parameters
     ----------
     path : path
         With ``.info`` beside it.
+    bodies : mapping of str to EntityBox, optional
+        What the entities are, as the file does not tell.
 
     Returns
     -------
     Recording
         ``Ego``, and traffic objects as ``T00``, ``T01``, …. Positions in the file are taken for the middle of the rear
-        end, as CarMaker's vehicle frame has it; all are cars of 4.5 m x 1.8 m, as the file does not tell.
+        end, as CarMaker's vehicle frame has it; entities that are not among `bodies` are cars of 4.5 m x 1.8 m.
 
     Raises
     ------
@@ -116,7 +118,8 @@ def read_erg(path: Path | str) -> Recording:
     if missing:
         raise InputError(f"{path}: has no {', '.join(missing)}; add it to the quantities that CarMaker stores.")
     time = columns["Time"].astype(np.float64)
-    tracks = {"Ego": _track(time, *(columns[name] for name in needed[1:]))}
+    known = bodies or {}
+    tracks = {"Ego": _track(known.get("Ego", _USUAL), time, *(columns[name] for name in needed[1:]))}
     for name in sorted(found.group(1) for key in columns if (found := re.fullmatch(r"Traffic\.(T\d+)\.tx", key))):
         x, y = columns[f"Traffic.{name}.tx"], columns.get(f"Traffic.{name}.ty")
         if y is None:
@@ -128,13 +131,15 @@ def read_erg(path: Path | str) -> Recording:
             heading = _course(time, x, y) if along is None or across is None else np.arctan2(across, along)
         if speed is None:
             speed = np.full(len(time), np.nan) if along is None or across is None else np.hypot(along, across)
-        tracks[name] = _track(time, x, y, heading, speed)
+        tracks[name] = _track(known.get(name, _USUAL), time, x, y, heading, speed)
     return recording_of(path, tracks)
 
 
-def _track(time: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray) -> EntitySamples:
-    track = EntitySamples("car", _LENGTH, _WIDTH)
-    ahead = 0.5 * _LENGTH
+def _track(
+    body: EntityBox, time: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
+) -> EntitySamples:
+    track = EntitySamples(body.kind, body.length, body.width)
+    ahead = 0.5 * body.length
     rows = np.stack([x + ahead * np.cos(heading), y + ahead * np.sin(heading), heading, speed], axis=1)
     for instant, row in zip(time.tolist(), rows.astype(np.float64).tolist(), strict=True):
         track.samples[instant] = (row[0], row[1], row[2], row[3], float("nan"))

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import os
+import signal
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 from cornercase.scenario import Value
+from cornercase.simulators.carmaker.results import ResultFiles
 
 # s that CarMaker may take to end.
 _ENDING: Final = 5.0
@@ -52,15 +56,17 @@ class CarMakerApi:
 
         self._cmapi: Any = cmapi
         self._project, self._testrun, self._patience = project, testrun, patience
-        self._started: Future[asyncio.AbstractEventLoop] = Future()
+        self._started: Future[None] = Future()
         self._thread = threading.Thread(target=self._live, daemon=True)
         self._thread.start()
         try:
-            self._loop = self._started.result(patience)
+            self._started.result(patience)
         except Exception as error:
+            # It may come up yet, and would hold its licence.
+            self.close()
             raise InputError(
-                f"CarMaker does not start by IPG's cmapi ({error or 'no answer'}); see to its installation and licence,"
-                " or use a CarMaker that runs already by carmaker:via=port."
+                f"CarMaker does not start by IPG's cmapi ({str(error) or 'no answer'}); see to its installation and"
+                " licence, or use a CarMaker that runs already by carmaker:via=port."
             ) from error
 
     def _live(self) -> None:
@@ -72,16 +78,32 @@ class CarMakerApi:
 
     async def _main(self) -> None:
         cmapi = self._cmapi
+        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
         cmapi.Project.load(self._project)
-        self._control = cmapi.SimControlInteractive()
-        await self._control.set_master(cmapi.CarMaker())
+        self._control, self._master = cmapi.SimControlInteractive(), cmapi.CarMaker()
+        await self._control.set_master(self._master)
         # CarMaker connects only when there is a variation to run.
         self._control.set_variation(self._variation({}))
-        await self._control.start_and_connect()
-        self._over = asyncio.Event()
-        self._started.set_result(asyncio.get_running_loop())
-        await self._over.wait()
-        await self._control.stop_and_disconnect()
+        try:
+            starting = asyncio.ensure_future(self._control.start_and_connect())
+            ended = asyncio.ensure_future(self._over.wait())
+            await asyncio.wait((starting, ended), return_when=asyncio.FIRST_COMPLETED)
+            if starting.done():
+                starting.result()
+                self._started.set_result(None)
+            await ended
+        except Exception as error:
+            self._started.set_exception(error)
+        finally:
+            await self._end()
+
+    async def _end(self) -> None:
+        """End what was started here; by force where the module does not, so that no licence stays taken."""
+        try:
+            await asyncio.wait_for(_answered(self._control.stop_and_disconnect()), _ENDING)
+        except Exception:
+            with suppress(Exception):
+                os.kill(int(self._master.get_pid()), signal.SIGTERM)
 
     def _variation(self, values: Mapping[str, Value]) -> Any:
         cmapi = self._cmapi
@@ -109,16 +131,16 @@ class CarMakerApi:
         SimulationError
             It did not end in time, or wrote no file; as a `SimulatorError` whatever the module says went wrong.
         """
-        before = self._results()
+        before = ResultFiles(self._project)
         future = asyncio.run_coroutine_threadsafe(self._run(values), self._loop)
         try:
             # `_run` stops waiting after `patience` and stops the run; this is for a module that does not answer at all.
-            future.result(2 * self._patience)
+            future.result(2 * self._patience + _ENDING)
         except SimulationError:
             raise
         except Exception as error:
             raise SimulatorError(f"CarMaker, by cmapi: {type(error).__name__}: {error}") from error
-        written = [path for path, changed in self._results().items() if before.get(path) != changed]
+        written = before.written()
         if len(written) != 1:
             raise SimulationError(
                 f"CarMaker wrote {len(written)} result files in SimOutput, where one was awaited; let the TestRun store"
@@ -128,20 +150,40 @@ class CarMakerApi:
 
     async def _run(self, values: Mapping[str, Value]) -> None:
         control, states = self._control, self._cmapi.ConditionSimState
-        control.set_variation(self._variation(values))
+        # A variation is taken only where a simulation is configured: not while one runs, or has ended and was not left.
+        if control.get_status() != self._cmapi.SimControlState.configure and not await self._stop():
+            raise SimulatorError(f"CarMaker does not come to rest within {_ENDING:g} s")
+        variation = self._variation(values)
+        control.set_variation(variation)
         await control.start_sim()
         try:
             await asyncio.wait_for(control.create_simstate_condition(states.finished).wait(), self._patience)
         except TimeoutError:
-            stopping = control.stop_sim()
-            if inspect.isawaitable(stopping):
-                await stopping
+            await self._stop()
             raise SimulationError(f"CarMaker did not end the TestRun within {self._patience:g} s") from None
+        # Not each version of the module tells how a run has ended.
+        told = getattr(variation, "get_simend_info", None)
+        if told is not None and getattr(told(), "error_flag", False):
+            raise SimulationError("CarMaker ended the TestRun with an error; its log tells which")
 
-    def _results(self) -> dict[Path, int]:
-        return {path: path.stat().st_mtime_ns for path in (self._project / "SimOutput").rglob("*.erg")}
+    async def _stop(self) -> bool:
+        """Stop a run and wait until nothing runs; False where that takes too long."""
+        await _answered(self._control.stop_sim())
+        idle = self._control.create_simstate_condition(self._cmapi.ConditionSimState.idle)
+        with suppress(TimeoutError):
+            await asyncio.wait_for(idle.wait(), _ENDING)
+            return True
+        return False
 
     def close(self) -> None:
-        """End CarMaker, and wait a moment until it has."""
-        self._loop.call_soon_threadsafe(self._over.set)
-        self._thread.join(_ENDING)
+        """End the CarMaker that was started here, and wait a moment until it has."""
+        # Where it failed at the very beginning, its loop is over.
+        with suppress(AttributeError, RuntimeError):
+            self._loop.call_soon_threadsafe(self._over.set)
+        self._thread.join(2 * _ENDING)
+
+
+async def _answered(given: Any) -> None:
+    """Wait for what some versions of the module give to be awaited."""
+    if inspect.isawaitable(given):
+        await given

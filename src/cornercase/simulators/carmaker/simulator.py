@@ -7,19 +7,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
-from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggestion
+from cornercase._common.errors import InputError, SimulationError, suggestion
 from cornercase.drivers import Driver
-from cornercase.recordings import Recording, read_erg
+from cornercase.recordings import EntityBox, Recording, read_erg
 from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Availability, Simulator
+from cornercase.simulators.carmaker.bodies import read_bodies, warn_of_missing
 from cornercase.simulators.carmaker.cmapi import CarMakerApi, has_cmapi
 from cornercase.simulators.carmaker.port import CommandPort
+from cornercase.simulators.carmaker.port_run import WAITING, PortRun
 from cornercase.simulators.hosts import address
 
 _PORT: Final = 16660
-_LICENCE, _FATAL = -7, -6
-# s that CarMaker may take to begin, beyond those of a run.
-_PATIENCE: Final = 60.0
 
 
 class CarMakerSimulator(Simulator):
@@ -28,9 +27,9 @@ class CarMakerSimulator(Simulator):
     Where IPG's Python module ``cmapi`` can be imported, it starts a CarMaker; else there has to be one that listens on
     its command port.
 
-    The scenario file only tells which parameters and entities there are: ``Ego`` and the traffic objects ``T00``,
-    ``T01``, …. What happens is the TestRun's business; its file uses the named values. Motion is read from the result
-    file.
+    The scenario file only tells which parameters and entities there are, ``Ego`` and the traffic objects ``T00``,
+    ``T01``, …, and what boxes they have. What happens is the TestRun's business; its file uses the named values.
+    Motion is read from the result file.
 
     Parameters
     ----------
@@ -105,7 +104,7 @@ class CarMakerSimulator(Simulator):
             raise InputError(f"A duration of {duration:g} s at a speed-up of {speedup:g} cannot be; give both above 0.")
         self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
         self._host, self._port = address(hosts, port, worker)
-        self._patience = duration / speedup + _PATIENCE
+        self._patience = duration / speedup + WAITING
         self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
         if self._api_wanted and worker >= len(projects):
             raise InputError(
@@ -115,6 +114,7 @@ class CarMakerSimulator(Simulator):
         self._api: CarMakerApi | None = None
         self._line: CommandPort | None = None
         self._read: Scenario | None = None
+        self._warned: Path | None = None
         self.settings: dict[str, object] = {"testrun": testrun, "duration": duration}
 
     @classmethod
@@ -151,13 +151,15 @@ class CarMakerSimulator(Simulator):
         for concrete in concretes:
             self._read = concrete.scenario(self._read)
             self.require_means(self._read)
+            bodies = read_bodies(self._read, concrete.values)
             if self._api_wanted:
-                yield self._run_by_api(concrete.values)
+                yield self._run_by_api(concrete.values, bodies)
                 continue
             if self._line is None:
                 self._line = CommandPort(self._host, self._port)
             try:
-                yield self._run(self._line, concrete.values)
+                one = PortRun(self._line, self._project, self._patience)
+                yield _recording(one.run(self._testrun, concrete.values), bodies)
             except SimulationError as error:
                 # After an error an answer to an old command may still arrive on this connection.
                 self._line.close()
@@ -191,61 +193,22 @@ class CarMakerSimulator(Simulator):
                     f"{scenario.path}: '{name}' is no entity of CarMaker; call the ego and the TestRun's traffic"
                     " objects Ego, T00, T01, …, as its result files do."
                 )
+        # Once a file.
+        if self._warned != scenario.path:
+            self._warned = scenario.path
+            warn_of_missing(scenario)
 
-    def _run_by_api(self, values: Mapping[str, Value]) -> Recording | SimulationError:
+    def _run_by_api(self, values: Mapping[str, Value], bodies: Mapping[str, EntityBox]) -> Recording | SimulationError:
         if self._api is None:
             self._api = CarMakerApi(self._project, self._testrun, self._patience)
         try:
-            return _recording(self._api.run(values))
+            return _recording(self._api.run(values), bodies)
         except SimulationError as error:
             return error
 
-    def _run(self, line: CommandPort, values: Mapping[str, Value]) -> Recording:
-        line.ask(f'LoadTestRun "{self._testrun}"', self._patience)
-        for name, value in values.items():
-            line.ask(f"NamedValue set {_word(name)} {_word(value)}", self._patience)
-        line.ask("SaveMode save_all", self._patience)
-        line.ask("StartSim", self._patience)
-        line.ask(f"WaitForStatus running {round(1000 * _PATIENCE)}", self._patience)
-        self._require_running(line)
-        line.ask(f"WaitForStatus idle {round(1000 * self._patience)}", self._patience + _PATIENCE)
-        status = self._status(line)
-        if status >= 0:
-            line.ask("StopSim", self._patience)
-            raise SimulationError(f"CarMaker did not end the TestRun within {self._patience:g} s")
-        file = line.ask("GetLastResultFName", self._patience)
-        if not file:
-            raise SimulationError("CarMaker stored no result file; let the TestRun store its results")
-        return _recording(self._project / file)
 
-    def _require_running(self, line: CommandPort) -> None:
-        """Refuse to go on without a licence, and leave a scenario that CarMaker cannot start."""
-        if self._status(line) == _FATAL:
-            raise SimulatorError("CarMaker ended the TestRun with a fatal error; its log tells which")
-
-    def _status(self, line: CommandPort) -> int:
-        text = line.ask("SimStatus", self._patience)
-        try:
-            status = int(text)
-        except ValueError:
-            raise SimulationError(f"CarMaker tells the status '{text}', which is no number") from None
-        if status == _LICENCE:
-            raise InputError(
-                "CarMaker has lost its licence; restore the licence server and run the same command again to go on."
-            )
-        return status
-
-
-def _recording(path: Path) -> Recording:
+def _recording(path: Path, bodies: Mapping[str, EntityBox]) -> Recording:
     try:
-        return read_erg(path)
+        return read_erg(path, bodies)
     except InputError as error:
         raise SimulationError(str(error)) from error
-
-
-def _word(value: Value) -> str:
-    """A value as one Tcl word."""
-    text = f"{value:.9g}" if isinstance(value, float) else str(value)
-    if any(sign in text for sign in "{}\\\r\n"):
-        raise SimulationError(f"'{text}' has a sign that Tcl would take for its own")
-    return text if text.replace(".", "").replace("-", "").replace("_", "").isalnum() else f"{{{text}}}"
