@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from cornercase._common.ledger import Entry, Ledger, Status
@@ -48,6 +49,8 @@ def page(ledger: Ledger, head: str) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+_ELEMENT, _CODE = re.compile(r"(<[^>]+>)"), r"`\1`"
+
 _TITLES = {
     Status.REFUSED: "Refused",
     Status.WITHOUT_EFFECT: "Without effect",
@@ -57,14 +60,17 @@ _TITLES = {
 
 def _noted(entries: list[Entry]) -> list[str]:
     """Table of entries; those with one note are one row."""
-    rows: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    rows: dict[tuple[str, tuple[str, ...]], dict[str, list[str]]] = {}
     for entry in entries:
-        name = f"`{entry.element}`" if not entry.attribute else f"`{entry.attribute}` of `{entry.element}`"
-        rows.setdefault((entry.note, entry.unless), []).append(name)
+        rows.setdefault((entry.note, entry.unless), {}).setdefault(entry.element, []).append(entry.attribute)
     lines = ["| what | why, and what instead | said unless it is |", "| --- | --- | --- |"]
     for (note, unless), names in rows.items():
         never = "never said" if unless == ("*",) else ", ".join(f"`{one}`" for one in unless)
-        lines.append(f"| {', '.join(names)} | {note} | {never} |")
+        whats = (
+            ", ".join(f"`{one}`" for one in attributes if one) + (" of " if any(attributes) else "") + f"`{element}`"
+            for element, attributes in names.items()
+        )
+        lines.append(f"| {', '.join(whats)} | {_ELEMENT.sub(_CODE, note)} | {never} |")
     return [*lines, ""]
 
 

@@ -90,6 +90,16 @@ class Notice:
         return f"{', '.join(self.what)} ({place}): {self.why}"
 
 
+def merged(notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    """Notices of which those of one file and for one reason are one."""
+    found: dict[tuple[Path, str], tuple[dict[str, None], set[int]]] = {}
+    for notice in notices:
+        names, lines = found.setdefault((notice.file, notice.why), ({}, set()))
+        names.update(dict.fromkeys(notice.what))
+        lines.update(notice.lines)
+    return tuple(Notice(tuple(names), why, file, tuple(sorted(lines))) for (file, why), (names, lines) in found.items())
+
+
 def warn_of(notices: Iterable[Notice]) -> None:
     """Give each notice as a `NoticeWarning` of whoever called cornercase."""
     level, frame = 1, sys._getframe()
@@ -208,14 +218,8 @@ class Ledger:
             Parts without effect by the ledger, parts that the ledger does not know, and parts that it calls used but
             that nobody read; one for each reason.
         """
-        found: dict[str, tuple[dict[str, None], dict[int, None]]] = {}
-        for what, why, line in self._silent(element, _path(element), read):
-            names, lines = found.setdefault(why, ({}, {}))
-            names[what] = None
-            lines[line] = None
-        return tuple(
-            Notice(tuple(names), why, Path(file), tuple(sorted(lines))) for why, (names, lines) in found.items()
-        )
+        silent = self._silent(element, _path(element), read)
+        return merged(Notice((what,), why, Path(file), (line,)) for what, why, line in silent)
 
     def _silent(self, element: etree._Element, path: tuple[str, ...], read: bool) -> Iterator[tuple[str, str, int]]:
         entry, line = self.entry(path), _line(element)

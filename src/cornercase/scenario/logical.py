@@ -13,6 +13,7 @@ from cornercase.scenario.constraints import read_declarations
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.space import ParameterSpace
+from cornercase.scenario.xml import XmlFiles
 
 
 @dataclass(frozen=True)
@@ -122,14 +123,16 @@ class LogicalScenario:
         ['ego_start', 'pedestrian_wait', 'p1_speed']
         """
         ranges = texts("ranges", ranges)
-        varied = None if space is None else ParameterSpace.from_file(path("space", space))
+        files = XmlFiles()
+        varied = None if space is None else ParameterSpace.from_file(path("space", space), files)
         if scenario is None:
             if space is None:
                 raise InputError("There is no scenario; name an OpenSCENARIO file, or a `space` file that names one.")
-            scenario = ParameterSpace.scenario_file(space)
+            scenario = ParameterSpace.scenario_file(space, files)
         if ranges:
             varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
         file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+        file.add_files(files)
         if varied is None:
             raise InputError(f"{file.path}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
         file.require_parameters(list(varied.assigns))

@@ -103,13 +103,18 @@ class Scenario:
         """
         return self._files.root(path)
 
+    def add_files(self, files: XmlFiles) -> None:
+        """Count more files among those of the scenario, such as that of a parameter space."""
+        self._files.update(files)
+
     def read_parts(self) -> list[tuple[Path, etree._Element]]:
         """Give what of the scenario's files was read, as the elements that hold it.
 
         Returns
         -------
         list of (Path, lxml element)
-            The root of the scenario file, the catalog entries that were asked for, and the roots of road files.
+            The root of the scenario file, the catalog entries that were asked for, and the roots of road files and of
+            files that belong to it.
         """
         found = []
         for path, root in self._files.parsed().items():

@@ -17,6 +17,7 @@ from cornercase.scenario.admission import admitted
 from cornercase.scenario.constraints import Declaration, in_words
 from cornercase.scenario.parameter import Parameter, Value
 from cornercase.scenario.varied import read_distribution_file, read_ranges, scenario_file_of, without
+from cornercase.scenario.xml import XmlFiles
 
 # So many points are looked at to see whether constraints leave anything.
 _SAMPLED = 2048
@@ -126,12 +127,14 @@ class ParameterSpace:
         return cls(read_ranges(ranges))
 
     @classmethod
-    def from_file(cls, path: Path | str) -> ParameterSpace:
+    def from_file(cls, path: Path | str, files: XmlFiles | None = None) -> ParameterSpace:
         """Space of an OpenSCENARIO ParameterValueDistribution file.
 
         Parameters
         ----------
         path : path
+        files : XmlFiles, optional
+            Keeps it, and what was read of it.
 
         Returns
         -------
@@ -142,15 +145,17 @@ class ParameterSpace:
         InputError
             The file cannot be used; the message names the parameter.
         """
-        return cls(read_distribution_file(path))
+        return cls(read_distribution_file(path, files))
 
     @staticmethod
-    def scenario_file(path: Path | str) -> Path:
+    def scenario_file(path: Path | str, files: XmlFiles | None = None) -> Path:
         """Return the scenario that a ParameterValueDistribution file belongs to.
 
         Parameters
         ----------
         path : path
+        files : XmlFiles, optional
+            Keeps it, and what was read of it.
 
         Returns
         -------
@@ -161,7 +166,7 @@ class ParameterSpace:
         InputError
             The file cannot be used, or names no scenario.
         """
-        return scenario_file_of(path)
+        return scenario_file_of(path, files)
 
     def with_ranges(self, ranges: Sequence[str]) -> ParameterSpace:
         """Space with parameters added, or replaced where the name is the same.

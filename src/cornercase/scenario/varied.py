@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.recorded_xml import named, unrecorded
 from cornercase.scenario.distributions import read_distribution
 from cornercase.scenario.parameter import Parameter
-from cornercase.scenario.xml import read_xml
+from cornercase.scenario.xml import XmlFiles, read_xml
 
 _RANGE = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::(?P<step>[^:]+))?")
 
@@ -40,12 +40,14 @@ def read_ranges(texts: Sequence[str]) -> list[Parameter]:
     return parameters
 
 
-def read_distribution_file(path: Path | str) -> list[Parameter]:
+def read_distribution_file(path: Path | str, files: XmlFiles | None = None) -> list[Parameter]:
     """Read an OpenSCENARIO ParameterValueDistribution file.
 
     Parameters
     ----------
     path : path
+    files : XmlFiles, optional
+        Keeps it, and what was read of it.
 
     Returns
     -------
@@ -56,7 +58,7 @@ def read_distribution_file(path: Path | str) -> list[Parameter]:
     InputError
         The file cannot be used; the message names the parameter.
     """
-    distribution = _distribution_element(path)
+    distribution = _distribution_element(path, files)
     parameters = []
     for element in distribution.iterfind(".//DeterministicMultiParameterDistribution"):
         parameters.append(_read_value_sets(element, str(path)))
@@ -73,12 +75,14 @@ def read_distribution_file(path: Path | str) -> list[Parameter]:
     return [_with_unit(parameter, distribution) for parameter in parameters]
 
 
-def scenario_file_of(path: Path | str) -> Path:
+def scenario_file_of(path: Path | str, files: XmlFiles | None = None) -> Path:
     """Scenario that a ParameterValueDistribution file belongs to.
 
     Parameters
     ----------
     path : path
+    files : XmlFiles, optional
+        Keeps it, and what was read of it.
 
     Returns
     -------
@@ -89,7 +93,7 @@ def scenario_file_of(path: Path | str) -> Path:
     InputError
         It names none on this machine.
     """
-    file = _distribution_element(path).find("ScenarioFile")
+    file = _distribution_element(path, files).find("ScenarioFile")
     name = "" if file is None else file.get("filepath", "")
     if not name or re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", name):
         raise InputError(f"{path}: <ScenarioFile> must name a local file.")
@@ -176,8 +180,9 @@ def _require_names(names: Sequence[str], where: str) -> None:
             raise InputError(f"{where}: the parameter {name} is varied twice; keep one of them.")
 
 
-def _distribution_element(path: Path | str) -> Any:
-    element = read_xml(path).find("ParameterValueDistribution")
+def _distribution_element(path: Path | str, files: XmlFiles | None) -> Any:
+    root = read_xml(path) if files is None else files.root(Path(path))
+    element = root.find("ParameterValueDistribution")
     if element is None:
         raise InputError(f"{path}: has no <ParameterValueDistribution>; `space` takes such a file.")
     return element

@@ -95,6 +95,12 @@ class XmlFiles:
             self._elements[path] = list(root.iter())
         return self._roots[path]
 
+    def update(self, other: XmlFiles) -> None:
+        """Keep other files too."""
+        self._data |= other._data
+        self._roots |= other._roots
+        self._elements |= other._elements
+
     def parsed(self) -> dict[Path, etree._Element]:
         """Roots of the files that were asked for, by their path."""
         return dict(self._roots)

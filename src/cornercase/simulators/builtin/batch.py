@@ -256,6 +256,6 @@ def _refuse_trailer(body: etree._Element, scope: Scope, name: str) -> None:
     pulled = "" if reference is None else scope.text(reference, "entityRef", "")
     if reference is not None and pulled:
         raise InputError(
-            f"{scope.source}: the entity '{name}' pulls '{pulled}', but trailers are not simulated; leave entityRef of"
-            " its <TrailerRef> empty."
+            f"{scope.source}, line {reference.sourceline}: <TrailerRef> of '{name}' names '{pulled}', but trailers are"
+            " not simulated; leave its entityRef empty."
         )

@@ -10,7 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import Notice, local_name
+from cornercase._common.ledger import Notice, local_name, merged
 from cornercase.scenario import Scenario, Value, VariesError
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.openscenario import LEDGER
@@ -35,7 +35,6 @@ def notices(scenario: Scenario, values: Mapping[str, Value] | None = None) -> tu
         Where the scenario cannot be run, without what nobody read.
     """
     try:
-        scenario.catalog_files()
         Batch(PreparedScenario.of(scenario), [dict(values or {})], 0.05, 1.0, False, {})
     except (InputError, VariesError):
         return notices_after_reading(scenario, read=False)
@@ -56,12 +55,13 @@ def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice
     tuple of Notice
     """
     found: list[Notice] = []
+    scenario.catalog_files()  # They are looked for only where the scenario refers to one of them.
     for file, element in scenario.read_parts():
         if local_name(element) == "OpenDRIVE":
             found += _of_road(element, file)
         else:
             found += LEDGER.notices(element, file, read)
-    return tuple(found)
+    return merged(found)
 
 
 def _of_road(network: etree._Element, file: Path) -> list[Notice]:

@@ -1,0 +1,265 @@
+"""What is said of OpenSCENARIO's elements and attributes is complete and true."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shutil import copytree
+
+import pytest
+
+import cornercase as cc
+from command_line import cornercase
+from conftest import EXAMPLES
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.ledger import Entry, Status
+from cornercase._common.recorded_xml import asked_attributes, children, was_read
+from cornercase.scenario import LogicalScenario, Scenario
+from cornercase.simulators.builtin.effect import notices
+from cornercase.simulators.builtin.openscenario import LEDGER
+from ledgers import gaps, page, strangers
+
+EVERYTHING = Path(__file__).parents[1] / "data" / "everything"
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
+PAGE = Path(__file__).parents[2] / "docs" / "openscenario.md"
+
+HEAD = """# OpenSCENARIO, element by element
+
+What the builtin simulator does with each element and attribute of OpenSCENARIO XML 1.3. Files of versions 1.0 to 1.2 are read the
+same way.
+
+`cornercase check SCENARIO.xosc` names what of a file has no effect, with its lines and the reason; `simulate` and `explore` say it
+too, in Python as a `NoticeWarning`. They also name what this page does not know, such as elements of later versions or of other
+programs, and what stands where nothing reads it. What is refused ends the command with one sentence and exit code 2.
+
+An element that is refused or without effect stands for all that it holds. This page is made from the table that the simulator
+itself goes by, `simulators/builtin/openscenario.csv`: run `python tests/simulators/test_openscenario_ledger.py` after a change.
+"""
+
+
+def schema() -> Path:
+    package = pytest.importorskip("qc_openscenario")
+    return Path(package.__file__).parent / "schema" / "1.3.0" / "OpenSCENARIO.xsd"
+
+
+def test_each_element_and_attribute_of_the_schema_has_its_line():
+    assert gaps(LEDGER, schema(), "OpenSCENARIO") == []
+
+
+def test_each_line_names_something_of_the_schema():
+    assert strangers(LEDGER, schema(), "OpenSCENARIO") == []
+
+
+def test_what_is_refused_or_without_effect_says_why():
+    silent = [entry for entry in LEDGER.entries if entry.status is not Status.USED and not entry.note]
+    assert silent == []
+
+
+def test_no_line_stands_twice():
+    names = [(entry.element, entry.attribute) for entry in LEDGER.entries]
+    assert len(set(names)) == len(names)
+
+
+def test_the_page_is_in_step_with_the_ledger():
+    assert PAGE.read_text(encoding="utf-8") == page(LEDGER, HEAD)
+
+
+def reading(*files: Scenario) -> dict[Entry, bool]:
+    """Whether each line of the ledger that files have something for was read in one of them."""
+    found: dict[Entry, bool] = {}
+
+    def look(element, path: tuple[str, ...]) -> None:
+        entry = LEDGER.entry(path)
+        if entry is None or entry.status is not Status.USED:
+            return
+        asked, read = asked_attributes(element) or (), was_read(element)
+        found[entry] = found.get(entry, False) or read or len(list(children(element))) > 0
+        for name in element.keys():  # noqa: SIM118 - an element is no mapping
+            of = LEDGER.entry(path, name)
+            if of is not None:
+                found[of] = found.get(of, False) or name in asked
+        for child in children(element):
+            look(child, (*path, child.tag))
+
+    for file in files:
+        for _, part in file.read_parts():
+            if not part.tag.endswith("OpenDRIVE"):
+                above = ("OpenSCENARIO", "Catalog") if part.tag != "OpenSCENARIO" else ()
+                look(part, (*above, part.tag))
+    return found
+
+
+def test_what_is_said_to_be_used_is_read():
+    files = []
+    for space in sorted(EVERYTHING.glob("*.space.xosc")):
+        logical = LogicalScenario.read(None, space)
+        for notice in notices(logical.scenario):
+            assert not any("nothing reads" in why or "not known" in why for why in (notice.why,)), notice
+        files.append(logical.scenario)
+    found = reading(*files)
+    # What may go unread says so by a star.
+    used = [entry for entry in LEDGER.entries if entry.status is Status.USED and entry.unless != ("*",)]
+    catalog = [entry for entry in used if entry.element in ("Catalog", "OpenSCENARIO")]
+    assert [entry for entry in used if entry not in found and entry not in catalog] == []
+    assert [entry for entry in used if not found.get(entry, True)] == []
+
+
+def changed(folder: Path, *changes: tuple[str, str]) -> Path:
+    """The file that has everything, with changes."""
+    copytree(EVERYTHING, folder / "everything")
+    path = folder / "everything" / "everything.xosc"
+    text = path.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+DYNAMICS = '<SpeedActionDynamics dynamicsShape="linear" dynamicsDimension="time" value="1"'
+WITHOUT_EFFECT = {
+    "followingMode of <SpeedActionDynamics>": (DYNAMICS, f'{DYNAMICS} followingMode="follow"'),
+    "continuous of <LaneOffsetAction>": ('LaneOffsetAction continuous="false"', 'LaneOffsetAction continuous="true"'),
+    "coordinateSystem of <LateralDistanceAction>": (
+        "<LateralDistanceAction ",
+        '<LateralDistanceAction coordinateSystem="entity" ',
+    ),
+    "closed of <Route>": ('<Route name="r" closed="false"', '<Route name="r" closed="true"'),
+    "routeStrategy of <Waypoint>": ('routeStrategy="shortest"', 'routeStrategy="fastest"'),
+    "<TrafficSignals>": (
+        "</RoadNetwork>",
+        '<TrafficSignals><TrafficSignalController name="a"/></TrafficSignals></RoadNetwork>',
+    ),
+    "y of <Center>": ('<Center x="1.4" y="0"', '<Center x="1.4" y="0.2"'),
+    "z of <WorldPosition>": ('<WorldPosition x="50" y="-2" h="0"', '<WorldPosition x="50" y="-2" h="0" z="1"'),
+    "p of <Orientation>": ('<Orientation type="relative"', '<Orientation type="relative" p="0.1"'),
+    "weather of <RoadNetwork>": ("<RoadNetwork>", '<RoadNetwork weather="rain">'),
+    "<Wormhole> in <Storyboard>": ("<Storyboard>", "<Storyboard><Wormhole/>"),
+    "<Property> in <Properties>": ("<Properties>", '<Properties><Property name="colour" value="red"/>'),
+    "<UserDefinedAction>": (
+        "<Init><Actions>",
+        "<Init><Actions><UserDefinedAction><CustomCommandAction type='a'>b</CustomCommandAction></UserDefinedAction>",
+    ),
+    "revMinor of <FileHeader>": ('revMinor="3"', 'revMinor="9"'),
+}
+
+
+@pytest.mark.parametrize("what", WITHOUT_EFFECT)
+def test_what_has_no_effect_is_named_once(tmp_path, what):
+    before = [name for notice in notices(Scenario.read(EVERYTHING / "everything.xosc")) for name in notice.what]
+    after = [name for notice in notices(Scenario.read(changed(tmp_path, WITHOUT_EFFECT[what]))) for name in notice.what]
+    assert what not in before
+    assert after.count(what) == 1
+
+
+POSITION = '<LanePosition roadId="1" laneId="-1" s="400"/>'
+REFUSED = {
+    "GeoPosition": (POSITION, '<GeoPosition latitudeDeg="1" longitudeDeg="1"/>'),
+    "FromCurrentEntity": ('<FromRoadCoordinates pathS="20" t="-2"/>', '<FromCurrentEntity entityRef="Lead"/>'),
+    "TrafficAction": ("<Init><Actions>", "<Init><Actions><GlobalAction><TrafficAction/></GlobalAction>"),
+    "RandomRouteAction": (f"<AcquirePositionAction><Position>{POSITION}</Position></AcquirePositionAction>", "<RandomRouteAction/>"),
+    "TrailerAction": (
+        '<ActivateControllerAction longitudinal="false"/></PrivateAction>',
+        "<TrailerAction><DisconnectTrailerAction/></TrailerAction></PrivateAction>",
+    ),
+    "Trailer": ('<TrailerRef entityRef=""/>', '<Trailer name="t"/>'),
+    "TrailerRef": ('<TrailerRef entityRef=""/>', '<TrailerRef entityRef="Lead"/>'),
+    "ExternalObjectReference": ('<MiscObject name="cone"', '<ExternalObjectReference name="cone"/><MiscObject name="cone"'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_used_is_refused_by_name(tmp_path, what):
+    path = changed(tmp_path, REFUSED[what])
+    with pytest.raises(InputError, match=rf"everything\.xosc.*<?{what}>?.*; "):
+        cc.simulate(path, duration=0.1)
+    assert any(what in trouble for trouble in cc.check(path).trouble)
+
+
+def test_each_line_that_refuses_is_tried():
+    refusing = {entry.element.split("/")[-1] for entry in LEDGER.entries if entry.status is Status.REFUSED}
+    assert refusing <= {*REFUSED, "UserDefinedDistribution"}
+
+
+def test_a_user_defined_distribution_is_refused(tmp_path):
+    path = changed(tmp_path)
+    space = path.with_name("deterministic.space.xosc")
+    text = space.read_text(encoding="utf-8")
+    text = text.replace(
+        '<DistributionSet><Element value="1"/><Element value="2"/></DistributionSet>',
+        "<UserDefinedDistribution type='a'/>",
+    )
+    space.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="user-defined distribution is not"):
+        LogicalScenario.read(path, space)
+
+
+def test_the_seed_and_number_of_a_stochastic_space_are_named(tmp_path):
+    found = cc.check(EVERYTHING / "everything.xosc", EVERYTHING / "stochastic.space.xosc")
+    whats = {name for notice in found.notices for name in notice.what}
+    assert {"numberOfTestRuns of <Stochastic>", "randomSeed of <Stochastic>"} <= whats
+
+
+def test_a_used_catalog_entry_counts_and_others_do_not(tmp_path):
+    path = changed(tmp_path)
+    catalog = path.parent / "catalogs" / "everything.xosc"
+    text = catalog.read_text(encoding="utf-8")
+    unused = '<Pedestrian name="other"><Wormhole/></Pedestrian>'
+    catalog.write_text(text.replace("</Catalog>", f"{unused}</Catalog>"), encoding="utf-8")
+    assert not any("Wormhole" in name for one in notices(Scenario.read(path)) for name in one.what)
+    catalog.write_text(
+        text.replace('<Pedestrian name="walker" mass="80"', '<Pedestrian name="walker" wings="2"'), encoding="utf-8"
+    )
+    assert any("wings of <Pedestrian>" in one.what for one in notices(Scenario.read(path)))
+
+
+def test_a_controller_of_a_catalog_names_a_driver(tmp_path):
+    assert Scenario.read(EVERYTHING / "everything.xosc").drivers["Lead"] == "normal"
+    path = changed(tmp_path)
+    catalog = path.parent / "catalogs" / "everything.xosc"
+    text = catalog.read_text(encoding="utf-8")
+    catalog.write_text(text.replace("cornercase.driver", "another.driver"), encoding="utf-8")
+    scenario = Scenario.read(path)
+    assert "Lead" not in scenario.drivers
+    assert any(
+        "<CatalogReference> in <ObjectController>" in n or "<ObjectController> in <ScenarioObject>" in n
+        for one in notices(scenario)
+        for n in one.what
+    )
+
+
+def test_simulate_and_explore_warn_and_the_command_line_prints(tmp_path):
+    path = EXAMPLES / "t_intersection" / "t_intersection.xosc"
+    with pytest.warns(NoticeWarning, match="<Axles>") as caught:
+        cc.simulate(path, duration=0.1)
+    assert all(one.filename == __file__ for one in caught)
+    with pytest.warns(NoticeWarning, match="<Axles>"):
+        cc.explore(
+            path, tmp_path / "study.db", ego="Ego", other="C", metrics=["distance"], ranges=["c_start_time=1:2"],
+            optimizer="sobol", budget=1, duration=0.1,
+        )  # fmt: skip
+    printed = cornercase("simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv")
+    assert printed.returncode == 0
+    assert "Without effect: " in printed.stderr
+    assert "<Axles>" in printed.stderr
+    assert "<Axles>" in cornercase("check", path).stdout
+
+
+@pytest.mark.skipif(not REFERENCE.is_dir(), reason="needs the reference scenarios")
+def test_every_reference_file_has_its_notices():
+    named, files = 0, sorted(REFERENCE.glob("**/*.xosc"))
+    for file in files:
+        try:
+            scenario = Scenario.read(file)
+        except InputError:
+            continue  # a catalog or a space
+        found = notices(scenario)
+        named += len(found)
+        assert not any("is not known here" in one.why for one in found), (file, found)
+        there = {element.tag for element in scenario.root.iter()}
+        for what in ("EnvironmentAction", "AppearanceAction", "SceneGraphFile"):
+            assert (what in there) == any(f"<{what}>" in one.what for one in found if one.file == file), file
+    assert named > len(files) / 2
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(LEDGER, HEAD), encoding="utf-8")
