@@ -286,6 +286,10 @@ class Server:
         self.actors[number].throw(velocity)
         return DONE
 
+    def do_set_actor_target_angular_velocity(self, number, velocity):
+        self.actors[number].turning = velocity[2]
+        return DONE
+
     def do_apply_control_to_vehicle(self, number, control):
         self.actors[number].control = control
         return DONE
@@ -354,16 +358,19 @@ class Actor:
         self.parent, self.token = 0, b""
         self.radius = max(BOXES.get(self.kind, (0.0,)))
         self.free = None
+        # Degrees per second, and m/s to its right, for one step.
+        self.turning, self.slip = 0.0, 0.0
 
     @property
     def role(self):
         return next((content for name, _, content in self.description[2] if name == "role_name"), "")
 
     def throw(self, velocity):
-        """Give it a velocity: along its heading to a vehicle, any to a walker."""
+        """Give it a velocity: to a vehicle for good along its heading and for one step across it, any to a walker."""
         if self.kind.startswith("vehicle."):
             yaw = math.radians(self.place[4])
             self.speed = velocity[0] * math.cos(yaw) + velocity[1] * math.sin(yaw)
+            self.slip = velocity[1] * math.cos(yaw) - velocity[0] * math.sin(yaw)
         else:
             self.free = velocity
 
@@ -372,15 +379,24 @@ class Actor:
         if self.free is not None:
             return self.free
         yaw = math.radians(self.place[4])
-        return [self.speed * math.cos(yaw), self.speed * math.sin(yaw), 0.0]
+        ahead, right = (math.cos(yaw), math.sin(yaw)), (-math.sin(yaw), math.cos(yaw))
+        return [*(self.speed * a + self.slip * r for a, r in zip(ahead, right, strict=True)), 0.0]
 
     def move(self, step):
         throttle, steer, brake = self.control[:3]
+        turn = 0.0
         if self.kind.startswith("vehicle."):
-            self.speed = max(0.0, self.speed + step * (4.0 * throttle - 8.0 * brake))
-            self.place[4] += math.degrees(step * self.speed * math.tan(math.radians(70.0 * steer)) / 3.0)
+            faster = self.speed + step * (4.0 * throttle - 8.0 * brake)
+            self.speed = max(0.0, faster) if throttle or brake else faster
+            turn = step * self.turning + math.degrees(step * self.speed * math.tan(math.radians(70.0 * steer)) / 3.0)
+        if not self.turning:
+            self.place[4] += turn
         for k, part in enumerate(self.velocity):
             self.place[k] += step * part
+        if self.turning:
+            # A velocity that was set is one of the world, whichever way the body turns.
+            self.place[4] += turn
+        self.turning = self.slip = 0.0
 
     def state(self):
         pitch, yaw, roll = self.place[3:]

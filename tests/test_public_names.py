@@ -41,7 +41,7 @@ def test_a_function_stays_a_function_whatever_is_imported_before():
     program = """
 import pkgutil, importlib, cornercase
 for module in pkgutil.walk_packages(cornercase.__path__, "cornercase."):
-    if not module.name.endswith("cornercase_driver"):
+    if not module.name.endswith(("cornercase_driver", "cornercase_trajectory")):
         importlib.import_module(module.name)
 print([name for name in cornercase.__all__ if type(getattr(cornercase, name)).__name__ == "module"])
 """

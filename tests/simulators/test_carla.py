@@ -28,7 +28,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ConcreteScenario, Scenario, read_xml
 from cornercase.simulators import CarlaSimulator, WorkerSimulator
 from cornercase.simulators.carla import dialect
-from cornercase.simulators.carla.openscenario_1_0 import write_1_0
+from cornercase.simulators.carla.openscenario_1_0 import Run, write_1_0
 from cornercase.simulators.hosts import address
 from cornercase.study import Study
 
@@ -177,7 +177,7 @@ def test_the_recorders_file_tells_the_same(scenario, tmp_path):
     assert {"cornercase.xosc", "cornercase.log", "scenario_runner.log"} <= {file.name for file in kept.iterdir()}
     # What a scenario names lies on no path of Python's modules.
     assert [file.name for file in (kept / "road").iterdir()] == ["road.xodr"]
-    assert [file.name for file in (kept / "drivers").iterdir() if file.suffix] == ["cornercase_driver.py"]
+    assert [file.name for file in (kept / "drivers").iterdir() if file.suffix] == []
     assert not [file for file in kept.iterdir() if file.suffix in (".py", ".xodr")]
 
 
@@ -353,11 +353,8 @@ def test_workers_share_hosts_and_ports():
 
 
 def adapted(tmp_path, path=T, ego="Ego", behaviors=None, agent=None):
-    scenario = Scenario.read(path)
-    write_1_0(
-        scenario, {}, tmp_path / "one.xosc", ego=ego,
-        adapt=lambda root: dialect.adapt(root, scenario.path, ego, behaviors or {}, agent, None),
-    )  # fmt: skip
+    run = Run(dialect.Agents(behaviors or {}, agent, None))
+    write_1_0(Scenario.read(path), {}, tmp_path / "one.xosc", ego=ego, run=run)
     return read_xml(tmp_path / "one.xosc")
 
 

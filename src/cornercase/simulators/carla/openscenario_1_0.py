@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from copy import deepcopy
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +15,11 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
 from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside
 from cornercase.simulators.builtin.checking import schema_errors
+from cornercase.simulators.carla.dialect import Agents, assign_controllers
 from cornercase.simulators.carla.foreign_code import refuse_code
+from cornercase.simulators.carla.plan import Plan, kept_ends, plan
+from cornercase.simulators.carla.storyboard import end_acts, end_at, leave_out, name_apart, set_beginning, take_over
+from cornercase.simulators.carla.trajectories import add_trajectories, sample
 
 _MINOR: Final = 0
 # Attributes that are newer than 1.0, and without which the rest means the same.
@@ -25,6 +28,13 @@ _LATER: Final = {
     "Vehicle": ("mass", "role", "model3d"),
     "Pedestrian": ("role", "model3d"),
     "MiscObject": ("model3d",),
+    "SpeedActionDynamics": ("followingMode",),
+    "LongitudinalDistanceAction": ("coordinateSystem", "displacement"),
+    "RelativeDistanceCondition": ("coordinateSystem", "routingAlgorithm"),
+    "DistanceCondition": ("coordinateSystem", "routingAlgorithm"),
+    "TimeToCollisionCondition": ("coordinateSystem", "routingAlgorithm"),
+    "DynamicConstraints": ("maxAccelerationRate", "maxDecelerationRate"),
+    "Performance": ("maxAccelerationRate", "maxDecelerationRate"),
 }
 _NAMED: Final = str.maketrans("", "", "${}")
 _RULES: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
@@ -97,14 +107,33 @@ def convert(
     return Conversion(output, write_1_0(scenario, given, output, ego=ego))
 
 
+@dataclass(frozen=True)
+class Run:
+    """How a scenario is to be run.
+
+    Attributes
+    ----------
+    agents : Agents
+        Who drives entities instead of the storyboard.
+    time_step, duration : float
+        s.
+    open_loop : bool
+        Whether an entity may move along a trajectory that would have to react to one that an agent drives.
+    road_file, controllers : str
+        Path of the copied road file, and folder of the controllers of ours that ScenarioRunner needs, relative to the
+        new file; by default both are beside it, the road file named after it.
+    """
+
+    agents: Agents = field(default_factory=Agents)
+    time_step: float = 0.05
+    duration: float = 60.0
+    open_loop: bool = True
+    road_file: str = ""
+    controllers: str = ""
+
+
 def write_1_0(
-    scenario: Scenario,
-    values: Mapping[str, Value],
-    target: Path | str,
-    *,
-    ego: str,
-    road_file: str = "",
-    adapt: Callable[[etree._Element], None] | None = None,
+    scenario: Scenario, values: Mapping[str, Value], target: Path | str, *, ego: str, run: Run | None = None
 ) -> tuple[str, ...]:
     """Write a concrete scenario for ScenarioRunner, as `convert` does.
 
@@ -114,10 +143,7 @@ def write_1_0(
     values : mapping of str to float or str
     target : path
     ego : str
-    road_file : str, optional
-        Path of the copied road file, relative to that of the new file; by default beside it, named after it.
-    adapt : callable, optional
-        Changes the tree before it is held against the schema and written.
+    run : Run, optional
 
     Returns
     -------
@@ -129,18 +155,17 @@ def write_1_0(
     InputError
         As in `convert`.
     """
+    run = run or Run()
     scenario.require_parameters(list(values))
     scenario.require_entity(ego, "ego")
-    root, notes = _tree_1_0(scenario, values, ego)
     target, road = Path(target), scenario.road_file(values)
     town = carla_map(road)
+    root, notes, controllers = _tree_1_0(scenario, values, ego, run, town)
     # A scenario must not choose the name of a file that is written: ScenarioRunner would import 'carla.py'.
-    road_file = road_file or f"{target.stem}.xodr"
+    road_file = run.road_file or f"{target.stem}.xodr"
     file = root.find("RoadNetwork/LogicFile")
     if road is not None and file is not None:
         file.set("filepath", town or road_file)
-    if adapt is not None:
-        adapt(root)
     wrong = schema_errors(root)
     if wrong is None:
         notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
@@ -148,6 +173,9 @@ def write_1_0(
         raise InputError(f"{scenario.path}: cannot be said in OpenSCENARIO 1.0 ({wrong[0]}).")
     if road is not None and not town:
         copy_beside(road, target.parent / road_file, "OpenDRIVE")
+    for controller in controllers:
+        with written_whole(target.parent / run.controllers / controller.name) as temporary:
+            temporary.write_bytes(controller.read_bytes())
     with written_whole(target) as temporary:
         etree.ElementTree(root).write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
     return tuple(dict.fromkeys(notes))
@@ -170,21 +198,70 @@ def carla_map(road: Path | None) -> str:
     return road.name
 
 
-def _tree_1_0(scenario: Scenario, values: Mapping[str, Value], ego: str) -> tuple[etree._Element, list[str]]:
-    """Tree of a concrete scenario in the words of 1.0, and what is not quite the same."""
+def _tree_1_0(
+    scenario: Scenario, values: Mapping[str, Value], ego: str, run: Run, town: str
+) -> tuple[etree._Element, list[str], set[Path]]:
+    """Tree of a concrete scenario in the words of 1.0, what is not quite the same, and controllers that it needs."""
     root = etree.fromstring(etree.tostring(scenario.root))
-    notes: list[str] = []
     scope = Scope.of_file(str(scenario.path), scenario.root, [dict(values)], scenario.catalog_entry)
     if scope.violations(scenario.root):
         raise InputError(f"{scenario.path}: the values break a constraint of the parameters' declarations.")
     # The file's own declarations are in the scope already, with the values that were given.
     for child in root:
         _resolve(child, scope)
+    refuse_code(root, scenario.path)
+    _header(root, scenario.path)
+    _name_members(root)
+    driven = run.agents.driven(ego)
+    if ego in scenario.drivers:
+        # It is the system under test, which an agent drives that the file cannot name.
+        driven.add(ego)
+    made = plan(root, sorted(driven), scenario.path, town)
+    notes = made.notes
+    for name in made.sampled if not run.open_loop else ():
+        if name in made.reacting:
+            raise InputError(
+                f"{scenario.path}: '{name}' would have to react to {' and '.join(sorted(driven))}, but ScenarioRunner"
+                f" cannot move it so ({made.sampled[name][0]}); `simulator` carla:open_loop=true lets it move as in the"
+                " builtin simulator, whatever others do."
+            )
+    recording = None if town else sample(scenario, values, run.time_step, run.duration)
+    kept = kept_ends(root, made, driven or ({ego} if town else set()))
+    leave_out(root)
+    take_over(root, set(made.sampled) | made.dropped)
+    _entities(root, ego, made, notes)
+    notes += add_trajectories(root, recording, list(made.sampled), ego)
+    centers: dict[str, float] = {}
+    end = run.duration
+    if recording is not None:
+        set_beginning(root, recording, set(recording.names) - set(made.sampled))
+        centers = dict(zip(recording.names, map(float, recording.center_x), strict=True))
+        last = float(recording.time[-1])
+        # Where nothing ends the scenario, who runs it does.
+        end += 1.0
+        if not kept and last < run.duration - 0.5 * run.time_step:
+            # Conditions of time are true from the first frame after it.
+            end = last - 0.5 * run.time_step
+    end_at(root, end, kept)
+    end_acts(root)
+    name_apart(root)
+    _conditions(root, scenario.path, notes)
+    _synchronised(root, scenario, notes)
+    _later_words(root)
+    controllers = assign_controllers(
+        root, scenario.path, ego, run.agents, {name: centers[name] for name in made.sampled}
+    )
+    return root, notes, controllers
+
+
+def _header(root: etree._Element, source: Path) -> None:
     for unused in root.iter("ParameterDeclarations", "CatalogLocations"):
         unused.clear()
+    for unused in root.findall("VariableDeclarations") + root.findall("MonitorDeclarations"):
+        root.remove(unused)
     header = root.find("FileHeader")
     if header is None:
-        raise InputError(f"{scenario.path}: has no <FileHeader>.")
+        raise InputError(f"{source}: has no <FileHeader>.")
     header.set("revMajor", "1")
     header.set("revMinor", str(_MINOR))
     # ScenarioRunner names files after the description, and 'CARLA:' at its beginning would turn the axes.
@@ -192,26 +269,34 @@ def _tree_1_0(scenario: Scenario, values: Mapping[str, Value], ego: str) -> tupl
     for child in list(header):
         header.remove(child)
     header.text = None
-    refuse_code(root, scenario.path)
-    _entities(root, ego, notes)
-    _trajectories(root)
-    _conditions(root, notes)
-    _synchronised(root, scenario, notes)
-    _later_words(root, notes)
-    return root, notes
 
 
-def _later_words(root: etree._Element, notes: list[str]) -> None:
-    """Leave out elements and attributes that came after 1.0."""
-    for part in list(root.iter("TrailerHitch", "TrailerCoupler", "Trailer")):
-        holder = part.getparent()
-        if holder is not None:
-            holder.remove(part)
-        if part.tag == "Trailer":
-            notes.append("Trailers are left out.")
-    for action in root.iter("LongitudinalDistanceAction", "LateralDistanceAction"):
-        if action.get("coordinateSystem") == "entity":
-            action.attrib.pop("coordinateSystem")
+def _name_members(root: etree._Element) -> None:
+    """Name the members of selections in their place, as ScenarioRunner knows no selections."""
+    for selection in root.findall("Entities/EntitySelection"):
+        members = [one.get("entityRef", "") for one in selection.iterfind("Members/EntityRef")]
+        kinds = [one.get("objectType", one.get("type", "")) for one in selection.iterfind("Members/ByType")]
+        for holder in root.iterfind("Entities/ScenarioObject"):
+            tag = "" if len(holder) == 0 else str(holder[0].tag)
+            if {"Vehicle": "vehicle", "Pedestrian": "pedestrian", "MiscObject": "miscellaneous"}.get(tag) in kinds:
+                members.append(holder.get("name", ""))
+        for reference in list(root.iter("EntityRef")):
+            parent = reference.getparent()
+            if reference.get("entityRef") == selection.get("name") and parent is not None:
+                for member in dict.fromkeys(members):
+                    reference.addprevious(etree.Element("EntityRef", entityRef=member))
+                parent.remove(reference)
+        _detach(selection)
+
+
+def _detach(element: etree._Element) -> None:
+    parent = element.getparent()
+    if parent is not None:
+        parent.remove(element)
+
+
+def _later_words(root: etree._Element) -> None:
+    """Leave out attributes that came after 1.0, and without which the rest means the same."""
     for tag, names in _LATER.items():
         for element in root.iter(tag):
             for name in names:
@@ -235,7 +320,7 @@ def _resolve(element: etree._Element, scope: Scope) -> None:
         if child.tag == "CatalogReference":
             # ScenarioRunner would look for catalogs beside the new file, and cannot read those of later versions.
             entry, own = inner.from_catalog(child)
-            within = deepcopy(entry)
+            within = etree.fromstring(etree.tostring(entry, with_tail=False))
             element.replace(child, within)
             # The scope holds these values, or what the reference assigns in their place.
             for declarations in within.findall("ParameterDeclarations"):
@@ -245,16 +330,14 @@ def _resolve(element: etree._Element, scope: Scope) -> None:
             _resolve(child, inner)
 
 
-def _entities(root: etree._Element, ego: str, notes: list[str]) -> None:
+def _entities(root: etree._Element, ego: str, made: Plan, notes: list[str]) -> None:
     for holder in root.iterfind("Entities/ScenarioObject"):
         name = holder.get("name", "")
         for controlled in holder.findall("ObjectController"):
             driver = controlled.find(f"Controller/Properties/Property[@name='{DRIVER_PROPERTY}']")
             # ScenarioRunner does not run these, but would take their properties for the entity's own.
             holder.remove(controlled)
-            if driver is None:
-                notes.append(f"The <ObjectController> of {name} has no effect on ScenarioRunner.")
-            else:
+            if driver is not None and name not in made.sampled:
                 who = "the agent that ScenarioRunner gives it" if name == ego else "the storyboard alone"
                 notes.append(f"{name} is driven by {who}, not by cornercase's driver '{driver.get('value')}'.")
         vehicle, walker = holder.find("Vehicle"), holder.find("Pedestrian")
@@ -265,40 +348,39 @@ def _entities(root: etree._Element, ego: str, notes: list[str]) -> None:
             for old in properties.findall("Property[@name='type']"):
                 properties.remove(old)
             kind = "ego_vehicle" if name == ego else "simulation"
+            rear = vehicle.find("Axles/RearAxle")
+            if rear is not None and vehicle.find("Axles/FrontAxle") is None:
+                # 1.0 asks for both, and nobody reads them.
+                front = etree.fromstring(etree.tostring(rear, with_tail=False))
+                front.tag = "FrontAxle"
+                rear.addprevious(front)
             # Before the files that properties may hold.
             properties.insert(0, etree.Element("Property", name="type", value=kind))
         if walker is not None:
             # In 1.0 a pedestrian has a model, and ScenarioRunner takes it for a blueprint of CARLA.
             walker.set("model", walker.get("model", "walker.pedestrian.0001"))
+        for body in holder.iterfind("*"):
+            if body.tag in ("Pedestrian", "MiscObject"):
+                # 1.0 asks for a mass, which nobody reads.
+                body.set("mass", body.get("mass", "80"))
+                if body.find("Properties") is None:
+                    etree.SubElement(body, "Properties")
 
 
-def _trajectories(root: etree._Element) -> None:
-    for action in root.iter("FollowTrajectoryAction"):
-        reference = action.find("TrajectoryRef")
-        if reference is not None:
-            action.replace(reference, reference[0])
-        action.attrib.pop("initialDistanceOffset", "")
-    for vertex in root.iter("Vertex"):
-        vertex.set("time", vertex.get("time", "0"))
-    for trajectory in root.iter("Trajectory"):
-        if trajectory.find("ParameterDeclarations") is None:
-            trajectory.insert(0, etree.Element("ParameterDeclarations"))
-
-
-def _conditions(root: etree._Element, notes: list[str]) -> None:
+def _conditions(root: etree._Element, source: Path, notes: list[str]) -> None:
     for element in root.iter():
         rule = element.get("rule") if isinstance(element.tag, str) else None
         if rule in _RULES:
             element.set("rule", _RULES[str(rule)])
             notes.append(f"'{rule}' became '{_RULES[str(rule)]}', which may be true a time step later.")
         elif rule == "notEqualTo":
-            raise InputError(f"<{element.tag}>: 'notEqualTo' cannot be said in OpenSCENARIO 1.0.")
+            raise InputError(f"{source}: 'notEqualTo' of <{element.tag}> cannot be said in OpenSCENARIO 1.0.")
     for event in root.iter("Event"):
         if event.get("priority") == "override":
             event.set("priority", "overwrite")
     for condition in root.iter("Condition"):
-        if condition.get("conditionEdge") is None:
-            condition.set("conditionEdge", "none")
+        # ScenarioRunner does not look at the edge.
+        condition.set("conditionEdge", "none")
         if condition.get("delay") is None:
             condition.set("delay", "0")
 

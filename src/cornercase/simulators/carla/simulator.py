@@ -7,7 +7,6 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,8 +17,8 @@ from cornercase.drivers import Driver
 from cornercase.recordings import Recording, read_carla_log
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
-from cornercase.simulators.carla.dialect import BEHAVIORS, DRIVER, adapt
-from cornercase.simulators.carla.openscenario_1_0 import carla_map, write_1_0
+from cornercase.simulators.carla.dialect import BEHAVIORS, Agents
+from cornercase.simulators.carla.openscenario_1_0 import Run, carla_map, write_1_0
 from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
 from cornercase.simulators.carla.server import Server
 from cornercase.simulators.carla.tracker import Tracker
@@ -78,6 +77,9 @@ class CarlaSimulator(Simulator):
         Of CARLA's traffic manager.
     undriven : bool, default False
         Whether a scenario may run that asks for another driver of cornercase; the storyboard alone moves that entity.
+    open_loop : bool, default False
+        Whether an entity may move along a trajectory of the builtin simulator that would have to react to one that an
+        agent drives, where ScenarioRunner cannot move it by the storyboard.
     patience : float, default 20
         s to wait for an answer of the server.
 
@@ -110,6 +112,7 @@ class CarlaSimulator(Simulator):
         folder: str = "",
         seed: int = 0,
         undriven: bool = False,
+        open_loop: bool = False,
         patience: float = 20.0,
     ) -> None:
         settings = checked_settings(time_step, duration, on_collision, None)
@@ -127,6 +130,7 @@ class CarlaSimulator(Simulator):
         self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
         self._drivers = {entity: str(driver) for entity, driver in (drivers or {}).items()}
         self._ego, self._record, self._seed, self._undriven = ego, record, seed, bool(undriven)
+        self._open_loop = bool(open_loop)
         self._server = Server(*address(hosts, port, worker, _PORTS_EACH), patience)
         self._runner = ScenarioRunner(scenario_runner, python, carla_root)
         self._traffic_port, self._folder = 8000 + worker, folder
@@ -248,14 +252,13 @@ class CarlaSimulator(Simulator):
     ) -> Recording:
         file, drivers = folder / "cornercase.xosc", folder / "drivers"
         write_1_0(
-            scenario, concrete.values, file, ego=self._ego, road_file=_ROAD,
-            adapt=partial(
-                adapt, source=scenario.path, ego=self._ego, behaviors=behaviors, agent=self._agent,
-                config=self._agent_config,
+            scenario, concrete.values, file, ego=self._ego,
+            run=Run(
+                Agents(behaviors, self._agent, self._agent_config), self._time_step, self._duration,
+                open_loop=self._open_loop, road_file=_ROAD, controllers=drivers.name,
             ),
         )  # fmt: skip
-        drivers.mkdir()
-        shutil.copyfile(DRIVER, drivers / DRIVER.name)
+        drivers.mkdir(exist_ok=True)
         server, road = self._server, scenario.road_file(concrete.values)
         town = carla_map(road)
         server.prepare(town or (None if road is None else folder / _ROAD))
