@@ -214,13 +214,9 @@ class Eight(float):
 
 
 def test_numbers_are_written_plainly_with_every_version_of_numpy(tmp_path, monkeypatch):
-    from cornercase.scenario import scope
-    from cornercase.scenario.expressions import evaluate as exact
+    from cornercase.scenario import attributes
 
-    monkeypatch.setattr(
-        scope, "evaluate", lambda *given: Eight(exact(*given)) if isinstance(exact(*given), float) else exact(*given)
-    )
-    monkeypatch.setattr(scope, "rounded", lambda value: value)
+    monkeypatch.setattr(attributes, "rounded", lambda value: Eight(value) if isinstance(value, float) else value)
     scenario = changed(
         tmp_path, ('<SimulationTimeCondition value="', '<SimulationTimeCondition value="${8.33 * 2}" was="')
     )

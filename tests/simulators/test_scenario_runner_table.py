@@ -1,0 +1,276 @@
+"""What of OpenSCENARIO goes to ScenarioRunner, by the table of what it really does."""
+
+from __future__ import annotations
+
+import importlib.util
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import AXLES
+from cornercase.scenario import read_xml
+from cornercase.simulators import convert, simulate
+from cornercase.simulators.carla.table import Status, row_of, table
+from schemas import Schema
+
+pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
+
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference"
+ROAD = Path(__file__).parents[2] / "examples" / "t_intersection" / "t_intersection.xodr"
+LIMITS = (0.25, 0.05, 0.25, 0.15)
+
+
+def test_the_table_knows_every_element_and_attribute_of_the_schema():
+    def ends(path):
+        row = row_of(path)
+        return row is not None and row.status not in (Status.EXECUTED, Status.APPROXIMATE)
+
+    with resources.as_file(resources.files("qc_openscenario") / "schema" / "1.3.0" / "OpenSCENARIO.xsd") as schema:
+        places = Schema(schema).places("OpenSCENARIO", ends=ends)
+    gaps = [path for path in places if row_of(path) is None]
+    gaps += [
+        (*path, name)
+        for path, attributes in places.items()
+        for name in attributes
+        if not ends(path) and row_of(path, name, "any other value") is None
+    ]
+    assert gaps == []
+    assert len(places) > 200
+
+
+def test_the_table_says_why():
+    rows = [row for of in table().values() for row in of]
+    assert len(rows) > 200
+    assert [row for row in rows if not row.note and row.status is not Status.EXECUTED] == []
+
+
+def car(name):
+    return f"""<ScenarioObject name="{name}"><Vehicle name="car" vehicleCategory="car"><ParameterDeclarations/>
+<Performance maxSpeed="60" maxAcceleration="9" maxDeceleration="9"/><BoundingBox><Center x="1.4" y="0" z="0.7"/>
+<Dimensions length="4" width="2" height="1.5"/></BoundingBox><Axles>{AXLES}</Axles><Properties/></Vehicle>
+</ScenarioObject>"""
+
+
+def start(name, s, speed, more=""):
+    return f"""<Private entityRef="{name}"><PrivateAction><TeleportAction><Position><LanePosition roadId="1" laneId="-1"
+s="{s}"/></Position></TeleportAction></PrivateAction><PrivateAction><LongitudinalAction><SpeedAction><SpeedActionDynamics
+dynamicsShape="step" dynamicsDimension="time" value="0"/><SpeedActionTarget><AbsoluteTargetSpeed value="{speed}"/>
+</SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>{more}</Private>"""
+
+
+def speed(shape="step", dimension="time", value=0, target=6):
+    return f"""<LongitudinalAction><SpeedAction><SpeedActionDynamics dynamicsShape="{shape}" dynamicsDimension="{dimension}"
+value="{value}"/><SpeedActionTarget><AbsoluteTargetSpeed value="{target}"/></SpeedActionTarget></SpeedAction>
+</LongitudinalAction>"""
+
+
+def when(inner='<SimulationTimeCondition value="1" rule="greaterThan"/>', edge="none", delay=0):
+    return f"""<Condition name="when" delay="{delay}" conditionEdge="{edge}"><ByValueCondition>{inner}</ByValueCondition>
+</Condition>"""
+
+
+def by_entity(inner, entities=("Ego",), rule="any"):
+    members = "".join(f'<EntityRef entityRef="{name}"/>' for name in entities)
+    return f"""<Condition name="when" delay="0" conditionEdge="none"><ByEntityCondition><TriggeringEntities
+triggeringEntitiesRule="{rule}">{members}</TriggeringEntities><EntityCondition>{inner}</EntityCondition></ByEntityCondition>
+</Condition>"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a scenario in which the car Other does something, ahead of the car Ego."""
+
+    def written(action=speed(), condition=when(), event="", group="", init="", drivers=""):  # noqa: B008 - texts
+        path = tmp_path / "scenario.xosc"
+        path.write_text(f"""<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-11-21T00:00:00" author=""
+description=""/><CatalogLocations/><RoadNetwork><LogicFile filepath="road.xodr"/></RoadNetwork><Entities>
+{car("Ego").replace("</ScenarioObject>", drivers + "</ScenarioObject>")}{
+            car("Other")
+        }</Entities><Storyboard><Init><Actions>
+{start("Ego", 5, 8)}{start("Other", 30, 8, init)}</Actions></Init><Story name="s"><Act name="a"><ManeuverGroup name="g"
+maximumExecutionCount="1" {group}><Actors selectTriggeringEntities="false"><EntityRef entityRef="Other"/></Actors>
+<Maneuver name="m"><Event name="e" priority="overwrite" {event}><Action name="does"><PrivateAction>{
+            action
+        }</PrivateAction>
+</Action><StartTrigger><ConditionGroup>{condition}</ConditionGroup></StartTrigger></Event></Maneuver></ManeuverGroup>
+<StartTrigger/></Act></Story><StopTrigger><ConditionGroup>{
+            when('<SimulationTimeCondition value="4" rule="greaterThan"/>')
+        }</ConditionGroup></StopTrigger></Storyboard></OpenSCENARIO>""")
+        text = path.read_text()
+        for twice in ("maximumExecutionCount", "priority"):
+            for before in ('maximumExecutionCount="1" ', 'priority="overwrite" '):
+                if f"{before}{twice}=" in text:
+                    text = text.replace(f"{before}{twice}=", f"{twice}=")
+        path.write_text(text)
+        (tmp_path / "road.xodr").write_bytes(ROAD.read_bytes())
+        return path
+
+    return written
+
+
+def apart(one, other):
+    """Largest differences of two recordings in position, heading and speed, and of their ends."""
+    spec = importlib.util.spec_from_file_location("compare_recordings", REFERENCE / "compare_recordings.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+
+    def tracks(recording):
+        found = {}
+        for k, name in enumerate(recording.names):
+            values = (recording.x[k], recording.y[k], recording.heading[k], recording.speed[k])
+            rows = np.stack([recording.time, *values], axis=1)
+            found[name] = [list(row) for row in rows if np.isfinite(row[1])]
+        return {name: track for name, track in found.items() if track}
+
+    return dict(module.compare(tracks(one), tracks(other)))
+
+
+def test_what_scenario_runner_does_stays_as_it_is(write, tmp_path):
+    found = convert(write(), tmp_path / "out" / "one.xosc", ego="Ego")
+    assert not [note for note in found.notes if "trajectory" in note]
+    assert read_xml(found.path).find(".//FollowTrajectoryAction") is None
+    before, after = simulate(write()), simulate(found.path)
+    np.testing.assert_allclose(after.x, before.x, atol=1e-3)
+
+
+VERTICES = """<RoutingAction><FollowTrajectoryAction><Trajectory name="t" closed="false"><Shape><Polyline><Vertex time="0">
+<Position><LanePosition roadId="1" laneId="-1" s="30"/></Position></Vertex><Vertex time="0"><Position><LanePosition
+roadId="1" laneId="-1" s="70"/></Position></Vertex></Polyline></Shape></Trajectory><TimeReference><None/></TimeReference>
+<TrajectoryFollowingMode followingMode="position"/></FollowTrajectoryAction></RoutingAction>"""
+POSITION = '<Position><LanePosition roadId="1" laneId="-1" s="80"/></Position>'
+ROUTE = f"""<RoutingAction><AssignRouteAction><Route name="r" closed="false"><Waypoint routeStrategy="shortest">{POSITION}
+</Waypoint><Waypoint routeStrategy="shortest">{POSITION.replace("80", "90")}</Waypoint></Route></AssignRouteAction>
+</RoutingAction>"""
+ACQUIRE = f"<RoutingAction><AcquirePositionAction>{POSITION}</AcquirePositionAction></RoutingAction>"
+LANE = """<LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="sinusoidal" dynamicsDimension="time"
+value="2"/><LaneChangeTarget>{}</LaneChangeTarget></LaneChangeAction></LateralAction>"""
+OFFSET = """<LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics dynamicsShape="sinusoidal"
+maxLateralAcc="1"/><LaneOffsetTarget><AbsoluteTargetLaneOffset value="0.5"/></LaneOffsetTarget></LaneOffsetAction>
+</LateralAction>"""
+NEAR = (
+    '<RelativeDistanceCondition entityRef="Ego" relativeDistanceType="{}" value="27" freespace="{}" rule="lessThan"/>'
+)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"condition": when(edge="falling")}, "conditionEdge 'falling'"),
+        ({"condition": when(edge="rising")}, "conditionEdge 'rising'"),
+        ({"condition": when(delay=0.5)}, "delay '0.5'"),
+        ({"event": 'priority="skip"'}, "priority 'skip'"),
+        ({"event": 'maximumExecutionCount="2"'}, "maximumExecutionCount '2' of <Event>"),
+        ({"group": 'maximumExecutionCount="2"'}, "maximumExecutionCount '2' of <ManeuverGroup>"),
+        (
+            {"condition": by_entity('<SpeedCondition value="5" rule="greaterThan"/>', ("Ego", "Other"), "all")},
+            "last entity only",
+        ),
+        ({"action": speed("linear", "rate", 2)}, "dynamicsShape 'linear'"),
+        ({"action": speed("sinusoidal", "time", 2)}, "dynamicsShape 'sinusoidal'"),
+        ({"action": LANE.format('<RelativeTargetLane entityRef="Other" value="1"/>')}, "<LaneChangeAction>"),
+        ({"action": LANE.format('<AbsoluteTargetLane value="1"/>')}, "<LaneChangeAction>"),
+        ({"action": OFFSET}, "mirrored on right lanes"),
+        ({"action": VERTICES}, "<FollowTrajectoryAction>"),
+        ({"action": ROUTE}, "<AssignRouteAction>"),
+        ({"action": ACQUIRE}, "<AcquirePositionAction>"),
+        ({"init": f"<PrivateAction>{ROUTE}</PrivateAction>"}, "<AssignRouteAction>"),
+        ({"init": f"<PrivateAction>{ACQUIRE}</PrivateAction>"}, "<AcquirePositionAction>"),
+        ({"condition": by_entity(NEAR.format("longitudinal", "false"))}, "relativeDistanceType 'longitudinal'"),
+        ({"condition": by_entity(NEAR.format("cartesianDistance", "true"))}, "freespace 'true'"),
+        ({"condition": when() + by_entity('<SpeedCondition value="5" rule="greaterThan"/>')}, "at some time"),
+        (
+            {"condition": by_entity('<TimeHeadwayCondition entityRef="Other" value="3.2" freespace="false" '
+                                    'alongRoute="false" rule="lessThan"/>')},
+            "<TimeHeadwayCondition>",
+        ),
+    ],
+)  # fmt: skip
+def test_what_it_does_otherwise_becomes_a_trajectory_with_times(write, tmp_path, given, why):
+    path = write(**given)
+    found = convert(path, tmp_path / "out" / "one.xosc", ego="Ego")
+    (note,) = (note for note in found.notes if note.startswith("Other moves along a trajectory"))
+    assert why in note
+    root = read_xml(found.path)
+    # One, and another one where it jumps.
+    trajectories = root.findall(".//FollowTrajectoryAction")
+    times = [[float(one.get("time", "nan")) for one in way.iter("Vertex")] for way in trajectories]
+    assert times[0][0] == 0.0
+    assert 3.9 < times[-1][-1] < 4.2
+    assert all((np.diff(of) > 0).all() for of in times)
+    # The ego goes on by the storyboard, and our own controller keeps the times.
+    assert [one.get("value") for one in root.findall(".//Property[@name='module']")] == ["cornercase_trajectory.py"]
+    assert (tmp_path / "out" / "cornercase_trajectory.py").exists()
+    before, after = simulate(path), simulate(found.path)
+    shared = slice(0, min(before.time.size, after.time.size))
+    assert before.time.size == after.time.size
+    np.testing.assert_allclose(after.x[:, shared], before.x[:, shared], atol=0.02)
+    np.testing.assert_allclose(after.y[:, shared], before.y[:, shared], atol=0.02)
+    np.testing.assert_allclose(after.speed[:, shared], before.speed[:, shared], atol=LIMITS[2])
+
+
+DRIVEN = """<ObjectController><Controller name="d"><ParameterDeclarations/><Properties><Property name="cornercase.driver"
+value="normal"/></Properties></Controller></ObjectController>"""
+
+
+def test_who_reacts_to_the_ego_keeps_the_storyboard_where_scenario_runner_does_something_near(write, tmp_path):
+    near = by_entity(NEAR.format("cartesianDistance", "false"))
+    path = write(action=speed("linear", "rate", 2), condition=near, drivers=DRIVEN)
+    found = convert(path, tmp_path / "out" / "one.xosc", ego="Ego")
+    assert any(note.startswith("Other: dynamicsShape 'linear'") for note in found.notes)
+    assert read_xml(found.path).find(".//RelativeDistanceCondition") is not None
+    assert read_xml(found.path).find(".//FollowTrajectoryAction") is None
+
+
+def test_who_no_longer_reacts_is_named(write, tmp_path):
+    near = by_entity(NEAR.format("cartesianDistance", "false"))
+    found = convert(write(action=OFFSET, condition=near, drivers=DRIVEN), tmp_path / "one.xosc", ego="Ego")
+    assert "Other would react to Ego, and no longer does." in found.notes
+
+
+@pytest.mark.parametrize(
+    ("action", "name"),
+    [
+        ('<VisibilityAction graphics="true" traffic="true" sensors="true"/>', "<VisibilityAction>"),
+        ('<ActivateControllerAction lateral="true" longitudinal="true"/>', "<ActivateControllerAction>"),
+    ],
+)
+def test_what_has_no_effect_is_left_out_and_named(write, tmp_path, action, name):
+    found = convert(write(init=f"<PrivateAction>{action}</PrivateAction>"), tmp_path / "one.xosc", ego="Ego")
+    assert any(name in note and "without effect" in note for note in found.notes)
+    assert name[1:-1] not in found.path.read_text()
+
+
+def test_acts_end_with_the_storyboard_and_names_are_unique(write, tmp_path):
+    root = read_xml(convert(write(), tmp_path / "one.xosc", ego="Ego").path)
+    for act in root.iter("Act"):
+        (value,) = (one.get("value") for one in act.findall("StopTrigger//SimulationTimeCondition"))
+        assert value == root.findall("Storyboard/StopTrigger//SimulationTimeCondition")[0].get("value")
+    names = [one.get("name") for one in root.iterfind("Storyboard/Story//*[@name]")]
+    assert len(set(names)) == len(names)
+
+
+def scenarios(folder):
+    """Scenario files of a folder, without those that vary others, and catalogs."""
+    files = sorted((REFERENCE / "openscenario" / folder).rglob("*.xosc"))
+    return [one for one in files if "<Storyboard" in one.read_text(errors="replace")]
+
+
+@pytest.mark.skipif(not REFERENCE.is_dir(), reason="the reference scenarios are not here")
+@pytest.mark.parametrize(("folder", "count"), [("ncap", 23), ("alks", 15)])
+def test_all_protocols_become_files_that_say_the_same(tmp_path, folder, count):
+    files = scenarios(folder)
+    assert len(files) == count
+    off = {}
+    for file in files:
+        ego = "Ego"
+        # What is not valid by the schema of 1.0 is not written.
+        found = convert(file, tmp_path / f"{file.stem}.xosc", ego=ego)
+        worst = apart(simulate(file), simulate(found.path))
+        wrong = {n: w for n, w in worst.items() if not all(a <= b for a, b in zip(w, LIMITS, strict=True))}
+        if wrong:
+            off[file.stem] = wrong
+    assert off == {}
