@@ -10,7 +10,7 @@ from lxml import etree
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.positions import read_position
-from cornercase.simulators.builtin.paths.trajectory_shapes import Clock, read_trajectory
+from cornercase.simulators.builtin.paths.trajectory_shapes import Clock, read_trajectory, takes_time
 from cornercase.simulators.builtin.tracks.track import Trajectory
 from cornercase.simulators.builtin.world.lanes import attach_to_lane, follow_track
 from cornercase.simulators.builtin.world.motion import settle_on_track
@@ -34,7 +34,8 @@ class FollowTrajectoryAction:
         self._smooth = mode is None or scope.text(mode, "followingMode", "follow") == "follow"
         self._absolute = False
         self._clock: Clock | None = None
-        if timing is not None:
+        # Times that do not pass are none.
+        if timing is not None and takes_time(element if holder is None else holder, scope):
             self._absolute = scope.text(timing, "domainAbsoluteRelative", "relative") == "absolute"
             self._clock = Clock(scope.number(timing, "scale", 1.0), scope.number(timing, "offset", 0.0))
         self._skip = scope.number(element, "initialDistanceOffset", 0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from lxml import etree
@@ -23,6 +23,9 @@ Position = Callable[[World], Pose]
 
 PositionReader = Callable[[etree._Element, Scope, World], Position]
 """Reads the position that an element holds."""
+
+# Times that differ by less, in s, are the same.
+_SAME_TIME: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,31 @@ def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: Po
     if kind.tag == "Polyline":
         return _polyline(kind, inner, world, read, inner.flag(element, "closed", False))
     return (_nurbs if kind.tag == "Nurbs" else _clothoids)(kind, inner, world, read)
+
+
+def takes_time(holder: etree._Element, scope: Scope) -> bool:
+    """Whether the times of the ``Trajectory`` or ``CatalogReference`` in `holder` differ, in any scenario.
+
+    Parameters
+    ----------
+    holder : lxml element
+    scope : Scope
+
+    Returns
+    -------
+    bool
+    """
+    element, inner = scope.referred(holder, "Trajectory")
+    given = [
+        inner.number(one, name)
+        for one in element.iterfind("Shape//*")
+        for name in ("time", "startTime", "stopTime", "timeStart", "timeEnd")
+        if one.get(name) is not None
+    ]
+    if element.find("Shape/Polyline") is None and element.find("Shape/Nurbs") is None:
+        # The times of clothoids are 0 where they are left out.
+        given.append(np.zeros(scope.scenarios))
+    return any(bool((np.abs(one - given[0]) > _SAME_TIME).any()) for one in given)
 
 
 def _polyline(element: etree._Element, scope: Scope, world: World, read: PositionReader, closed: bool) -> Shape:
@@ -196,6 +224,7 @@ def _nurbs(element: etree._Element, scope: Scope, world: World, read: PositionRe
         poses = [position(world) for position in positions]
         x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
         px, py, heading, reached = nurbs_points(x, y, times, weights, knots, order)
+        # On a curve, every heading is that of the curve, and turns from point to point.
         return Polyline(px, py, heading, None if clock is None else clock.times(reached), False, ALONG_LEGS)
 
     return lay_out

@@ -8,17 +8,14 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 
-_MOST_SAMPLES: Final = 100_000
+# A curve is sampled about once in so many m, and its direction over at most so much of its parameter, as in esmini: the
+# times depend on it.
+_SPACING: Final = 1.0
+_AHEAD: Final = 0.001
 
 
 def nurbs_points(
-    x: FloatArray,
-    y: FloatArray,
-    time: FloatArray,
-    weights: FloatArray,
-    knots: FloatArray,
-    order: int,
-    samples: int = 1000,
+    x: FloatArray, y: FloatArray, time: FloatArray, weights: FloatArray, knots: FloatArray, order: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Points of a rational B-spline curve, the direction of its tangent there, and when they are reached.
 
@@ -38,37 +35,32 @@ def nurbs_points(
     Returns
     -------
     tuple of ndarray of float64, each (N, samples)
+        The last point is repeated where another scenario has more of them.
     """
     # Imported here, since it takes time and few files have such curves.
     from scipy.interpolate import BSpline
 
     basis = BSpline(knots, np.eye(len(weights)), order - 1)
-    u = np.linspace(knots[order - 1], knots[len(weights)], samples)
-    value, slope = basis(u) * weights, basis(u, 1) * weights
-    total, change = value.sum(axis=1), slope.sum(axis=1)
-    px, py = _mixed(x, value) / total, _mixed(y, value) / total
-    dx, dy = (_mixed(x, slope) - px * change) / total, (_mixed(y, slope) - py * change) / total
-    # Sampled about every 1 m, as in esmini: the times depend on it.
-    length = np.zeros(len(x))
-    for k in range(x.shape[1] - 1):
-        length += np.hypot(x[:, k + 1] - x[:, k], y[:, k + 1] - y[:, k])
-    counts = 2 + np.clip(np.nan_to_num(length), 0.0, _MOST_SAMPLES).astype(np.int64)
-    clock = np.zeros_like(px)
+    begin, end = knots[order - 1], knots[len(weights)]
+    # Each scenario by its own length alone.
+    counts = 1 + (np.hypot(np.diff(x), np.diff(y)).sum(axis=1) / _SPACING).astype(np.int64)
+    found = np.empty((4, len(x), int(counts.max()) + 1))
     for count in np.unique(counts):
-        coarse = np.linspace(u[0], u[-1], int(count))
-        peaks = coarse[(basis(coarse) * weights).argmax(axis=0)]
-        # One hat function for each control point.
-        hats = np.stack([np.interp(u, peaks, row) for row in np.eye(len(weights))])
-        clock[counts == count] = _mixed(time[counts == count], hats.T)
-    return px, py, np.unwrap(np.arctan2(dy, dx), axis=1), clock
+        rows = counts == count
+        u = np.linspace(begin, end, count + 1)
+        value, slope = basis(u) * weights, basis(u, 1) * weights
+        total, change = value.sum(axis=1), slope.sum(axis=1)
+        px, py = x[rows] @ value.T / total, y[rows] @ value.T / total
+        dx, dy = (x[rows] @ slope.T - px * change) / total, (y[rows] @ slope.T - py * change) / total
+        step = min(_AHEAD, float(u[1] - u[0]))
+        ahead = np.append(u[:-1] + step, u[-1] - step)
+        clock = time[rows] @ _shares(u, u[basis(ahead).argmax(axis=0)])
+        for part, held in zip((px, py, np.unwrap(np.arctan2(dy, dx), axis=1), clock), found, strict=True):
+            held[rows, : count + 1] = part
+            held[rows, count + 1 :] = part[:, -1:]
+    return found[0], found[1], found[2], found[3]
 
 
-def _mixed(controls: FloatArray, shares: FloatArray) -> FloatArray:
-    """Sums of control points by their shares at each sample, (N, C) and (S, C) to (N, S).
-
-    A product of matrices would round otherwise for one scenario than for many.
-    """
-    result = np.zeros((len(controls), len(shares)))
-    for k in range(controls.shape[1]):
-        result += controls[:, k, None] * shares[:, k]
-    return result
+def _shares(u: FloatArray, peaks: FloatArray) -> FloatArray:
+    """Share of each control point in the time at each parameter, shape (C, samples)."""
+    return np.stack([np.interp(u, peaks, row) for row in np.eye(len(peaks))])
