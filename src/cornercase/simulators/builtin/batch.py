@@ -9,24 +9,22 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.recorded_xml import named, unrecorded
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
-from cornercase.scenario import Scenario, Scope, Value
+from cornercase.scenario import Scope, Value
 from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
+from cornercase.simulators.builtin.entities import read_entities
 from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.openscenario import refuse_unusable
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
-from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES
 from cornercase.simulators.builtin.world.contacts import find_contacts
 from cornercase.simulators.builtin.world.motion import move_entities
-from cornercase.simulators.builtin.world.state import Entity, World
+from cornercase.simulators.builtin.world.state import World
 
 _MOST_ENTITIES: Final = 500
-_TURNING: Final = {"segment": ALONG_LEGS, "corner": AT_CORNERS, "off": AT_VERTICES, "none": AT_VERTICES}
 
 
 class Coupling(Protocol):
@@ -96,7 +94,8 @@ class Batch:
             raise InputError(
                 f"{scenario.path}: has {len(objects)} entities; the builtin simulator moves {_MOST_ENTITIES}."
             )
-        self._world = World(tuple(_entity(e, scenario, scope) for e in objects), scope.scenarios, network)
+        entities, tows = read_entities(objects, scope)
+        self._world = World(entities, scope.scenarios, network, tows)
         self._world.selections = _selections(scenario.root, self._world, scope)
         self._world.parameters = {name: _held(value, scope.scenarios) for name, value in scope.values.items()}
         self._world.variables = scope.declared(
@@ -212,50 +211,3 @@ def _selections(root: etree._Element, world: World, scope: Scope) -> dict[str, l
 
 def _object_type(kind: str) -> str:
     return {"pedestrian": "pedestrian", "misc": "miscellaneous"}.get(kind, "vehicle")
-
-
-def _entity(element: etree._Element, scenario: Scenario, scope: Scope) -> Entity:
-    name = element.get("name", "")
-    body = next((e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None)
-    if body is not None and body.tag == "CatalogReference":
-        body, scope = scope.from_catalog(body)
-    elif body is not None:
-        scope = scope.within(body)
-    if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
-        raise InputError(
-            f"{scenario.path}: the entity '{name}' is no vehicle, pedestrian or misc object, which the builtin"
-            " simulator can move."
-        )
-    dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
-    if dimensions is None or center is None:
-        raise InputError(f"{scenario.path}: the entity '{name}' has no <BoundingBox> with <Center> and <Dimensions>.")
-    kind = {"Pedestrian": "pedestrian", "MiscObject": "misc"}.get(body.tag) or scope.text(
-        body, "vehicleCategory", "car"
-    )
-    # A misc object cannot move by itself.
-    limits = [0.0 if body.tag == "MiscObject" else np.inf, np.inf, np.inf]
-    performance = body.find("Performance")
-    if performance is not None:
-        limits = [scope.one_number(performance, a, np.inf) for a in ("maxSpeed", "maxAcceleration", "maxDeceleration")]
-    length, width = scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width")
-    if not (length > 0 and width > 0):
-        raise InputError(f"{scenario.path}: the bounding box of '{name}' needs a positive length and width.")
-    _refuse_trailer(body, scope, name)
-    # Two of esmini's own properties.
-    items = unrecorded(body, "Properties", "Property")
-    found = {key: named(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
-    own = {key: "" if item is None else scope.text(item, "value") for key, item in found.items()}
-    slides, turning = own["ignoreHeadingForTrajMotion"] == "true", _TURNING.get(own["plineInterpolation"], "")
-    reach = scope.one_number(center, "x")
-    return Entity(name, kind, length, width, reach, limits[0], limits[1], limits[2], slides, turning)
-
-
-def _refuse_trailer(body: etree._Element, scope: Scope, name: str) -> None:
-    """Refuse a vehicle that pulls something; a reference to no entity is no trailer."""
-    reference = body.find("Trailer/TrailerRef")
-    pulled = "" if reference is None else scope.text(reference, "entityRef", "")
-    if reference is not None and pulled:
-        raise InputError(
-            f"{scope.source}, line {reference.sourceline}: <TrailerRef> of '{name}' names '{pulled}', but trailers are"
-            " not simulated; leave its entityRef empty."
-        )

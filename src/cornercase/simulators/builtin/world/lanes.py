@@ -10,6 +10,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Pose, Track
 from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.towing import align_trailers
 from cornercase.simulators.builtin.world.whereabouts import lane_of, on_lane
 
 # Headings that differ by less, in rad, are the same.
@@ -42,6 +43,7 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     world.from_x[entity][where], world.from_y[entity][where] = pose.x[where], pose.y[where]
     world.present[entity] |= where
     world.moved[entity] |= where & (world.time > 0.0)
+    align_trailers(world, entity, where)
     # An entity that follows a trajectory keeps following it.
     attach_to_lane(world, entity, where & ((world.track[entity] == FREE) | on_lane(world, entity)), pose)
 

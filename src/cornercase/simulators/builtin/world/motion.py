@@ -11,6 +11,7 @@ from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Track
 from cornercase.simulators.builtin.world.lanes import go_on
 from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.towing import hold_trailers, pull_trailers
 from cornercase.simulators.builtin.world.whereabouts import on_road
 
 # An entity this close to the end of a road, in m, is at the end.
@@ -27,6 +28,7 @@ def move_entities(world: World, dt: float) -> None:
         s; with 0 entities are only put on their tracks.
     """
     before_heading, world.last_step = world.from_heading, dt
+    hold_trailers(world)
     for e in range(len(world.entities)):
         rows = world.running & world.present[e]
         way = np.where(np.isnan(world.pace[e]), world.speed[e], world.pace[e]) * dt
@@ -47,6 +49,7 @@ def move_entities(world: World, dt: float) -> None:
         world.speed[e][lost], way = 0.0, np.where(lost, 0.0, way)
         world.x[e] += np.where(free, way * np.cos(world.heading[e]), 0.0)
         world.y[e] += np.where(free, way * np.sin(world.heading[e]), 0.0)
+    pull_trailers(world)
     gone_x, gone_y = world.x - world.from_x, world.y - world.from_y
     chord = np.hypot(gone_x, gone_y)
     if dt > 0:

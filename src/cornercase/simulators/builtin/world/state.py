@@ -59,6 +59,26 @@ class Entity:
     turning: str = ""
 
 
+@dataclass(frozen=True)
+class Tow:
+    """A vehicle and what it pulls.
+
+    Attributes
+    ----------
+    vehicle, trailer : int
+        Rows of the entities.
+    hitch : float
+        Where the trailer hangs on the vehicle, ahead of the vehicle's reference point, in m.
+    coupler : float
+        How far ahead of the trailer's reference point that is, in m.
+    """
+
+    vehicle: int
+    trailer: int
+    hitch: float
+    coupler: float
+
+
 class World:
     """State of E entities in N concrete scenarios.
 
@@ -144,9 +164,15 @@ class World:
         Why scenarios failed.
     """
 
-    def __init__(self, entities: tuple[Entity, ...], scenarios: int, network: RoadNetwork | None) -> None:
+    def __init__(
+        self,
+        entities: tuple[Entity, ...],
+        scenarios: int,
+        network: RoadNetwork | None,
+        tows: tuple[Tow, ...] = (),
+    ) -> None:
         shape = (len(entities), scenarios)
-        self.entities = entities
+        self.entities, self.tows = entities, tows
         self.names = [entity.name for entity in entities]
         self.scenarios = scenarios
         self.network = network
