@@ -161,8 +161,6 @@ REFUSED = {
         '<ActivateControllerAction longitudinal="false"/></PrivateAction>',
         "<TrailerAction><DisconnectTrailerAction/></TrailerAction></PrivateAction>",
     ),
-    "Trailer": ('<TrailerRef entityRef=""/>', '<Trailer name="t"/>'),
-    "TrailerRef": ('<TrailerRef entityRef=""/>', '<TrailerRef entityRef="Lead"/>'),
     "ExternalObjectReference": ('<MiscObject name="cone"', '<ExternalObjectReference name="cone"/><MiscObject name="cone"'),
 }  # fmt: skip
 
