@@ -18,6 +18,7 @@ class Schema:
 
     def __init__(self, file: Path) -> None:
         self._all: list[list[etree._Element]] = []
+        self._words: dict[str, set[str]] = {}
         self._types: dict[str, etree._Element] = {}
         self._elements: dict[str, etree._Element] = {}
         self._groups: dict[str, etree._Element] = {}
@@ -39,6 +40,8 @@ class Schema:
                 "attributeGroup": self._attributes,
             }
             kind = _kind(one)
+            if kind == "simpleType":
+                self._words[one.get("name", "")] = {e.get("value", "") for e in one.iter(f"{_XS}enumeration")}
             if kind in kinds:
                 kinds[kind][one.get("name", "")] = one
             elif kind in ("include", "redefine", "import") and one.get("schemaLocation"):
@@ -66,6 +69,23 @@ class Schema:
             if kind is not None and not ends(path):
                 attributes |= set(self._attributes_of(kind))
                 left.extend(((*path, name)[-4:], of) for name, of in self._children_of(kind))
+        return found
+
+    def words(self, *roots: str) -> dict[tuple[str, str], set[str]]:
+        """Values of the attributes that take one of a few words, by element and attribute."""
+        found: dict[tuple[str, str], set[str]] = {}
+        left = [(name, self._type_of(self._elements[name])) for name in roots]
+        seen = set()
+        while left:
+            name, kind = left.pop()
+            if kind is None or (name, id(kind)) in seen:
+                continue
+            seen.add((name, id(kind)))
+            for attribute in kind.iter(f"{_XS}attribute"):
+                words = self._words.get(_local(attribute.get("type", "")))
+                if words:
+                    found.setdefault((name, attribute.get("name", "")), set()).update(words)
+            left += self._children_of(kind)
         return found
 
     def _type_of(self, element: etree._Element) -> etree._Element | None:

@@ -364,6 +364,28 @@ def test_conditions_between_entities(tmp_path, name):
         assert recording.time[np.argmax(fast)] == pytest.approx(expected + DT, abs=DT + 1e-9)
 
 
+@pytest.mark.parametrize(("system", "beside"), [("road", True), ("entity", False)])
+def test_a_place_further_along_the_road_lies_beside_who_stands_across_it(tmp_path, system, beside):
+    across = """<PrivateAction><TeleportAction><Position><LanePosition roadId="1" laneId="-1" s="100"><Orientation type="relative"
+h="1.5"/></LanePosition></Position></TeleportAction></PrivateAction>"""
+    condition = f"""<DistanceCondition value="1" freespace="false" rule="lessThan" relativeDistanceType="lateral"
+coordinateSystem="{system}"><Position><LanePosition roadId="1" laneId="-1" s="160"/></Position></DistanceCondition>"""
+    story = story_of(event("e", speed_action("33"), by_entity(condition, "Lead")))
+    init = moving() + private("Lead", across)
+    recording = run(scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Lead")), 1.0)
+    assert (recording.speed[0][-1] > 30) == beside
+
+
+@pytest.mark.parametrize("system", ["trajectory", "world"])
+def test_a_distance_along_what_is_not_measured_is_refused(tmp_path, system):
+    condition = f"""<RelativeDistanceCondition entityRef="Lead" value="60" freespace="false" coordinateSystem="{system}"
+relativeDistanceType="longitudinal" rule="lessThan"/>"""
+    story = story_of(event("e", speed_action("33"), by_entity(condition)))
+    init = moving() + moving("150", "5", "Lead")
+    with pytest.raises(InputError, match=f"longitudinal distance in the system '{system}' cannot be measured"):
+        run(scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Lead")), 1.0)
+
+
 def test_a_group_runs_as_often_as_it_says(tmp_path):
     add = variable_action('<ModifyAction><Rule><AddValue value="1"/></Rule></ModifyAction>')
     story = story_of(f'<Event name="e" priority="parallel"><Action name="a">{add}</Action></Event>')

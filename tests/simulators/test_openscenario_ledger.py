@@ -6,6 +6,7 @@ from pathlib import Path
 from shutil import copytree
 
 import pytest
+from lxml import etree
 
 import cornercase as cc
 from command_line import cornercase
@@ -17,6 +18,7 @@ from cornercase.scenario import LogicalScenario, Scenario
 from cornercase.simulators.builtin.effect import notices
 from cornercase.simulators.builtin.openscenario import LEDGER
 from ledgers import gaps, page, strangers
+from schemas import Schema
 
 EVERYTHING = Path(__file__).parents[1] / "data" / "everything"
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
@@ -176,6 +178,34 @@ def test_what_cannot_be_used_is_refused_by_name(tmp_path, what):
 def test_each_line_that_refuses_is_tried():
     refusing = {entry.element.split("/")[-1] for entry in LEDGER.entries if entry.status is Status.REFUSED}
     assert refusing <= {*REFUSED, "UserDefinedDistribution"}
+
+
+def test_a_word_that_the_schema_does_not_know_is_refused():
+    root = Scenario.read(EVERYTHING / "everything.xosc").root
+    tried = set()
+    for element in root.iter(etree.Element):
+        path = tuple(reversed([element.tag, *(above.tag for above in element.iterancestors())]))
+        for name, value in [(str(a), str(b)) for a, b in element.items()]:
+            entry = LEDGER.entry(path, name)
+            if entry is not None and entry.values:
+                element.set(name, "xyzzy")
+                with pytest.raises(InputError, match=f"{name} 'xyzzy' of <{element.tag}> cannot be used; known are: "):
+                    LEDGER.refuse(root, "a.xosc")
+                element.set(name, value)
+                tried.add(entry)
+    LEDGER.refuse(root, "a.xosc")
+    # Of the catalog, and what older files have.
+    left = {(entry.element, entry.attribute) for entry in LEDGER.entries if entry.values and entry not in tried}
+    assert left <= {("ParameterDeclaration", "parameterType")}
+
+
+def test_the_words_of_an_attribute_are_those_of_the_schema():
+    known = Schema(schema()).words("OpenSCENARIO")
+    for entry in LEDGER.entries:
+        if entry.status is Status.USED and entry.attribute:
+            words = known.get((entry.element.split("/")[-1], entry.attribute), set())
+            assert bool(words) == bool(entry.values), entry
+            assert set(entry.values) <= words, entry
 
 
 def test_a_user_defined_distribution_is_refused(tmp_path):

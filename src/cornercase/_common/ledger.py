@@ -14,7 +14,7 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.errors import InputError, NoticeWarning, suggestion
 from cornercase._common.recorded_xml import asked_attributes, children, was_read
 
 # More lines than this are counted, not named.
@@ -47,6 +47,8 @@ class Entry:
         Values of the attribute that change nothing, so that nothing is said about them; numbers count as equal
         however they are written. With ``"*"`` nothing is ever said: what has no effect is not meant to have one, and
         what is used need not be.
+    values : tuple of str
+        Those that the attribute may have, where they are a few words; any other is refused.
     note : str
         What happens instead, or what to do instead: without a capital at its beginning or a full stop at its end.
     """
@@ -56,6 +58,7 @@ class Entry:
     status: Status
     unless: tuple[str, ...]
     note: str
+    values: tuple[str, ...] = ()
 
     def is_silent(self, value: str) -> bool:
         """Whether a value of the attribute changes nothing."""
@@ -128,13 +131,17 @@ class Ledger:
             known = self._by_name.setdefault((name, entry.attribute), [])
             known.append((tuple(above), entry))
             known.sort(key=lambda one: -len(one[0]))
-        self._refusable = tuple({e.element.split("/")[-1] for e in self.entries if e.status is Status.REFUSED})
+        # Elements of which something may be refused.
+        self._refusable = tuple(
+            {e.element.split("/")[-1] for e in self.entries if e.status is Status.REFUSED or e.values}
+        )
 
     @classmethod
     def read(cls, package: str, file: str) -> Ledger:
-        """Read a ledger that ships with a package: a CSV with the columns element, attribute, status, unless and note.
+        """Read a ledger that ships with a package.
 
-        Values in the column unless stand apart by a bar: ``0|false``.
+        It is a CSV with the columns element, attribute, status, unless, values and note. What stands in unless and in
+        values is parted by bars: ``0|false``; the column values may be left out.
         """
         text = (resources.files(package) / file).read_text(encoding="utf-8")
         return cls(
@@ -144,6 +151,7 @@ class Ledger:
                 Status(row["status"]),
                 tuple(row["unless"].split("|")) if row["unless"] else (),
                 row["note"],
+                tuple(row["values"].split("|")) if row.get("values") else (),
             )
             for row in csv.DictReader(text.splitlines())
         )
@@ -192,11 +200,20 @@ class Ledger:
             if entry is not None and entry.status is Status.REFUSED:
                 raise InputError(f"{file}, line {_line(one)}: <{path[-1]}> cannot be used; {entry.note}.")
             for name, value in _attributes(one):
-                entry = self.entry(path, name)
-                if entry is not None and entry.status is Status.REFUSED and not entry.is_silent(value):
-                    raise InputError(
-                        f"{file}, line {_line(one)}: {name} '{value}' of <{path[-1]}> cannot be used; {entry.note}."
-                    )
+                why = self._objection(path, name, value)
+                if why is not None:
+                    raise InputError(f"{file}, line {_line(one)}: {name} '{value}' of <{path[-1]}> {why}")
+
+    def _objection(self, path: tuple[str, ...], name: str, value: str) -> str | None:
+        """Why a value of an attribute cannot be used; that of a parameter is not known here."""
+        entry = self.entry(path, name)
+        if entry is None or value.startswith("$"):
+            return None
+        if entry.status is Status.REFUSED and not entry.is_silent(value):
+            return f"cannot be used; {entry.note}."
+        if entry.values and value not in entry.values:
+            return f"cannot be used; {suggestion(value, entry.values)}"
+        return None
 
     def _ends(self, path: tuple[str, ...]) -> bool:
         entry = self.entry(path)

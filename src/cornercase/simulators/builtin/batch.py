@@ -85,7 +85,7 @@ class Batch:
 
     def _read(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
         scenario = prepared.scenario
-        refuse_unusable(scenario)
+        refuse_unusable(prepared)
         file = scenario.root.find("RoadNetwork/LogicFile")
         road_file = "" if file is None else scope.text(file, "filepath", "")
         network = prepared.network(road_file) if road_file else None
@@ -114,7 +114,7 @@ class Batch:
             self._world.control(e, np.ones(scope.scenarios, dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
         # Once more, now that it is known which entries of catalogs there are.
-        refuse_unusable(scenario)
+        refuse_unusable(prepared)
         for why, where in scope.refused():
             self._world.fail(where, why)
 

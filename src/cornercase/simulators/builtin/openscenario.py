@@ -5,24 +5,27 @@ from __future__ import annotations
 from typing import Final
 
 from cornercase._common.ledger import Ledger, local_name
-from cornercase.scenario import Scenario
+from cornercase.simulators.builtin.prepared import PreparedScenario
 
 LEDGER: Final = Ledger.read("cornercase.simulators.builtin", "openscenario.csv")
 """Elements and attributes of OpenSCENARIO XML 1.3, and those of earlier versions that are read still."""
 
 
-def refuse_unusable(scenario: Scenario) -> None:
+def refuse_unusable(prepared: PreparedScenario) -> None:
     """Refuse what the builtin simulator cannot run, in the scenario file and the catalog entries that were read.
 
     Parameters
     ----------
-    scenario : Scenario
+    prepared : PreparedScenario
+        What was looked at before is not looked at again.
 
     Raises
     ------
     InputError
         Names the first element or attribute, its line, and what to do instead.
     """
-    for file, element in scenario.read_parts():
-        if local_name(element) != "OpenDRIVE":
+    for file, element in prepared.scenario.read_parts():
+        # Elements are held by their file, so that each stays the same object.
+        if id(element) not in prepared.looked_at and local_name(element) != "OpenDRIVE":
             LEDGER.refuse(element, file)
+            prepared.looked_at.add(id(element))

@@ -50,12 +50,15 @@ class PreparedScenario:
         Parameters found to shape the storyboard: scenarios of one batch have the same values of them.
     own_error : str or None
         Why the file cannot be used with its own values; None where it can, or where nobody has tried.
+    looked_at : set of int
+        Elements of whose parts is known that none is refused, by their ``id``.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.splitting: set[str] = set()
         self.own_error: str | None = None
+        self.looked_at: set[int] = set()
         self._networks: dict[Path, RoadNetwork] = {}
 
     @classmethod

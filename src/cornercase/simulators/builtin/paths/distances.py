@@ -19,6 +19,7 @@ from cornercase.simulators.builtin.world.gaps import (
     longitudinal_gap,
     longitudinal_reach,
     offset_from,
+    offset_of,
     remaining,
 )
 from cornercase.simulators.builtin.world.state import World
@@ -76,6 +77,8 @@ class Gap:
         cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
         if self.kind == "lateral":
             across = dy * cos - dx * sin
+            if self.along_road:
+                across = offset_of(world, e, pose.x, pose.y) - world.offset[e]
             return np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
         way = remaining(world, e, pose) if self.along_road else dx * cos + dy * sin
         if self.free:
@@ -112,7 +115,12 @@ def read_gap(element: etree._Element, scope: Scope) -> Gap:
             f"{scope.source}, line {element.sourceline}: a distance of type '{kind}' in the system '{system}' does not"
             " exist; use euclidianDistance, longitudinal or lateral in entity, lane, road or trajectory."
         )
-    return Gap(kinds[kind], system in ("lane", "road", "trajectory"), scope.flag(element, "freespace", False))
+    if system in ("trajectory", "world") and kinds[kind] != "euclidean":
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: a {kind} distance in the system '{system}' cannot be measured;"
+            " use entity, lane or road."
+        )
+    return Gap(kinds[kind], system in ("lane", "road"), scope.flag(element, "freespace", False))
 
 
 def _distance(world: World, e: int, x: FloatArray, y: FloatArray) -> FloatArray:

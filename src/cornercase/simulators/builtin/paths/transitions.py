@@ -22,7 +22,6 @@ class Transition:
         self.shape = scope.text(element, "dynamicsShape")
         self.dimension = scope.text(element, "dynamicsDimension", "time")
         self.value = scope.number(element, "value", 0.0)
-        self.forced = scope.text(element, "followingMode", "position") == "position"
         require_shape(self.shape, element, scope)
         if self.dimension not in ("time", "rate", "distance"):
             raise InputError(

@@ -68,14 +68,34 @@ def offset_from(world: World, entity: int, other: int) -> FloatArray:
     ndarray of float64, shape (N,)
         m.
     """
-    result = distance_beside(world, entity, other) + world.offset[entity]
+    there = world.present[other]
+    return offset_of(world, entity, np.where(there, world.x[other], np.nan), np.where(there, world.y[other], np.nan))
+
+
+def offset_of(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Offset that a place has from an entity's track, shape (N,); positive to the left.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    x, y : ndarray of float64, shape (N,)
+        m; NaN where there is no such place.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; across the entity's heading where it follows no track.
+    """
+    cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
+    result = (y - world.y[entity]) * cos - (x - world.x[entity]) * sin + world.offset[entity]
     for k, track in enumerate(world.tracks[entity]):
-        rows = np.flatnonzero((world.track[entity] == k) & world.present[other])
+        rows = np.flatnonzero((world.track[entity] == k) & np.isfinite(x))
         if rows.size:
-            x, y = world.x[other][rows], world.y[other][rows]
-            along = track.nearest(x, y, rows)
+            along = track.nearest(x[rows], y[rows], rows)
             at_x, at_y, heading = track.at(along, np.zeros(len(rows)), rows)
-            result[rows] = (y - at_y) * np.cos(heading) - (x - at_x) * np.sin(heading)
+            result[rows] = (y[rows] - at_y) * np.cos(heading) - (x[rows] - at_x) * np.sin(heading)
     return np.asarray(result)
 
 
