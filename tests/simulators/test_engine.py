@@ -623,7 +623,7 @@ def test_a_trajectory_with_times_leaves_the_driver_nothing_to_decide(tmp_path):
     legs = "".join(f'<Vertex time="{t}">{place(x, -2)}</Vertex>' for t, x in ((0, 0), (3, 40), (8, 90)))
     path = bend_file(tmp_path, f"<Polyline>{legs}</Polyline>", timed)
     recordings = [
-        next(iter(BuiltinSimulator(time_step=DT, duration=9.0, drivers=drivers).run([ConcreteScenario(path, {})])))
+        next(iter(BuiltinSimulator(time_step=DT, duration=7.9, drivers=drivers).run([ConcreteScenario(path, {})])))
         for drivers in ({}, {"Ego": "normal"})
     ]
     assert same_recording(*recordings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from lxml import etree
@@ -11,6 +11,7 @@ from lxml import etree
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.actions.controller import ControllerAction, VisibilityAction
 from cornercase.simulators.builtin.actions.follow import FollowTrajectoryAction
 from cornercase.simulators.builtin.actions.lateral import LaneChangeAction, LaneOffsetAction, LateralDistanceAction
@@ -23,7 +24,7 @@ from cornercase.simulators.builtin.actions.speed_profile import SpeedProfileActi
 from cornercase.simulators.builtin.actions.synchronise import SynchronizeAction
 from cornercase.simulators.builtin.paths.positions import entity_index, read_position, read_route
 from cornercase.simulators.builtin.world.lanes import assign_route, place_entity
-from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
 # Actions that change nothing that a criticality metric measures.
 WITHOUT_EFFECT: Final = (
@@ -35,18 +36,6 @@ WITHOUT_EFFECT: Final = (
 _HOLDERS: Final = (
     "LongitudinalAction", "LateralAction", "RoutingAction", "InfrastructureAction", "TrafficSignalAction",
 )  # fmt: skip
-
-
-class Action(Protocol):
-    """An action of an event: runs in some of the scenarios of a batch until it has ended there."""
-
-    def start(self, world: World, where: BoolArray) -> None:
-        """Begin in the scenarios of the mask."""
-        ...
-
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        """Act for one time step; return where it has ended, shape (N,)."""
-        ...
 
 
 def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
@@ -90,8 +79,10 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
     return _READERS[inner.tag](inner, scope, world, entity)
 
 
-class TeleportAction:
+class TeleportAction(Action):
     """Moves an entity to a position at once."""
+
+    domains = (LONGITUDINAL, LATERAL)
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -104,11 +95,8 @@ class TeleportAction:
         world.actor = None
         place_entity(world, self._entity, pose, where)
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        return where.copy()
 
-
-class AssignRouteAction:
+class AssignRouteAction(Action):
     """Tells an entity which way to go at junctions."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
@@ -121,12 +109,11 @@ class AssignRouteAction:
             rows = where & (roads == one[:, None]).all(axis=0)
             assign_route(world, self._entity, tuple(int(road) for road in one), rows)
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        return where.copy()
 
-
-class AcquirePositionAction:
+class AcquirePositionAction(Action):
     """Makes an entity take the way to a place."""
+
+    domains = (LONGITUDINAL,)
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -139,11 +126,8 @@ class AcquirePositionAction:
         for road in np.unique(pose.road[where]):
             assign_route(world, self._entity, (int(road),), where & (pose.road == road))
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        return where.copy()
 
-
-class PresenceAction:
+class PresenceAction(Action):
     """Adds an entity to the traffic or takes it out."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
@@ -161,11 +145,8 @@ class PresenceAction:
         else:
             place_entity(world, self._entity, self._position(world), where & ~world.present[self._entity])
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        return where.copy()
 
-
-class ValueAction:
+class ValueAction(Action):
     """Sets or modifies a variable or, as files before 1.2 did, a parameter."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
@@ -201,11 +182,8 @@ class ValueAction:
         # A new array, since the old one has no room for longer texts.
         self._values[self._name] = np.where(where, new, values)
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        return where.copy()
 
-
-class SignalAction:
+class SignalAction(Action):
     """Switches a traffic signal, which conditions can ask for."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
@@ -214,9 +192,6 @@ class SignalAction:
     def start(self, world: World, where: BoolArray) -> None:
         before = world.signals.get(self._name, np.full(world.scenarios, ""))
         world.signals[self._name] = np.where(where, self._state, before)
-
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        return where.copy()
 
 
 _READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action]]] = {

@@ -10,6 +10,7 @@ from cornercase._common.recorded_xml import named, unrecorded
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import DRIVERS, DrivenPath, Driver, Situation
 from cornercase.scenario import DRIVER_PROPERTY, Scope
+from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Track, Trajectory
 from cornercase.simulators.builtin.world.state import World
@@ -113,7 +114,7 @@ def _sampled(track: Trajectory) -> DrivenPath:
     return DrivenPath(np.tile(places, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
 
 
-class ControllerAction:
+class ControllerAction(Action):
     """Assigns a controller to an entity, or activates the one that it has.
 
     Of controllers those with the property ``cornercase.driver`` act; any other leaves the entity to the
@@ -135,9 +136,6 @@ class ControllerAction:
         if not world.kept[self._entity]:
             world.control(self._entity, where, self._driver, self._activated)
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        return where.copy()
-
     def _assigned(self, assign: etree._Element, scope: Scope, world: World) -> int:
         # Of other programs' controllers is said that they have no effect, so that they do not count as read.
         holder = next(iter(unrecorded(assign, "ObjectController")), assign)
@@ -154,7 +152,7 @@ class ControllerAction:
         return Driving(world, self._entity, driver).number
 
 
-class VisibilityAction:
+class VisibilityAction(Action):
     """Hides an entity from the others in the traffic, or shows it again."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
@@ -162,9 +160,6 @@ class VisibilityAction:
 
     def start(self, world: World, where: BoolArray) -> None:
         world.visible[self._entity][where] = self._seen
-
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        return where.copy()
 
 
 def registered_driver(name: str, where: str) -> Driver:

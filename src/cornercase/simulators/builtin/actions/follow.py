@@ -9,6 +9,7 @@ from lxml import etree
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.paths.positions import read_position
 from cornercase.simulators.builtin.paths.trajectory_shapes import Clock, read_trajectory, takes_time
 from cornercase.simulators.builtin.tracks.track import Trajectory
@@ -20,11 +21,13 @@ from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, Wor
 _TINY: Final = 1e-6
 
 
-class FollowTrajectoryAction:
+class FollowTrajectoryAction(Action):
     """Moves an entity along a trajectory, at its own speed or at given times."""
 
+    domains: tuple[str, ...] = (LATERAL,)
+
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, world.number_action()
+        self._entity = entity
         holder = element.find("TrajectoryRef")
         self._shape = read_trajectory(element if holder is None else holder, scope, world, read_position)
         mode = element.find("TrajectoryFollowingMode")
@@ -38,6 +41,7 @@ class FollowTrajectoryAction:
         if timing is not None and takes_time(element if holder is None else holder, scope):
             self._absolute = scope.text(timing, "domainAbsoluteRelative", "relative") == "absolute"
             self._clock = Clock(scope.number(timing, "scale", 1.0), scope.number(timing, "offset", 0.0))
+            self.domains = (LATERAL, LONGITUDINAL)
         self._skip = scope.number(element, "initialDistanceOffset", 0.0)
         # What the trajectory's clock shows when the simulation time is 0.
         self._ahead = np.zeros(scope.scenarios)
@@ -55,7 +59,6 @@ class FollowTrajectoryAction:
         else:
             self._track.adopt(track, where)
             track = self._track
-        world.claim(LATERAL, e, self._id, where)
         world.present[e] |= where
         follow_track(world, e, track, self._skip, where)
         world.offset[e][where] = world.turn[e][where] = 0.0
@@ -64,7 +67,6 @@ class FollowTrajectoryAction:
         line, oriented = track.direction(self._skip, every), track.oriented(self._skip, every)
         backwards = world.speed[e] < 0.0
         if self._clock is not None:
-            world.claim(LONGITUDINAL, e, self._id, where)
             clock, speed = track.clock_at(self._skip)
             ahead = np.zeros_like(clock) if self._absolute else clock - self._clock.shift - world.time
             self._ahead[where] = ahead[where]
@@ -78,18 +80,14 @@ class FollowTrajectoryAction:
         world.x[e][where], world.y[e][where], world.heading[e][where] = x[where], y[where], heading[where]
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        e = self._entity
-        acting = where & world.controls(LATERAL, e, self._id)
         track = self._track
-        if track is None or not acting.any():
-            return np.asarray(where & ~acting)
-        timed = acting & world.controls(LONGITUDINAL, e, self._id) & (self._clock is not None)
-        arrived = np.zeros_like(where)
-        if timed.any():
-            arrived |= self._keep_time(world, track, dt, timed)
-        if (acting & ~timed).any():
-            arrived |= self._go(world, track, dt, acting & ~timed)
-        return np.asarray(where & (arrived | ~acting))
+        if track is None:
+            return np.zeros_like(where)
+        arrived = self._go(world, track, dt, where) if self._clock is None else self._keep_time(world, track, dt, where)
+        return np.asarray(where & arrived)
+
+    def leave(self, world: World, where: BoolArray) -> None:
+        attach_to_lane(world, self._entity, where)
 
     def _keep_time(self, world: World, track: Trajectory, dt: float, rows: BoolArray) -> BoolArray:
         e, before = self._entity, world.distance[self._entity].copy()

@@ -10,6 +10,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.actions.longitudinal import child
 from cornercase.simulators.builtin.paths.positions import entity_index, shifted_lane
 from cornercase.simulators.builtin.paths.transitions import (
@@ -32,11 +33,13 @@ _THERE: Final = 1e-6
 _REACHED: Final = 0.01
 
 
-class LaneChangeAction:
+class LaneChangeAction(Action):
     """Moves an entity to another lane; part of its speed goes into the motion sideways."""
 
+    domains = (LATERAL,)
+
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, world.number_action()
+        self._entity = entity
         self._transition = Transition(child(element, "LaneChangeActionDynamics", scope), scope)
         target = child(element, "LaneChangeTarget", scope)
         absolute, relative = target.find("AbsoluteTargetLane"), target.find("RelativeTargetLane")
@@ -54,7 +57,6 @@ class LaneChangeAction:
 
     def start(self, world: World, where: BoolArray) -> None:
         e = self._entity
-        world.claim(LATERAL, e, self._id, where)
         if world.network is None:
             world.fail(where, f"{world.names[e]} cannot change lanes, as there are no roads")
             return
@@ -70,9 +72,8 @@ class LaneChangeAction:
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
-        acting = where & world.controls(LATERAL, e, self._id)
         way = np.abs(world.speed[e]) * dt
-        moves = acting & (np.abs(world.speed[e]) > 1e-6)
+        moves = where & (np.abs(world.speed[e]) > 1e-6)
         abrupt = self._extent <= 1e-6
         extent = np.where(abrupt, 1.0, self._extent)
         rate = change / extent * self._transition.slope(self._done / extent)
@@ -93,11 +94,13 @@ class LaneChangeAction:
         offset = np.where(abrupt, self._to, self._from + part * change)
         arrived = abrupt | (done >= self._extent - 1e-9) | (np.abs(offset - self._to) < _THERE)
         self._done[moves] = done[moves]
+        # It moves even where it was just put somewhere.
+        world.moved[e][moves] = False
         world.offset[e][moves] = offset[moves]
         world.sideways[e][moves] = np.where(abrupt, 0.0, across)[moves]
         world.pace[e][moves] = world.speed[e][moves]
         world.turn[e][moves] = np.where(arrived, 0.0, np.sign(world.speed[e]) * turn)[moves]
-        return np.asarray(where & ((moves & arrived) | ~acting))
+        return np.asarray(where & moves & arrived)
 
     def _lane(self, world: World) -> IntArray:
         if self._reference is None:
@@ -108,11 +111,13 @@ class LaneChangeAction:
         return shifted_lane(pose.lane, self._value * forward)
 
 
-class LaneOffsetAction:
+class LaneOffsetAction(Action):
     """Moves an entity within its lane; the motion sideways does not slow it down."""
 
+    domains = (LATERAL,)
+
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, world.number_action()
+        self._entity = entity
         dynamics = child(element, "LaneOffsetActionDynamics", scope)
         self._shape = scope.text(dynamics, "dynamicsShape")
         require_shape(self._shape, dynamics, scope)
@@ -132,7 +137,6 @@ class LaneOffsetAction:
 
     def start(self, world: World, where: BoolArray) -> None:
         e = self._entity
-        world.claim(LATERAL, e, self._id, where)
         self._from[where] = world.offset[e][where]
         if world.network is None:
             target = self._value
@@ -147,25 +151,26 @@ class LaneOffsetAction:
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
-        acting = where & world.controls(LATERAL, e, self._id)
         duration = np.where(self._duration > 0, self._duration, 1.0)
         part = np.where(self._duration > 0, self._elapsed / duration, 1.0)
         arrived = part >= 1.0 - 1e-9
         offset = np.where(arrived, self._to, self._from + shaped(self._shape, part) * change)
         slope = change / duration * steepness(self._shape, part)
-        world.offset[e][acting] = offset[acting]
+        world.offset[e][where] = offset[where]
         speed = world.speed[e]
         turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
-        world.turn[e][acting] = np.where(arrived, 0.0, turn)[acting]
-        self._elapsed[acting] += dt
-        return where & ((acting & arrived) | ~acting)
+        world.turn[e][where] = np.where(arrived, 0.0, turn)[where]
+        self._elapsed[where] += dt
+        return where & arrived
 
 
-class LateralDistanceAction:
+class LateralDistanceAction(Action):
     """Keeps a lateral distance to another entity."""
 
+    domains = (LATERAL,)
+
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, world.number_action()
+        self._entity = entity
         self._other = entity_index(element, scope, world)
         self._continuous = scope.flag(element, "continuous", False)
         side = -1.0 if scope.text(element, "displacement", "any") == "rightToReferencedEntity" else 1.0
@@ -184,16 +189,14 @@ class LateralDistanceAction:
         self._first = np.zeros(n, dtype=np.bool_)
 
     def start(self, world: World, where: BoolArray) -> None:
-        world.claim(LATERAL, self._entity, self._id, where)
         self._first[where] = True
         self._speed[where] = self._acceleration[where] = 0.0
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
-        acting = where & world.controls(LATERAL, e, self._id)
         # In its first frame the action only measures.
-        moves = acting & ~self._first & (dt > 0)
-        self._first[acting] = False
+        moves = where & ~self._first & (dt > 0)
+        self._first[where] = False
         error = self._wanted - (world.offset[e] - offset_from(world, e, self._other))
         reached = moves & (np.abs(error) < _REACHED)
         across = self._velocity(world, error, dt, moves)
@@ -204,7 +207,7 @@ class LateralDistanceAction:
         world.sideways[e][moves] = np.where(rigid, 0.0, np.abs(shift))[moves]
         world.pace[e][moves] = world.speed[e][moves]
         world.turn[e][moves] = np.arctan2(shift, np.maximum(ahead, 1e-9))[moves]
-        return np.asarray(where & ((reached & (not self._continuous)) | ~acting))
+        return np.asarray(where & reached & (not self._continuous))
 
     def _velocity(self, world: World, error: FloatArray, dt: float, moves: BoolArray) -> FloatArray:
         """Lateral speed with which to go on in m/s, shape (N,)."""

@@ -10,6 +10,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.paths.transitions import Transition
 from cornercase.simulators.builtin.world.gaps import distance_ahead, longitudinal_gap, remaining
@@ -19,15 +20,23 @@ from cornercase.simulators.builtin.world.whereabouts import lane_of
 # A distance that is kept within this, in m, is reached.
 _REACHED: Final = 0.1
 
+# Speeds and times that differ by less, in m/s and s, are the same.
+_TINY: Final = 1e-6
+
+# Larger than all limits.
+_UNLIMITED: Final = 1e10
+
 # Stiffness of the spring that keeps a distance, in 1/m, times the largest acceleration.
 _SPRING: Final = 0.4
 
 
-class SpeedAction:
+class SpeedAction(Action):
     """Brings an entity to a speed; where it has a driver, tells the driver which speed to aim for."""
 
+    domains = (LONGITUDINAL,)
+
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, world.number_action()
+        self._entity = entity
         self._transition = Transition(child(element, "SpeedActionDynamics", scope), scope)
         target = child(element, "SpeedActionTarget", scope)
         absolute, relative = target.find("AbsoluteTargetSpeed"), target.find("RelativeTargetSpeed")
@@ -43,114 +52,124 @@ class SpeedAction:
         else:
             raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedActionTarget> holds no target.")
         n = scope.scenarios
-        self._from, self._to, self._elapsed, self._duration = (np.zeros(n) for _ in range(4))
+        # The transition goes from one speed to another while its parameter grows from 0 to its span, in s.
+        self._from, self._to, self._parameter, self._span = (np.zeros(n) for _ in range(4))
+        self._stretch = np.ones(n)
+        self._reached = np.zeros(n, dtype=np.bool_)
 
     def start(self, world: World, where: BoolArray) -> None:
         e, entity = self._entity, world.entities[self._entity]
-        world.claim(LONGITUDINAL, e, self._id, where)
-        target, start = self._target(world), world.speed[e]
+        start, asked = world.speed[e], self._target(world)
+        target = np.clip(asked, -entity.max_speed, entity.max_speed)
         limit = np.where(target > start, entity.max_acceleration, entity.max_deceleration)
-        duration = self._transition.duration(start, target, limit)
-        for state, value in ((self._from, start), (self._to, target), (self._duration, duration)):
+        span, stretch = self._transition.time_span(start, target, asked, limit)
+        for state, value in ((self._from, start), (self._to, target), (self._span, span), (self._stretch, stretch)):
             state[where] = value[where]
-        self._elapsed[where] = 0.0
-        at_once = where & (self._duration <= 1e-9)
+        self._parameter[where] = 0.0
+        self._reached[where] = False
+        at_once = where & self._transition.is_step(self._span)
         if world.time > 0.0:
             at_once &= ~world.driven[e]
         world.speed[e][at_once] = target[at_once]
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, entity = self._entity, world.entities[self._entity]
-        acting = where & world.controls(LONGITUDINAL, e, self._id)
         if self._reference is not None:
-            self._to[acting] = self._target(world)[acting]
-        settled = self._elapsed >= self._duration - 1e-9
-        self._elapsed[acting] += dt
-        finished = self._elapsed >= self._duration - 1e-9
-        part = self._elapsed / np.where(self._duration > 0, self._duration, 1.0)
-        speed = np.where(finished, self._to, self._from + self._transition.at(part) * (self._to - self._from))
-        if self._reference is not None and dt > 0:
-            # Changes of the other's speed are followed as fast as the vehicle can.
-            now = world.speed[e]
-            caught = np.clip(speed - now, -entity.max_deceleration * dt, entity.max_acceleration * dt)
-            speed = np.where(settled & (self._duration > 0), now + caught, speed)
-            # The transition is delayed where it asks for more than the vehicle can.
-            ahead = caught != speed - now
-            late = ahead & ~settled & (speed != now)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                share = caught / (speed - now)
-            self._elapsed[acting & late] -= (dt * (1.0 - share))[acting & late]
-            finished &= ~late
-            speed = np.where(late, now + caught, speed)
-        world.set_speed(e, acting, speed)
+            self._to[where] = np.clip(self._target(world), -entity.max_speed, entity.max_speed)[where]
+            if self._transition.dimension == "rate":
+                self._span[where] = self._transition.time_by_rate(self._to - self._from)[where]
+        now, driven = world.speed[e], world.driven[e]
+        most, least = now + entity.max_acceleration * dt, now - entity.max_deceleration * dt
+        # A change that the vehicle is too slow for takes longer: the parameter falls back behind the time.
+        settled = (self._span > 0.0) & (self._parameter > self._span - _TINY)
+        parameter = np.clip(self._parameter + dt / self._stretch, 0.0, self._span)
+        wanted = self._transition.between(self._from, self._to, parameter, self._span)
+        asked = np.where(settled, self._to, wanted)
+        speed = np.clip(asked, least, most) if dt > 0 else np.where(settled, now, wanted)
+        speed = np.where(driven, asked, speed)
+        late = (np.abs(speed - asked) > _TINY * dt) & ~settled & (dt > 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(late, (speed - now) / (wanted - now), 1.0)
+        behind = np.clip(parameter - dt * (1.0 - share) / self._stretch, 0.0, self._span)
+        speed = np.where(late | settled, speed, asked)
+        parameter = np.where(settled, self._parameter, np.where(late, behind, parameter))
+        self._parameter[where] = parameter[where]
+        arrived = (parameter > self._span - _TINY) & (np.abs(speed - self._to) < _TINY)
+        self._reached |= where & arrived
+        speed = np.where(arrived, self._to, speed)
+        world.set_speed(e, where, speed)
         if world.time == 0.0:
-            world.speed[e][acting] = speed[acting]
-        reached = finished & (np.abs(speed - self._to) < 1e-6) & (not self._continuous)
-        return np.asarray(where & (reached | ~acting))
+            world.speed[e][where] = speed[where]
+        return np.asarray(where & self._reached & (not self._continuous))
 
     def _target(self, world: World) -> FloatArray:
         target = self._value
         if self._reference is not None:
             speed = world.speed[self._reference]
             target = speed * self._value if self._factor else speed + self._value
-        limit = world.entities[self._entity].max_speed
-        return np.clip(target, -limit, limit)
+        return np.asarray(target)
 
 
-class LongitudinalDistanceAction:
-    """Keeps a distance or a time gap to another entity, like a critically damped spring."""
+class LongitudinalDistanceAction(Action):
+    """Keeps a distance or a time gap to another entity, like a critically damped spring.
+
+    A limit that its constraints do not give is the vehicle's own; without constraints it jumps to its place.
+    """
+
+    domains = (LONGITUDINAL,)
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, world.number_action()
+        self._entity = entity
         self._other = entity_index(element, scope, world)
         self._continuous = scope.flag(element, "continuous", False)
         self._free = scope.flag(element, "freespace", False)
         self._system = scope.text(element, "coordinateSystem", "entity")
-        self._side = scope.text(element, "displacement", "any")
+        side = scope.text(element, "displacement", "trailingReferencedEntity")
         gap, self._distance = element.get("timeGap"), scope.number(element, "distance", 0.0)
         self._gap = None if gap is None else scope.number(element, "timeGap")
+        n, own = scope.scenarios, world.entities[entity]
         limits = element.find("DynamicConstraints")
-        names = ("maxAcceleration", "maxDeceleration", "maxSpeed", "maxAccelerationRate", "maxDecelerationRate")
-        n = scope.scenarios
-        bounds = [np.full(n, np.inf) if limits is None else scope.number(limits, name, np.inf) for name in names]
-        self._up, self._down, self._fastest, self._jerk_up, self._jerk_down = bounds
-        self._behind = np.ones(n, dtype=np.bool_)
+        self._rigid = limits is None
+        self._up = _limit(limits, "maxAcceleration", own.max_acceleration, 5.0, scope)
+        self._down = _limit(limits, "maxDeceleration", own.max_deceleration, 10.0, scope)
+        self._fastest = _limit(limits, "maxSpeed", own.max_speed, 250.0 / 3.6, scope)
+        self._jerk_up = _limit(limits, "maxAccelerationRate", np.inf, _UNLIMITED, scope)
+        self._jerk_down = _limit(limits, "maxDecelerationRate", np.inf, _UNLIMITED, scope)
+        self._behind = np.full(n, side != "leadingReferencedEntity")
+        # Where the entity is first, ahead or behind, it stays.
+        self._undecided = np.full(n, side == "any")
         self._acceleration = np.zeros(n)
 
     def start(self, world: World, where: BoolArray) -> None:
-        world.claim(LONGITUDINAL, self._entity, self._id, where)
-        behind = self._measure(world) >= 0.0
-        if self._side != "any":
-            behind = np.full(world.scenarios, self._side == "trailingReferencedEntity")
-        self._behind[where] = behind[where]
-        self._acceleration[where] = 0.0
+        new = where & self._undecided
+        if new.any():
+            ahead = longitudinal_gap if self._free else distance_ahead
+            self._behind[new] = (ahead(world, self._entity, self._other) >= 0.0)[new]
+            self._undecided[new] = False
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, o = self._entity, self._other
-        acting = where & world.controls(LONGITUDINAL, e, self._id)
         speed, other = world.speed[e], world.speed[o]
         wanted = np.abs(self._distance if self._gap is None else np.abs(other) * self._gap)
         error = self._measure(world) - np.where(self._behind, wanted, -wanted)
-        rigid = np.isinf(self._up) & np.isinf(self._down)
-        at_once = acting & rigid
-        world.distance[e][at_once] += error[at_once]
-        stiffness = _SPRING * np.where(error < 0, self._up, self._down)
-        with np.errstate(invalid="ignore"):
-            a = error * stiffness - 2.0 * np.sqrt(stiffness) * (speed - other)
-        a = np.clip(a, -self._down, self._up)
-        before = self._acceleration
-        down = np.where(np.isfinite(self._jerk_down), before - self._jerk_down * dt, -np.inf) if dt > 0 else before
-        up = np.where(np.isfinite(self._jerk_up), before + self._jerk_up * dt, np.inf) if dt > 0 else before
-        a = np.where(
-            (a < 0) & (a < before), np.maximum(a, down), np.where((a > 0) & (a > before), np.minimum(a, up), a)
-        )
-        with np.errstate(invalid="ignore"):
-            following = np.clip(speed + a * dt, -self._fastest, self._fastest)
-        self._acceleration[acting & ~rigid] = a[acting & ~rigid]
-        result = np.where(rigid, other, following)
-        world.set_speed(e, acting, result)
+        if self._rigid:
+            world.distance[e][where] += error[where]
+            world.set_speed(e, where, other)
+        else:
+            a = self._spring(error, speed - other, dt)
+            self._acceleration[where] = a[where]
+            world.set_speed(e, where, np.clip(speed + a * dt, -self._fastest, self._fastest))
         reached = (np.abs(error) < _REACHED) & (not self._continuous)
-        return np.asarray(where & (reached | ~acting))
+        return np.asarray(where & reached)
+
+    def _spring(self, error: FloatArray, closing: FloatArray, dt: float) -> FloatArray:
+        """Acceleration in m/s², shape (N,), within the limits."""
+        stiffness = _SPRING * np.where(error < 0, self._up, self._down)
+        a = np.clip(error * stiffness - 2.0 * np.sqrt(stiffness) * closing, -self._down, self._up)
+        before = self._acceleration
+        sinks, rises = (a < 0) & (a < before), (a >= 0) & (a > before)
+        lowest, highest = before - self._jerk_down * dt, before + self._jerk_up * dt
+        return np.where(sinks, np.maximum(a, lowest), np.where(rises, np.minimum(a, highest), a))
 
     def _measure(self, world: World) -> FloatArray:
         """Signed distance ahead to the other, shape (N,)."""
@@ -159,6 +178,13 @@ class LongitudinalDistanceAction:
         if self._system in ("lane", "road", "trajectory"):
             return remaining(world, self._entity, lane_of(world, self._other))
         return distance_ahead(world, self._entity, self._other)
+
+
+def _limit(limits: etree._Element | None, name: str, own: float, usual: float, scope: Scope) -> FloatArray:
+    """Limit of dynamic constraints, shape (N,); what is missing, too large or no limit at all is the vehicle's own."""
+    own = min(own, _UNLIMITED)
+    given = np.full(scope.scenarios, own) if limits is None else scope.number(limits, name, own)
+    return np.where(given < _TINY, min(own, usual), np.minimum(given, own))
 
 
 def child(element: etree._Element, tag: str, scope: Scope) -> etree._Element:

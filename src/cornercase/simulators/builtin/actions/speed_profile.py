@@ -10,6 +10,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope, VariesError
+from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 
@@ -32,15 +33,17 @@ class Phase(NamedTuple):
     jerk: FloatArray
 
 
-class SpeedProfileAction:
+class SpeedProfileAction(Action):
     """Takes an entity through speeds at given times.
 
     Followed by ``position``, the acceleration is constant between them; by ``follow``, it changes with the jerk that
     is allowed, so that several speeds are only come near to.
     """
 
+    domains = (LONGITUDINAL,)
+
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, world.number_action()
+        self._entity = entity
         self._reference = None if element.get("entityRef") is None else entity_index(element, scope, world)
         constraints = element.find("DynamicConstraints")
         names = ("maxAcceleration", "maxDeceleration", "maxAccelerationRate", "maxDecelerationRate")
@@ -67,7 +70,6 @@ class SpeedProfileAction:
 
     def start(self, world: World, where: BoolArray) -> None:
         e = self._entity
-        world.claim(LONGITUDINAL, e, self._id, where)
         base = world.speed[self._reference] if self._reference is not None else np.zeros(world.scenarios)
         lines = self._lines(world, base)
         rate = world.acceleration[e].copy()
@@ -82,15 +84,14 @@ class SpeedProfileAction:
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
-        acting = where & world.controls(LONGITUDINAL, e, self._id)
         wanted, over = world.speed[e].copy(), np.zeros_like(where)
         for k, profile in enumerate(self._profiles):
-            rows = acting & (self._mine == k)
+            rows = where & (self._mine == k)
             if rows.any():
                 speed, ended = _at(profile, world.time + dt)
                 wanted[rows], over[rows] = speed[rows], ended[rows]
-        world.set_speed(e, acting, wanted)
-        return where & (over | ~acting)
+        world.set_speed(e, where, wanted)
+        return where & over
 
     def _lines(self, world: World, base: FloatArray) -> list[Phase]:
         """Phases of constant acceleration from target to target, and a last one that keeps the speed."""

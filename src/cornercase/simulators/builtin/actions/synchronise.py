@@ -10,6 +10,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.actions.longitudinal import child
 from cornercase.simulators.builtin.paths.positions import entity_index, read_position
 from cornercase.simulators.builtin.tracks.track import Pose
@@ -32,7 +33,7 @@ _HARDEST: Final = 8.0
 _ON_LINE: Final = 0.1
 
 
-class SynchronizeAction:
+class SynchronizeAction(Action):
     """Steers an entity's speed so that it is at its place when the master is at its own.
 
     With a final speed its speed has two phases of constant acceleration, the last of which ends at the place with that
@@ -40,8 +41,10 @@ class SynchronizeAction:
     speed before the place, by a distance or a time. Without a final speed it has one constant acceleration.
     """
 
+    domains = (LONGITUDINAL,)
+
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._id = entity, world.number_action()
+        self._entity = entity
         self._master = entity_index(element, scope, world, "masterEntityRef")
         self._read_target_master = read_position(child(element, "TargetPositionMaster", scope), scope, world)
         self._read_target = read_position(child(element, "TargetPosition", scope), scope, world)
@@ -81,7 +84,6 @@ class SynchronizeAction:
             self._steady_time = scope.number(time, name)
 
     def start(self, world: World, where: BoolArray) -> None:
-        world.claim(LONGITUDINAL, self._entity, self._id, where)
         target, master = self._read_target(world), self._read_target_master(world)
         if self._target is None or self._target_master is None:
             self._target, self._target_master = target, master
@@ -97,17 +99,16 @@ class SynchronizeAction:
         assert self._target is not None
         assert self._target_master is not None
         e, m = self._entity, self._master
-        acting = where & world.controls(LONGITUDINAL, e, self._id)
         signed = remaining(world, m, self._target_master, self._known[1])
         way, way_master = np.abs(remaining(world, e, self._target, self._known[0])), np.abs(signed)
         done = (way < self._tolerance + _TINY) | (way_master < self._tolerance_master + _TINY)
         done |= (way > self._last) | (way_master > self._last_master)
-        self._last[acting], self._last_master[acting] = way[acting], way_master[acting]
+        self._last[where], self._last_master[where] = way[where], way_master[where]
         way = np.maximum(way - self._tolerance, _TINY)
         way_master = np.maximum(way_master - self._tolerance_master, _TINY)
         # Of the master's speed, the part along its road and towards its target counts.
         ahead = np.sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
-        speed_master = ahead * speed_along_road(world, m, acting)
+        speed_master = ahead * speed_along_road(world, m, where)
         comes = (speed_master > _TINY) & (dt > 0)
         time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), _NEVER)
         done |= comes & (time < dt)
@@ -116,14 +117,14 @@ class SynchronizeAction:
         if final is None:
             wanted = self._arrive(world, dt, way, time, comes)
         else:
-            wanted = self._arrive_with(world, dt, way, time, final, comes, acting & ~done)
+            wanted = self._arrive_with(world, dt, way, time, final, comes, where & ~done)
             wanted = np.where(done, final, wanted)
         # An entity with a driver is asked for a speed that it can reach.
         speed = np.clip(wanted, 0.0, world.entities[e].max_speed)
-        change = acting if final is not None else acting & ~done
+        change = where if final is not None else where & ~done
         own = np.where(np.isfinite(wanted), wanted, world.speed[e])
         world.set_speed(e, change, np.where(world.driven[e], speed, own))
-        return where & (done | ~acting)
+        return where & done
 
     def _final_speed(self, world: World) -> FloatArray | None:
         if self._relative is None:

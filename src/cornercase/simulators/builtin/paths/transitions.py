@@ -8,11 +8,14 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 
 # The largest slope of a transition from 0 to 1 over unit time.
 _PEAK: Final = {"linear": 1.0, "cubic": 1.5, "sinusoidal": 0.5 * np.pi, "step": 1.0}
+
+# Times and speeds that differ by less, in s and m/s, are the same.
+_TINY: Final = 1e-6
 
 
 class Transition:
@@ -29,21 +32,48 @@ class Transition:
                 " or distance."
             )
 
-    def duration(self, start: FloatArray, end: FloatArray, steepest: FloatArray) -> FloatArray:
-        """Time that a change of speed takes, shape (N,), no slope being above `steepest`."""
-        if self.shape == "step":
-            return np.zeros_like(start)
+    def time_span(
+        self, start: FloatArray, end: FloatArray, asked: FloatArray, steepest: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Time that a change of speed takes, and by how much it is stretched, each (N,).
+
+        Parameters
+        ----------
+        start, end : ndarray of float64, shape (N,)
+            m/s.
+        asked : ndarray of float64, shape (N,)
+            What `end` would be without the vehicle's largest speed, in m/s; a distance is one to get there.
+        steepest : ndarray of float64, shape (N,)
+            Largest slope in m/s²; the change is stretched in time so that it is not steeper.
+        """
         change, peak = np.abs(end - start), _PEAK[self.shape]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if self.dimension == "time":
-                wanted = self.value
-            elif self.dimension == "rate":
-                wanted = np.where(change > 0, peak * change / np.abs(self.value), 0.0)
-            else:
-                wanted = self._time_for_distance(start, end)
-            limited = np.maximum(wanted, np.where(np.isfinite(steepest), peak * change / steepest, 0.0))
-            # A change in no time is a step, whatever the vehicle can.
-            return np.where((wanted <= 1e-6) & (self.dimension != "rate"), 0.0, limited)
+        if self.shape == "step":
+            return np.zeros_like(start), np.ones_like(start)
+        if self.dimension == "rate":
+            span, slope = self.time_by_rate(end - start), np.abs(self.value)
+        else:
+            span = self.value if self.dimension == "time" else self._time_for_distance(start, asked)
+            with np.errstate(divide="ignore"):
+                slope = np.where(span < _TINY, 0.0, peak * change / np.maximum(span, _TINY))
+        with np.errstate(divide="ignore"):
+            return span, np.maximum(slope / np.maximum(steepest, _TINY), 1.0)
+
+    def time_by_rate(self, change: FloatArray) -> FloatArray:
+        """Time for a change whose largest slope is the rate, shape (N,)."""
+        if self.shape == "step":
+            return np.zeros_like(change)
+        span = _PEAK[self.shape] * np.abs(change) / np.maximum(np.abs(self.value), _TINY)
+        return np.asarray(np.maximum(span, _TINY))
+
+    def is_step(self, span: FloatArray) -> BoolArray:
+        """Where the change is made at once, shape (N,)."""
+        return np.asarray((span < _TINY) & (self.shape == "step" or self.dimension != "rate"))
+
+    def between(self, start: FloatArray, end: FloatArray, parameter: FloatArray, span: FloatArray) -> FloatArray:
+        """Value after a part of the span, shape (N,)."""
+        step = self.is_step(span)
+        part = self.at(parameter / np.where(step, 1.0, np.maximum(span, _TINY)))
+        return np.where(step, end, start + part * (end - start))
 
     def extent(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Time or distance that a lateral change takes, shape (N,)."""
@@ -65,11 +95,13 @@ class Transition:
 
     def _time_for_distance(self, start: FloatArray, end: FloatArray) -> FloatArray:
         # A change of sign is one change to 0 and one from 0; their distances are in the ratio of the squared speeds.
-        share = start**2 / (start**2 + end**2)
-        through_zero = 2.0 * share * self.value / np.abs(start) + 2.0 * (1.0 - share) * self.value / np.abs(end)
-        direct = 2.0 * self.value / np.abs(start + end)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = start**2 / (start**2 + end**2)
+            through_zero = 2.0 * share * self.value / np.abs(start) + 2.0 * (1.0 - share) * self.value / np.abs(end)
+            direct = 2.0 * self.value / np.abs(start + end)
         changes = (np.sign(start) * np.sign(end)) < 0
-        return np.where(start == end, 0.0, np.where(changes, through_zero, direct))
+        changes &= (np.abs(start) > _TINY) & (np.abs(end) > _TINY)
+        return np.where(np.abs(start - end) < _TINY, 0.0, np.where(changes, through_zero, direct))
 
 
 def require_shape(shape: str, element: etree._Element, scope: Scope) -> None:

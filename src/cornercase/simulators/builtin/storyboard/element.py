@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, Protocol
 
 import numpy as np
 
+from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray
+from cornercase.simulators.builtin.world.state import World
 
-STANDBY, RUNNING, COMPLETE = 0, 1, 2
+INIT, STANDBY, RUNNING, COMPLETE = 0, 1, 2, 3
 NOTHING, START, END, STOP, SKIP = 0, 1, 2, 3, 4
 
 _STATES: Final = {"standbyState": STANDBY, "runningState": RUNNING, "completeState": COMPLETE}
@@ -19,15 +22,66 @@ _TRANSITIONS: Final = {
     "skipTransition": SKIP,
 }
 
-STATES: Final = (*_STATES, *_TRANSITIONS)
-"""Names of the states, and of the transitions between them."""
+
+class Watch:
+    """What a condition sees of an element: its state, or what became of it since the condition was last asked.
+
+    A change is seen once, by the next evaluation, however late that comes.
+
+    Parameters
+    ----------
+    state : str
+        State or transition that is waited for: ``"runningState"``.
+    scenarios : int
+        N.
+    where : str
+        File and line, for messages.
+    """
+
+    def __init__(self, state: str, scenarios: int, where: str) -> None:
+        if state not in _STATES and state not in _TRANSITIONS:
+            states = (*_STATES, *_TRANSITIONS)
+            raise InputError(f"{where}: '{state}' is no state of a storyboard element; {suggestion(state, states)}")
+        self._state, self._transition = _STATES.get(state), _TRANSITIONS.get(state)
+        self._latest = np.full(scenarios, INIT, dtype=np.int8)
+        self._changed, self._seen = (np.zeros(scenarios, dtype=np.bool_) for _ in range(2))
+
+    def __call__(self, world: World, where: BoolArray) -> BoolArray:
+        """Whether the element is, or was since the last time, as waited for, shape (N,)."""
+        result = self._seen if self._state is None else np.where(self._changed, self._seen, self._latest == self._state)
+        result = np.asarray(result & where)
+        self.forget(where)
+        return result
+
+    def note(self, where: BoolArray, state: int, transition: int) -> None:
+        """Take notice of a change in the scenarios of a mask."""
+        self._latest[where] = state
+        self._changed |= where
+        if state == self._state or transition == self._transition:
+            self._seen |= where
+
+    def forget(self, where: BoolArray) -> None:
+        """Forget what has changed in the scenarios of a mask."""
+        self._changed &= ~where
+        self._seen &= ~where
+
+
+class Starter(Protocol):
+    """A trigger, as an element uses it."""
+
+    def fires(self, world: World, where: BoolArray) -> BoolArray:
+        """Scenarios of the mask in which it fires, shape (N,)."""
+        ...
+
+    def reset(self, where: BoolArray) -> None:
+        """Begin anew in the scenarios of the mask."""
+        ...
 
 
 class Element:
     """A storyboard element.
 
-    A transition is seen until the end of the frame in which it takes effect: elements later in the file see a start in
-    the same frame. An end takes effect at the beginning of the next frame, for all.
+    A change of state takes effect at once: elements later in the file see it in the same frame, the others in the next.
 
     Parameters
     ----------
@@ -36,41 +90,94 @@ class Element:
     name : str
     scenarios : int
         N.
+    children : sequence of Element
+    start, stop : Starter, optional
+        Triggers. Without a start trigger it starts as soon as it can.
+    times : int, optional
+        How often it runs before it is complete; None for an element that is complete once it has ended.
+
+    Attributes
+    ----------
+    state : ndarray of int8, shape (N,)
     """
 
-    def __init__(self, kind: str, name: str, scenarios: int) -> None:
-        self.kind, self.name = kind, name
-        self.state = np.full(scenarios, STANDBY, dtype=np.int8)
-        self._transition = np.full(scenarios, NOTHING, dtype=np.int8)
-        self.after = np.full(scenarios, STANDBY, dtype=np.int8)
-        self.pending = np.full(scenarios, NOTHING, dtype=np.int8)
+    def __init__(
+        self,
+        kind: str,
+        name: str,
+        scenarios: int,
+        children: Sequence[Element] = (),
+        start: Starter | None = None,
+        stop: Starter | None = None,
+        times: int | None = None,
+    ) -> None:
+        self.kind, self.name, self.children = kind, name, children
+        self.state = np.full(scenarios, INIT, dtype=np.int8)
+        self._start, self._stop, self._times = start, stop, times
+        self._executions = np.zeros(scenarios, dtype=np.int64)
+        self._parent: Element | None = None
+        self._watches: list[Watch] = []
+        for child in children:
+            child._parent = self
 
-    def is_in(self, state: str) -> BoolArray:
-        """Scenarios in which the element is in a state, or just made a transition, shape (N,)."""
-        if state in _STATES:
-            return np.asarray(self.state == _STATES[state])
-        return np.asarray(self._transition == _TRANSITIONS[state])
+    def watch(self, watch: Watch) -> None:
+        """Tell of all changes from now on."""
+        self._watches.append(watch)
 
-    def turn(self) -> None:
-        """Let what was decided in the last frame take effect."""
-        self._transition[:] = self.pending
-        self.pending[:] = NOTHING
-        self.state[:] = self.after
+    def in_state(self, state: int) -> BoolArray:
+        """Scenarios in which the element is in a state, shape (N,)."""
+        return np.asarray(self.state == state)
 
-    def begin(self, where: BoolArray) -> None:
-        """Start in the scenarios of a mask, at once."""
-        self.state[where] = self.after[where] = RUNNING
-        self._transition[where] = START
+    def move(self, where: BoolArray, state: int, transition: int) -> None:
+        """Go to a state in the scenarios of a mask."""
+        if where.any():
+            for watch in self._watches:
+                watch.note(where, state, transition)
+            self.state[where] = state
 
-    def end(self, where: BoolArray, state: int = COMPLETE, transition: int = END) -> None:
-        """Leave the running state in the scenarios of a mask, from the next turn on."""
-        self.after[where] = state
-        self.pending[where] = transition
+    def end(self, where: BoolArray) -> None:
+        """End the element, and what of it runs, in the scenarios of a mask; then its parent, if that was the last."""
+        where = where & (self.state != COMPLETE)
+        if not where.any():
+            return
+        for child in self.children:
+            child.end(where & (child.state == RUNNING))
+        # The last child that ends ends its parent.
+        ending = where & ((self.state == RUNNING) | (self.state == STANDBY))
+        left = ending & (self._executions < self._times) if self._times is not None else np.zeros_like(ending)
+        self.move(ending & ~left, COMPLETE, END)
+        if left.any():
+            self._forget_triggers(left)
+            self.move(left, STANDBY, END)
+            for child in self.children:
+                child.reset(left)
+        self._tell_parent(ending)
 
-    def running(self) -> BoolArray:
-        """Scenarios in which the element runs and was not told to end, shape (N,)."""
-        return np.asarray((self.state == RUNNING) & (self.after == RUNNING))
+    def stop(self, where: BoolArray) -> None:
+        """Stop the element and all below it in the scenarios of a mask."""
+        if not where.any():
+            return
+        for child in self.children:
+            child.stop(where)
+        stopped = where & ((self.state == RUNNING) | (self.state == STANDBY))
+        self.move(stopped, COMPLETE, STOP)
+        self._tell_parent(stopped)
 
-    def complete(self) -> BoolArray:
-        """Scenarios in which the element has ended, or will at its next turn, shape (N,)."""
-        return np.asarray(self.after == COMPLETE)
+    def reset(self, where: BoolArray) -> None:
+        """Put the element, and all below it, back to where they were before they were ready."""
+        for child in self.children:
+            child.reset(where)
+        self.state[where] = INIT
+        self._forget_triggers(where)
+
+    def _forget_triggers(self, where: BoolArray) -> None:
+        for trigger in (self._start, self._stop):
+            if trigger is not None:
+                trigger.reset(where)
+
+    def _tell_parent(self, where: BoolArray) -> None:
+        if self._parent is not None and where.any():
+            complete = where.copy()
+            for child in self._parent.children:
+                complete &= child.state == COMPLETE
+            self._parent.end(complete)

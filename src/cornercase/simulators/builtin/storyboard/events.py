@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from cornercase._common.typing import BoolArray
-from cornercase.simulators.builtin.actions.basic import Action
-from cornercase.simulators.builtin.storyboard.element import COMPLETE, SKIP, STANDBY, STOP, Element
+from cornercase.simulators.builtin.actions.action import Action
+from cornercase.simulators.builtin.storyboard.element import INIT, NOTHING, RUNNING, SKIP, STANDBY, START, Element
 from cornercase.simulators.builtin.storyboard.triggers import Trigger
 from cornercase.simulators.builtin.world.state import World
 
@@ -16,89 +16,140 @@ from cornercase.simulators.builtin.world.state import World
 class RunningAction(Element):
     """An action of one event, for one of its actors; without effect when `action` is None.
 
-    With `chosen` it takes part only in the scenarios of that mask, as of the moment when it starts.
+    Parameters
+    ----------
+    name : str
+    scenarios : int
+        N.
+    action : Action, optional
+    world : World
+    rivals : list of RunningAction
+        Actions of the same entity, to which this one is added.
+    chosen : callable, optional
+        Where it takes part, as of the moment when it starts.
     """
 
     def __init__(
-        self, name: str, scenarios: int, action: Action | None, chosen: Callable[[], BoolArray] | None = None
+        self,
+        name: str,
+        scenarios: int,
+        action: Action | None,
+        world: World,
+        rivals: list[RunningAction],
+        chosen: Callable[[], BoolArray] | None = None,
     ) -> None:
         super().__init__("action", name, scenarios)
-        self._action, self._chosen = action, chosen
+        self._action, self._chosen, self._world, self._rivals = action, chosen, world, rivals
+        self.domains = () if action is None else action.domains
+        rivals.append(self)
 
-    def start(self, world: World, where: BoolArray) -> None:
+    def start(self, where: BoolArray) -> None:
         if self._chosen is not None:
             taking_part = where & self._chosen()
+            self.move(where & ~taking_part, STANDBY, NOTHING)
             self.end(where & ~taking_part)
             where = taking_part
-        self.begin(where)
+        self.move(where, RUNNING, START)
         if self._action is not None:
-            self._action.start(world, where)
+            self._action.start(self._world, where)
 
-    def step(self, world: World, dt: float) -> None:
-        where = self.running() & world.running
+    def take_over(self, where: BoolArray) -> None:
+        """End all actions of the same entity that decide some of the same, in the scenarios of a mask."""
+        for rival in self._rivals:
+            if rival is not self and not set(rival.domains).isdisjoint(self.domains):
+                rival.end(where & (rival.state == RUNNING))
+
+    def step(self, dt: float, where: BoolArray) -> None:
+        """Act for one time step in the scenarios of a mask."""
+        where = where & (self.state == RUNNING)
         if where.any():
-            self.end(where if self._action is None else self._action.step(world, dt, where) & where)
+            done = where if self._action is None else self._action.step(self._world, dt, where) & where
+            self._finish(done)
+
+    def end(self, where: BoolArray) -> None:
+        self._leave(where & (self.state == RUNNING))
+        super().end(where)
+
+    def stop(self, where: BoolArray) -> None:
+        self._leave(where & (self.state == RUNNING))
+        super().stop(where)
+
+    def _finish(self, where: BoolArray) -> None:
+        super().end(where)
+
+    def _leave(self, where: BoolArray) -> None:
+        if self._action is not None and where.any():
+            self._action.leave(self._world, where)
 
 
 class Event(Element):
-    """An event: when its trigger fires, its actions start."""
+    """An event: when its trigger fires, its actions start.
+
+    Parameters
+    ----------
+    name : str
+    scenarios : int
+        N.
+    actions : sequence of RunningAction
+    trigger : Trigger, optional
+        Without one it fires at once.
+    times : int
+        How often it runs.
+    priority : str
+        What becomes of the other events of its maneuver: ``"overwrite"`` ends them, ``"skip"`` does not start beside
+        them.
+    """
 
     def __init__(
-        self, name: str, scenarios: int, actions: list[RunningAction], trigger: Trigger | None, times: int
+        self,
+        name: str,
+        scenarios: int,
+        actions: Sequence[RunningAction],
+        trigger: Trigger | None,
+        times: int,
+        priority: str,
     ) -> None:
-        super().__init__("event", name, scenarios)
-        self.actions = actions
-        self.priority = "parallel"
-        self._trigger = trigger
-        self._times = times
-        self._left = np.full(scenarios, times)
+        super().__init__("event", name, scenarios, actions, trigger, None, times)
+        self._actions = actions
+        self._priority = priority
 
-    def update(self, world: World, parent: BoolArray, siblings: Sequence[Event]) -> None:
-        """Start where the trigger fires."""
-        waiting = parent & (self.after == STANDBY) & (self._left > 0)
+    def evaluate(self, world: World, where: BoolArray) -> None:
+        """Start where the maneuver runs and the trigger fires."""
+        waiting = where & (self.state == STANDBY)
         if waiting.any():
-            fired = waiting if self._trigger is None else self._trigger.fires(world, waiting)
-            if fired.any():
-                self._start(world, fired, siblings)
+            self._execute(waiting if self._start is None else self._start.fires(world, waiting))
 
-    def step(self, world: World, dt: float) -> None:
+    def start(self, where: BoolArray) -> None:
+        """Get ready, as the maneuver starts."""
+        self.move(where & (self.state == INIT), STANDBY, NOTHING)
+
+    def step(self, dt: float, where: BoolArray) -> None:
         """Let the actions act for one time step."""
-        for action in self.actions:
-            action.step(world, dt)
-        done = self.running()
-        for action in self.actions:
-            done &= action.complete()
-        self.end(done & (self._left == 0))
-        self.end(done & (self._left > 0), STANDBY)
+        if (where & (self.state == RUNNING)).any():
+            for action in self._actions:
+                action.step(dt, where)
 
-    def reset(self, where: BoolArray) -> None:
-        """Make the event ready to run again in the scenarios of a mask, as often as at first."""
-        self.end(where, STANDBY)
-        self._left[where] = self._times
-
-    def stop(self, where: BoolArray) -> None:
-        where = where & (self.after != COMPLETE)
-        self.end(where, COMPLETE, STOP)
-        for action in self.actions:
-            action.end(where & (action.after != COMPLETE), COMPLETE, STOP)
-
-    def _start(self, world: World, fired: BoolArray, siblings: Sequence[Event]) -> None:
-        others = [event for event in siblings if event is not self]
-        self._left[fired] -= 1
-        if self.priority == "skip":
+    def _execute(self, fired: BoolArray) -> None:
+        if not fired.any():
+            return
+        others = [] if self._parent is None else [event for event in self._parent.children if event is not self]
+        if self._priority == "skip":
             busy = np.zeros_like(fired)
             for event in others:
-                busy |= event.running()
-            skipped = fired & busy
-            self.end(skipped & (self._left == 0), COMPLETE, SKIP)
-            self.pending[skipped] = SKIP
+                busy |= event.state == RUNNING
+            # An event that is skipped has not run, and waits on.
+            self.move(fired & busy, STANDBY, SKIP)
             fired = fired & ~busy
-        elif self.priority in ("overwrite", "override"):
+        elif self._priority in ("overwrite", "override"):
             for event in others:
-                event.stop(fired & event.running())
-        self.begin(fired)
-        for action in self.actions:
-            action.start(world, fired)
+                event.end(fired & (event.state == RUNNING))
+        self.move(fired, RUNNING, START)
+        self._executions[fired] += 1
+        for action in self._actions:
+            action.take_over(fired)
+            action.start(fired)
+        if not self._actions:
+            self.end(fired)
 
 
 class Group(Element):
@@ -106,13 +157,10 @@ class Group(Element):
 
     Parameters
     ----------
-    kind, name, scenarios
+    kind, name, scenarios, start, stop, times
         As in `Element`.
-    children : list of Group or Event
-    start, stop : Trigger, optional
-        Without a start trigger it starts with its parent.
-    times : int
-        How often it runs.
+    parts : sequence of Group or Event
+        Its children.
     """
 
     def __init__(
@@ -120,54 +168,44 @@ class Group(Element):
         kind: str,
         name: str,
         scenarios: int,
-        children: Sequence[Group] | Sequence[Event],
+        parts: Sequence[Group | Event],
         start: Trigger | None = None,
         stop: Trigger | None = None,
-        times: int = 1,
+        times: int | None = None,
     ) -> None:
-        super().__init__(kind, name, scenarios)
-        self.children = children
-        self._start, self._stop = start, stop
-        self._left = np.full(scenarios, times)
-        self._here = np.zeros(scenarios, dtype=np.bool_)
+        super().__init__(kind, name, scenarios, parts, start, stop, times)
+        self._parts = parts
 
-    def update(self, world: World, parent: BoolArray) -> None:
+    def evaluate(self, world: World, where: BoolArray) -> None:
         """Evaluate the triggers of the element and of all below it, where its parent runs."""
-        waiting = parent & (self.after == STANDBY)
+        if self._stop is not None:
+            self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
+        waiting = where & (self.state == STANDBY)
         if waiting.any():
-            self.begin(waiting if self._start is None else self._start.fires(world, waiting))
-        if self._stop is not None and not self._stop.empty:
-            self.stop(self._stop.fires(world, self.running() & parent))
-        self._here = self.running() & parent
-        for child in self.children:
-            if isinstance(child, Event):
-                child.update(world, self._here, self.children)  # type: ignore[arg-type]
-            else:
-                child.update(world, self._here)
+            self._run(waiting if self._start is None else self._start.fires(world, waiting))
+        running = where & (self.state == RUNNING)
+        if running.any():
+            for part in self._parts:
+                part.evaluate(world, running)
 
-    def step(self, world: World, dt: float) -> None:
-        """Let all actions below the element act for one time step, and see whether it has ended."""
-        done = self._here & self.running()
-        for child in self.children:
-            child.step(world, dt)
-            done &= child.complete()
-        self._left[done] -= 1
-        again = done & (self._left > 0)
-        self.end(done & ~again)
-        if again.any():
-            self.end(again, STANDBY)
-            for child in self.children:
-                child.reset(again)
+    def start(self, where: BoolArray) -> None:
+        """Start as the parent does, or wait for the start trigger."""
+        new = where & (self.state == INIT)
+        if self._start is not None:
+            self.move(new, STANDBY, NOTHING)
+        else:
+            self._run(new)
 
-    def reset(self, where: BoolArray) -> None:
-        """Make the element, and all below it, ready to run again in the scenarios of a mask."""
-        self.end(where, STANDBY)
-        for child in self.children:
-            child.reset(where)
+    def step(self, dt: float, where: BoolArray) -> None:
+        """Let all actions below the element act for one time step."""
+        where = where & (self.state == RUNNING)
+        if where.any():
+            for part in self._parts:
+                part.step(dt, where)
 
-    def stop(self, where: BoolArray) -> None:
-        """End the element and all below it in the scenarios of a mask."""
-        where = where & (self.after != COMPLETE)
-        self.end(where, COMPLETE, STOP)
-        for child in self.children:
-            child.stop(where)
+    def _run(self, where: BoolArray) -> None:
+        if where.any():
+            self.move(where, RUNNING, START)
+            self._executions[where] += 1
+            for part in self._parts:
+                part.start(where)

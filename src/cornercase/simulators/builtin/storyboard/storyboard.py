@@ -7,13 +7,16 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TypeVar
 
+import numpy as np
 from lxml import etree
 
+from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
 from cornercase.scenario import Scenario, Scope
+from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.actions.basic import read_action
 from cornercase.simulators.builtin.paths.positions import entities_in, entity_index
-from cornercase.simulators.builtin.storyboard.element import Element
+from cornercase.simulators.builtin.storyboard.element import Element, Watch
 from cornercase.simulators.builtin.storyboard.events import Event, Group, RunningAction
 from cornercase.simulators.builtin.storyboard.triggers import Trigger, read_trigger
 from cornercase.simulators.builtin.world.state import World
@@ -41,14 +44,24 @@ class Storyboard:
         self._scenario, self._world = scenario, world
         self._elements: dict[tuple[str, str], list[tuple[Element, tuple[str, ...]]]] = {}
         self._parents: list[str] = []
-        self.checks: list[Callable[[], object]] = []
+        self._watches: list[tuple[str, str, Watch, str]] = []
+        # By entity, or None for actions of no entity.
+        self._actions: dict[int | None, list[RunningAction]] = {}
         root = scenario.root.find("Storyboard")
         assert root is not None
         self._init = list(self._read_init(root, scope))
+        self._stopped = np.zeros(scope.scenarios, dtype=np.bool_)
         self.stories = [self._read_story(story, scope) for story in root.iterfind("Story")]
         self._stop = read_trigger(root.find("StopTrigger"), scope, world, self)
-        for check in self.checks:
-            check()
+        for kind, reference, watch, where in self._watches:
+            found = self.named(kind, reference)
+            if found is None:
+                raise InputError(f"{where}: there is no {kind} '{reference}' in the storyboard.")
+            found.watch(watch)
+
+    def watch(self, kind: str, name: str, watch: Watch, where: str) -> None:
+        """Let something watch the element of a kind and name, as soon as that is known."""
+        self._watches.append((kind, name, watch, where))
 
     def named(self, kind: str, name: str) -> Element | None:
         """Element of a kind and name; names may be given with those of the parents, as ``Act::Group``."""
@@ -65,30 +78,30 @@ class Storyboard:
         world = self._world
         if dt == 0.0:
             for action in self._init:
-                action.start(world, world.running.copy())
-        else:
-            world.running &= ~self._stop.fires(world, world.running.copy())
-        for known in self._elements.values():
-            for element, _ in known:
-                element.turn()
+                action.start(world.running.copy())
+            for story in self.stories:
+                story.start(world.running.copy())
+        stopped = self._stop.fires(world, world.running.copy())
+        if dt > 0.0:
+            world.running &= ~(stopped | self._stopped)
+        self._stopped = stopped
         for story in self.stories:
-            story.update(world, world.running)
+            story.evaluate(world, world.running)
         for action in self._init:
-            action.turn()
-            action.step(world, dt)
+            action.step(dt, world.running)
         for story in self.stories:
-            story.step(world, dt)
+            story.step(dt, world.running)
 
     def _read_init(self, root: etree._Element, scope: Scope) -> Iterator[RunningAction]:
         actions = root.find("Init/Actions")
         if actions is None:
             return
         for element in (*actions.iterfind("GlobalAction"), *actions.iterfind("UserDefinedAction")):
-            yield RunningAction("init", scope.scenarios, read_action(element, scope, self._world, None))
+            yield self._action("init", read_action(element, scope, self._world, None), scope, None)
         for private in _in_order_of_reference(list(actions.iterfind("Private")), scope):
             for entity in self._entities(private, scope):
                 for item in private.iterfind("PrivateAction"):
-                    yield RunningAction("init", scope.scenarios, read_action(item, scope, self._world, entity))
+                    yield self._action("init", read_action(item, scope, self._world, entity), scope, entity)
 
     def _entities(self, element: etree._Element, scope: Scope) -> list[int]:
         members = self._world.selections.get(scope.text(element, "entityRef"))
@@ -106,7 +119,8 @@ class Storyboard:
         with self._inside(name):
             groups = [self._read_group(group, scope) for group in act.iterfind("ManeuverGroup")]
         start = self._start_trigger(act, scope)
-        stop = read_trigger(act.find("StopTrigger"), scope, self._world, self)
+        ending = read_trigger(act.find("StopTrigger"), scope, self._world, self)
+        stop = None if ending.empty else ending
         return self._known(Group("act", name, scope.scenarios, groups, start, stop))
 
     def _start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
@@ -146,15 +160,24 @@ class Storyboard:
                 private = element.tag == "PrivateAction"
                 for actor, chosen in choices.items() if private else [(None, None)]:
                     what = read_action(element, scope, self._world, actor)
-                    running = RunningAction(name, scope.scenarios, what, chosen)
+                    running = self._action(name, what, scope, actor, chosen)
                     actions.append(running)
                     with self._inside(event.get("name", "")):
                         self._known(running)
         times = scope.whole_number(event, "maximumExecutionCount", 1)
-        result = Event(event.get("name", ""), scope.scenarios, actions, trigger, times)
-        result.priority = scope.text(event, "priority", "parallel")
-        self._known(result)
-        return result
+        priority = scope.text(event, "priority", "parallel")
+        return self._known(Event(event.get("name", ""), scope.scenarios, actions, trigger, times, priority))
+
+    def _action(
+        self,
+        name: str,
+        action: Action | None,
+        scope: Scope,
+        entity: int | None,
+        chosen: Callable[[], BoolArray] | None = None,
+    ) -> RunningAction:
+        rivals = self._actions.setdefault(entity, [])
+        return RunningAction(name, scope.scenarios, action, self._world, rivals, chosen)
 
     def _known(self, element: E) -> E:
         self._elements.setdefault((element.kind, element.name), []).append((element, tuple(self._parents)))

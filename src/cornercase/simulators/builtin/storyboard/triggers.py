@@ -12,11 +12,11 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.positions import entities_in
-from cornercase.simulators.builtin.storyboard.element import STATES, Element
+from cornercase.simulators.builtin.storyboard.element import Watch
 from cornercase.simulators.builtin.storyboard.entity_conditions import BY_ENTITY, TOLERANCE, EntityTest, rule_of
 from cornercase.simulators.builtin.world.state import World
 
-Test = Callable[[World], BoolArray]
+Test = Callable[[World, BoolArray], BoolArray]
 
 # Conditions that only a user's program, a controller of traffic lights or the time of day could make true.
 NEVER_TRUE: Final = (
@@ -25,18 +25,10 @@ NEVER_TRUE: Final = (
 
 
 class Elements(Protocol):
-    """Storyboard elements by name, known only once the whole storyboard is read.
+    """Storyboard elements by name, known only once the whole storyboard is read."""
 
-    Attributes
-    ----------
-    checks : list of callable
-        Called once it is read; they raise an `InputError` for what it lacks.
-    """
-
-    checks: list[Callable[[], object]]
-
-    def named(self, kind: str, name: str) -> Element | None:
-        """Element of a kind and name; None where there is none."""
+    def watch(self, kind: str, name: str, watch: Watch, where: str) -> None:
+        """Let something watch the element of a kind and name, as soon as that is known."""
         ...
 
 
@@ -46,7 +38,7 @@ class Condition:
     Parameters
     ----------
     test : callable
-        World to boolean array of shape (N,).
+        World and a mask of the scenarios that are asked for, to a boolean array of shape (N,).
     edge : str
         ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``.
     delay : ndarray of float64, shape (N,)
@@ -54,15 +46,16 @@ class Condition:
     """
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
-        self.test, self._edge, self._delay = test, edge, delay
-        self.delayed = delay > 0
+        self.test, self._edge = test, edge
+        self.delayed = np.asarray(delay > 0)
         self._last = np.full(len(delay), -1, dtype=np.int8)
-        self._times: list[float] = []
-        self._held: list[BoolArray] = []
+        self._past = Past(delay) if self.delayed.any() else None
 
     def evaluate(self, world: World, where: BoolArray) -> BoolArray:
         """Whether the condition holds in the scenarios of the mask, shape (N,)."""
-        now = self.test(world)
+        if not where.any():
+            return where
+        now = self.test(world, where)
         last = self._last
         if self._edge == "none":
             result = now
@@ -73,19 +66,64 @@ class Condition:
         else:
             result = (last >= 0) & (now != (last == 1))
         self._last = np.where(where, now.astype(np.int8), last)
-        if not self.delayed.any():
-            return result & where
-        self._times.append(world.time)
-        self._held.append(result & where)
-        then = np.searchsorted(self._times, world.time - self._delay + TOLERANCE, "right") - 1
-        delayed = np.zeros_like(where)
-        for frame in np.unique(then[then >= 0]):
-            delayed |= self._held[frame] & (then == frame)
-        return delayed & where
+        return where & (result if self._past is None else self._past.recall(world.time, result, where))
+
+    def rearm(self, where: BoolArray) -> None:
+        """See no edge at the next evaluation in the scenarios of the mask."""
+        self._last[where] = -1
+
+    def reset(self, where: BoolArray) -> None:
+        """Forget what was before in the scenarios of the mask, so that a delay begins anew."""
+        if self._past is not None:
+            self._past.forget(where)
+        if isinstance(self.test, Watch):
+            self.test.forget(where)
+
+
+class Past:
+    """What a condition was before, for its delay.
+
+    Parameters
+    ----------
+    delay : ndarray of float64, shape (N,)
+        s.
+    """
+
+    def __init__(self, delay: FloatArray) -> None:
+        self._delay = delay
+        # Frames that are not yet past the delay everywhere: time, value, and where the value was a new one.
+        self._frames: list[tuple[float, BoolArray, BoolArray]] = []
+        self._newest, self._now = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
+
+    def recall(self, time: float, value: BoolArray, where: BoolArray) -> BoolArray:
+        """Note the value of now, and return that of a delay ago, shape (N,).
+
+        Of several values since the last time, one that was true counts.
+        """
+        new = where & (self._newest != value)
+        self._newest[new] = value[new]
+        if self._frames and time <= self._frames[-1][0]:
+            # The first two frames are at the same time; of them the later counts.
+            _, was, changed = self._frames[-1]
+            again = new & changed
+            was[again] = value[again]
+            new &= ~again
+        self._frames.append((time, value.copy(), new))
+        result, found = np.zeros_like(where), np.zeros_like(where)
+        for then, was, changed in self._frames:
+            due = where & changed & (then <= time - self._delay + TOLERANCE)
+            self._now[due] = was[due]
+            result |= due & was
+            found |= due
+            changed &= ~due
+        self._frames = [frame for frame in self._frames if frame[2].any()]
+        return np.where(found, result, self._now == 1)
 
     def forget(self, where: BoolArray) -> None:
-        """Begin anew in the scenarios of the mask."""
-        self._last[where] = -1
+        """Forget all in the scenarios of the mask."""
+        self._newest[where] = self._now[where] = -1
+        for _, _, changed in self._frames:
+            changed &= ~where
 
 
 class Trigger:
@@ -129,13 +167,19 @@ class Trigger:
             holds = where.copy()
             for condition in group:
                 # Without a delay, a condition is evaluated only where all before it hold; elsewhere its edge stays.
-                holds &= condition.evaluate(world, np.where(condition.delayed, where, holds))
+                holds &= condition.evaluate(world, where & (holds | condition.delayed))
             fired |= holds
         if fired.any():
             for group in self._groups:
                 for condition in group:
-                    condition.forget(fired)
+                    condition.rearm(fired)
         return fired
+
+    def reset(self, where: BoolArray) -> None:
+        """Forget what was before in the scenarios of the mask."""
+        for group in self._groups:
+            for condition in group:
+                condition.reset(where)
 
 
 def read_trigger(element: etree._Element | None, scope: Scope, world: World, elements: Elements) -> Trigger:
@@ -198,7 +242,7 @@ class OfEntities:
         self._every, self._test = every, test
         self._held: list[BoolArray] = []
 
-    def __call__(self, world: World) -> BoolArray:
+    def __call__(self, world: World, where: BoolArray) -> BoolArray:
         self._held = [self._test(world, e) & world.present[e] for e in self.entities]
         result = np.stack(self._held)
         return np.asarray(result.all(axis=0) if self._every else result.any(axis=0))
@@ -221,24 +265,17 @@ def _of_triggering_entities(element: etree._Element, scope: Scope, world: World,
 
 def _simulation_time(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
     rule, value, n = rule_of(element, scope), scope.number(element, "value"), scope.scenarios
-    return lambda world: np.asarray(rule(np.full(n, world.time), value))
+    return lambda world, where: np.asarray(rule(np.full(n, world.time), value))
 
 
 def _element_state(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
     kind = scope.text(element, "storyboardElementType")
     name, state = scope.text(element, "storyboardElementRef"), scope.text(element, "state")
     where = f"{scope.source}, line {element.sourceline}"
-    if state not in STATES:
-        raise InputError(f"{where}: '{state}' is no state of a storyboard element; {suggestion(state, STATES)}")
 
-    def named() -> Element:
-        found = elements.named(kind, name)
-        if found is None:
-            raise InputError(f"{where}: there is no {kind} '{name}' in the storyboard.")
-        return found
-
-    elements.checks.append(named)
-    return lambda world: named().is_in(state)
+    watch = Watch(state, scope.scenarios, where)
+    elements.watch(kind, name, watch, where)
+    return watch
 
 
 def _held(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
@@ -252,7 +289,7 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
         )
     if values[name].dtype.kind == "f":
         rule, value = rule_of(element, scope), scope.number(element, "value")
-        return lambda world: np.asarray(rule(values[name], value))
+        return lambda world, where: np.asarray(rule(values[name], value))
     text, rule_name = scope.text(element, "value"), scope.text(element, "rule", "equalTo")
     if text in ("0", "1") and set(np.unique(values[name])) <= {"true", "false"}:
         text = "true" if text == "1" else "false"
@@ -270,18 +307,20 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
             f"{scope.source}, line {element.sourceline}: rule '{rule_name}': {suggestion(rule_name, orders)}"
         )
     compare = orders[rule_name]
-    return lambda world: np.asarray(compare(values[name], text))
+    return lambda world, where: np.asarray(compare(values[name], text))
 
 
 def _never(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
     # Nothing in this simulator could make these conditions true.
     result = np.zeros(scope.scenarios, dtype=np.bool_)
-    return lambda world: result
+    return lambda world, where: result
 
 
 def _signal(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
     name, state, n = scope.text(element, "name"), scope.text(element, "state"), scope.scenarios
-    return lambda world: np.asarray(world.signals[name] == state) if name in world.signals else np.zeros(n, np.bool_)
+    return lambda world, where: (
+        np.asarray(world.signals[name] == state) if name in world.signals else np.zeros(n, np.bool_)
+    )
 
 
 _BY_VALUE: Final[dict[str, Callable[[etree._Element, Scope, World, Elements], Test]]] = {

@@ -149,7 +149,11 @@ class World:
     from_x, from_y, from_heading : ndarray of float64, shape (E, N)
         Where the entity was when the last step ended.
     gone : tuple of two ndarray of float64, each (E, N)
-        What the last step covered along x and y, in m/s.
+        Velocity along x and y, in m/s, as the last step covered it.
+    pull : tuple of two ndarray of float64, each (E, N)
+        Change of that velocity in the last step, in m/s².
+    jumped : ndarray of bool, shape (E, N)
+        Entities that were put somewhere in this step.
     last_step : float
         Length of the last time step in s.
     tracks : list of list of Track
@@ -196,8 +200,8 @@ class World:
         self.turn, self.turn_rate, self.sideways, self.velocity = (np.zeros(shape) for _ in range(4))
         self.pace = np.full(shape, np.nan)
         self.from_x, self.from_y, self.from_heading = (np.full(shape, np.nan) for _ in range(3))
-        self.gone = (np.zeros(shape), np.zeros(shape))
-        self.frozen, self.moved = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
+        self.gone, self.pull = (np.zeros(shape), np.zeros(shape)), (np.zeros(shape), np.zeros(shape))
+        self.frozen, self.moved, self.jumped = (np.zeros(shape, dtype=np.bool_) for _ in range(3))
         self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
         self.route = np.zeros(shape, dtype=np.int64)
         self.at_end_since = np.full(shape, np.inf)
@@ -211,27 +215,12 @@ class World:
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
         self.last_step = 0.0
         self.errors: dict[int, str] = {}
-        self._owner = {domain: np.full(shape, -1) for domain in (LONGITUDINAL, LATERAL)}
-        self._actions = 0
 
     def fail(self, where: BoolArray, why: str) -> None:
         """End the scenarios of a mask with an error."""
         for i in np.flatnonzero(where & self.running):
             self.errors[int(i)] = why
         self.running &= ~where
-
-    def number_action(self) -> int:
-        """Give an action the number under which it claims control, counted from 0 in each batch."""
-        self._actions += 1
-        return self._actions - 1
-
-    def claim(self, domain: str, entity: int, action: int, where: BoolArray) -> None:
-        """Give an action the control of one of the entity's domains, and so end the one that had it."""
-        self._owner[domain][entity][where] = action
-
-    def controls(self, domain: str, entity: int, action: int) -> BoolArray:
-        """Scenarios in which the action still has the control that it claimed, shape (N,)."""
-        return np.asarray(self._owner[domain][entity] == action)
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
         """Give an entity a speed in the scenarios of the mask, or tell its driver to want it."""

@@ -1,0 +1,202 @@
+"""What happens when, in a storyboard: states of elements, priorities, delays, and actions that take over.
+
+Each expected time and speed follows from the rule that the test names; esmini 3.6.0 gives the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conftest import car, event, scenario_file, speed_action, story_of, teleport, time_trigger
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import BuiltinSimulator
+
+DT = 0.05
+
+
+def run(path, duration=10.0):
+    (result,) = BuiltinSimulator(time_step=DT, duration=duration).run([ConcreteScenario(path, {})])
+    assert not isinstance(result, Exception), result
+    return result
+
+
+def placed(entity="Ego", s="50", speed="10", lane="-1"):
+    return f'<Private entityRef="{entity}">{teleport(s, lane)}{speed_action(speed)}</Private>'
+
+
+def of_speed(recording, time, entity=0):
+    """Speed at an instant."""
+    return recording.speed[entity][round(time / DT)]
+
+
+def file(folder, *events, init=None, entities=None):
+    return scenario_file(
+        folder, init=init or placed(), story=story_of("".join(events)), entities=entities or car("Ego")
+    )
+
+
+def repeated(name, action, trigger, priority="parallel", times="2"):
+    once = event(name, action, trigger, priority)
+    return once.replace('maximumExecutionCount="1"', f'maximumExecutionCount="{times}"')
+
+
+def group(*conditions):
+    """One condition group of the conditions of several."""
+    return "".join(conditions).replace("</ConditionGroup><ConditionGroup>", "")
+
+
+def state(name, value, edge="none", kind="event"):
+    return f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="{edge}"><ByValueCondition>
+<StoryboardElementStateCondition storyboardElementType="{kind}" storyboardElementRef="{name}" state="{value}"/>
+</ByValueCondition></Condition></ConditionGroup>"""
+
+
+def of_entity(condition, entity="Ego"):
+    return f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition><TriggeringEntities
+triggeringEntitiesRule="any"><EntityRef entityRef="{entity}"/></TriggeringEntities><EntityCondition>{condition}
+</EntityCondition></ByEntityCondition></Condition></ConditionGroup>"""
+
+
+def relative_speed(value, other="Ego", shape="step", dimension="time", over="0"):
+    return f"""<PrivateAction><LongitudinalAction><SpeedAction>
+<SpeedActionDynamics dynamicsShape="{shape}" dynamicsDimension="{dimension}" value="{over}"/>
+<SpeedActionTarget><RelativeTargetSpeed entityRef="{other}" value="{value}" speedTargetValueType="delta"
+continuous="false"/></SpeedActionTarget></SpeedAction></LongitudinalAction></PrivateAction>"""
+
+
+def keep_distance(limits, other="Lead", more='continuous="true"'):
+    return f"""<PrivateAction><LongitudinalAction><LongitudinalDistanceAction entityRef="{other}" distance="20"
+freespace="false" {more}><DynamicConstraints {limits}/></LongitudinalDistanceAction></LongitudinalAction></PrivateAction>"""
+
+
+SLOWLY = speed_action("20", "linear", "time", "2")
+
+
+def test_an_event_that_is_skipped_waits_on(tmp_path):
+    # The first runs from 1 s to 3 s; skipped until then, the second starts one frame later.
+    first = event("first", SLOWLY, time_trigger("1"))
+    second = event("second", speed_action("5"), time_trigger("1.5"), "skip")
+    recording = run(file(tmp_path, first, second))
+    assert of_speed(recording, 3.0) == pytest.approx(20.0)
+    assert of_speed(recording, 3.05) == pytest.approx(5.0)
+
+
+def test_an_event_that_is_overwritten_may_run_again(tmp_path):
+    # It is to run twice. Overwritten at 2 s it has run once, and its condition still holds.
+    first = repeated("first", speed_action("20", "linear", "time", "4"), time_trigger("1"))
+    second = event("second", speed_action("5"), time_trigger("2"), "overwrite")
+    recording = run(file(tmp_path, first, second))
+    assert of_speed(recording, 2.05) == pytest.approx(5.0)
+    # From the next frame on it takes its 4 s again.
+    assert of_speed(recording, 6.0) == pytest.approx(20.0 - 15.0 / 80)
+    assert of_speed(recording, 6.05) == pytest.approx(20.0)
+
+
+def test_a_delay_begins_anew_with_each_repetition(tmp_path):
+    # Fires a second after 1 s, and again a second after the first run has ended and been evaluated anew.
+    path = file(tmp_path, repeated("e", relative_speed("5"), time_trigger("1", delay="1")))
+    recording = run(path)
+    changes = recording.time[1:][np.diff(recording.speed[0]) > 1.0]
+    np.testing.assert_allclose(changes, [2.05, 3.1], atol=1e-9)
+
+
+def test_an_action_that_takes_over_ends_the_other_in_the_same_frame(tmp_path):
+    first = event("first", SLOWLY, time_trigger("1"))
+    second = event("second", speed_action("5"), time_trigger("2"))
+    third = event("third", speed_action("8"), state("first", "endTransition"))
+    recording = run(file(tmp_path, first, second, third))
+    assert of_speed(recording, 2.0) == pytest.approx(15.0)
+    assert of_speed(recording, 2.05) == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize("value", ["startTransition", "endTransition", "runningState"])
+def test_what_became_of_an_element_is_seen_at_the_next_evaluation(tmp_path, value):
+    # The second condition is not evaluated before the first holds, and then sees all that was since the last time.
+    first = event("first", speed_action("20"), time_trigger("1"))
+    second = event("second", speed_action("5"), group(time_trigger("3"), state("first", value)))
+    recording = run(file(tmp_path, first, second))
+    assert of_speed(recording, 3.0) == pytest.approx(20.0)
+    assert of_speed(recording, 3.05) == pytest.approx(5.0)
+
+
+def test_a_state_is_seen_while_it_lasts(tmp_path):
+    first = event("first", SLOWLY, time_trigger("1"))
+    late = event("late", speed_action("5"), group(time_trigger("5"), state("first", "completeState")))
+    recording = run(file(tmp_path, first, late))
+    assert of_speed(recording, 5.05) == pytest.approx(5.0)
+
+
+def test_an_event_ends_with_the_last_of_its_actions(tmp_path):
+    # An action of another event takes over the speed, so that only the lane offset runs on.
+    offset = """<PrivateAction><LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics
+dynamicsShape="cubic" maxLateralAcc="1.5"/><LaneOffsetTarget><AbsoluteTargetLaneOffset value="1"/></LaneOffsetTarget>
+</LaneOffsetAction></LateralAction></PrivateAction>"""
+    first = event("first", SLOWLY, time_trigger("1"))
+    first = first.replace("</Action>", f'</Action><Action name="across">{offset}</Action>')
+    second = event("second", speed_action("5"), time_trigger("1.5"))
+    third = event("third", speed_action("8"), state("first", "completeState"))
+    recording = run(file(tmp_path, first, second, third))
+    # The offset takes sqrt(6 * 1 / 1.5) = 2 s from the frame after 1 s on, is set then, and is seen a frame later.
+    assert of_speed(recording, 3.05) == pytest.approx(5.0)
+    assert of_speed(recording, 3.1) == pytest.approx(8.0)
+
+
+def test_a_teleport_ends_what_changes_the_speed(tmp_path):
+    first = event("first", SLOWLY, time_trigger("1"))
+    second = event("second", teleport("150"), time_trigger("2"))
+    recording = run(file(tmp_path, first, second))
+    np.testing.assert_allclose(recording.speed[0][recording.time > 2.01], 15.0)
+
+
+def test_a_lane_change_moves_in_the_frame_of_a_teleport(tmp_path):
+    change = """<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="cubic"
+dynamicsDimension="time" value="2"/><LaneChangeTarget><AbsoluteTargetLane value="1"/></LaneChangeTarget>
+</LaneChangeAction></LateralAction></PrivateAction>"""
+    both = event("e", teleport("150"), time_trigger("1"))
+    both = both.replace("</Action>", f'</Action><Action name="change">{change}</Action>')
+    recording = run(file(tmp_path, both))
+    assert recording.x[0][round(1.05 / DT)] == pytest.approx(150.5)
+
+
+def test_a_rate_holds_while_the_speed_to_reach_changes(tmp_path):
+    # 2 m/s² from 10 m/s on, wherever the other one's speed, which grows to 25 m/s, has got to.
+    faster = speed_action("25", "linear", "time", "4")
+    lead = placed("Lead", "90", "15").replace("</Private>", f"{faster}</Private>")
+    follow = event("e", relative_speed("0", "Lead", "linear", "rate", "2"), time_trigger("1"))
+    path = file(tmp_path, follow, init=placed() + lead, entities=car("Ego") + car("Lead"))
+    recording = run(path)
+    for time in (2.0, 4.0, 8.0):
+        assert of_speed(recording, time) == pytest.approx(10.0 + 2.0 * (time - 1.0), abs=1e-6)
+    assert of_speed(recording, 9.5) == pytest.approx(25.0)
+
+
+def test_a_distance_is_kept_behind_unless_the_file_says_otherwise(tmp_path):
+    # Ahead of the other at first, it lets itself fall behind.
+    init = placed("Ego", "100") + placed("Lead", "80")
+    keep = event("e", keep_distance('maxAcceleration="3" maxDeceleration="3" maxSpeed="30"'), time_trigger("1"))
+    recording = run(file(tmp_path, keep, init=init, entities=car("Ego") + car("Lead")), 30.0)
+    assert recording.x[1][-1] - recording.x[0][-1] == pytest.approx(20.0, abs=0.1)
+
+
+@pytest.mark.parametrize("limits", ['maxAcceleration="3"', 'maxDeceleration="3"', 'maxSpeed="30"', ""])
+def test_a_limit_that_is_missing_is_the_vehicles_own(tmp_path, limits):
+    given = {name.split("=")[0]: name for name in limits.split()}
+    own = {"maxAcceleration": "200", "maxDeceleration": "200", "maxSpeed": "60"}
+    spelt = " ".join(given.get(name, f'{name}="{value}"') for name, value in own.items())
+    init = placed() + placed("Lead", "100")
+    recordings = []
+    for k, text in enumerate((limits, spelt)):
+        keep = event("e", keep_distance(text), time_trigger("1"))
+        (tmp_path / str(k)).mkdir()
+        recordings.append(run(file(tmp_path / str(k), keep, init=init, entities=car("Ego") + car("Lead"))))
+    assert np.isfinite(recordings[0].x).all()
+    np.testing.assert_allclose(recordings[0].speed[0], recordings[1].speed[0], atol=1e-9)
+    assert recordings[0].x[1][-1] - recordings[0].x[0][-1] == pytest.approx(20.0, abs=1.0)
+
+
+def test_a_limit_above_the_vehicles_own_does_not_count(tmp_path):
+    slow = car("Ego").replace('maxAcceleration="200"', 'maxAcceleration="2"')
+    keep = event("e", keep_distance('maxAcceleration="6" maxDeceleration="6"'), time_trigger("1"))
+    recording = run(file(tmp_path, keep, init=placed() + placed("Lead", "150"), entities=slow + car("Lead")))
+    assert np.diff(recording.speed[0]).max() == pytest.approx(2.0 * DT)
