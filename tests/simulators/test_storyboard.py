@@ -200,3 +200,54 @@ def test_a_limit_above_the_vehicles_own_does_not_count(tmp_path):
     keep = event("e", keep_distance('maxAcceleration="6" maxDeceleration="6"'), time_trigger("1"))
     recording = run(file(tmp_path, keep, init=placed() + placed("Lead", "150"), entities=slow + car("Lead")))
     assert np.diff(recording.speed[0]).max() == pytest.approx(2.0 * DT)
+
+
+@pytest.mark.parametrize("free", ["true", "false"])
+def test_there_is_no_headway_to_what_is_behind(tmp_path, free):
+    headway = f'<TimeHeadwayCondition entityRef="Lead" value="9" rule="lessThan" freespace="{free}"/>'
+    trigger = group(time_trigger("1"), of_entity(headway))
+    for s, speed in (("80", 20.0), ("20", 10.0)):
+        path = file(
+            tmp_path,
+            event("e", speed_action("20"), trigger),
+            init=placed() + placed("Lead", s),
+            entities=car("Ego") + car("Lead"),
+        )
+        assert of_speed(run(path), 2.0) == pytest.approx(speed)
+
+
+@pytest.mark.parametrize(("value", "speed"), [("1.4", 10.0), ("1.6", 20.0)])
+def test_what_comes_from_behind_collides_too(tmp_path, value, speed):
+    # 25 m behind when the condition is first asked at 1 s, and 16 m/s faster.
+    collides = f"""<TimeToCollisionCondition value="{value}" rule="lessThan" freespace="false">
+<TimeToCollisionConditionTarget><EntityRef entityRef="Lead"/></TimeToCollisionConditionTarget></TimeToCollisionCondition>"""
+    trigger = group(time_trigger("1"), time_trigger("1.01", "lessThan"), of_entity(collides))
+    path = file(
+        tmp_path,
+        event("e", speed_action("20"), trigger),
+        init=placed("Ego", "100") + placed("Lead", "59", "26"),
+        entities=car("Ego") + car("Lead"),
+    )
+    assert of_speed(run(path, 2.0), 1.5) == pytest.approx(speed)
+
+
+def test_time_to_collision_is_of_the_motion_before_the_frame(tmp_path):
+    # The first event sets a speed at 1 s that the second does not see before the next frame.
+    collides = """<TimeToCollisionCondition value="3" rule="lessThan" freespace="false">
+<TimeToCollisionConditionTarget><EntityRef entityRef="Lead"/></TimeToCollisionConditionTarget></TimeToCollisionCondition>"""
+    first = event("first", speed_action("30"), time_trigger("1"))
+    second = event("second", speed_action("15"), of_entity(collides))
+    path = file(
+        tmp_path, first, second, init=placed() + placed("Lead", "90", "10.5"), entities=car("Ego") + car("Lead")
+    )
+    recording = run(path)
+    assert of_speed(recording, 1.05) == pytest.approx(30.0)
+    assert of_speed(recording, 1.1) == pytest.approx(15.0)
+
+
+@pytest.mark.parametrize(("rule", "speed"), [("greaterThan", 4.0), ("lessThan", 20.0)])
+def test_braking_is_a_negative_acceleration(tmp_path, rule, speed):
+    brake = event("brake", speed_action("4", "linear", "rate", "3"), time_trigger("1"))
+    condition = f'<AccelerationCondition value="{"2" if rule == "greaterThan" else "-2"}" rule="{rule}"/>'
+    then = event("then", speed_action("20"), of_entity(condition))
+    assert of_speed(run(file(tmp_path, brake, then)), 5.0) == pytest.approx(speed)

@@ -44,9 +44,12 @@ class Gap:
     free: bool
 
     def to_entity(self, world: World, e: int, other: int) -> FloatArray:
-        """Distance to another entity in m, shape (N,); positive ahead and to the left."""
+        """Distance to another entity in m, shape (N,); negative behind, and lateral ones to the right."""
         if self.kind == "euclidean":
-            return _free_distance(world, e, other) if self.free else _distance(world, e, world.x[other], world.y[other])
+            if self.free:
+                return np.where(longitudinal_gap(world, e, other) < 0.0, -1.0, 1.0) * _free_distance(world, e, other)
+            sign = np.where(distance_ahead(world, e, other) > 0.0, 1.0, -1.0)
+            return np.asarray(sign * _distance(world, e, world.x[other], world.y[other]))
         if self.kind == "lateral":
             if self.along_road:
                 apart = offset_from(world, e, other) - world.offset[e]
@@ -62,18 +65,19 @@ class Gap:
         return longitudinal_gap(world, e, other) if self.free else distance_ahead(world, e, other)
 
     def to_place(self, world: World, e: int, pose: Pose) -> FloatArray:
-        """Distance to a place in m, shape (N,); positive ahead and to the left."""
+        """Distance to a place in m, shape (N,); negative behind, and lateral ones to the right."""
         one = world.entities[e]
         front, rear = 0.5 * one.length + one.center_x, 0.5 * one.length - one.center_x
         dx, dy = pose.x - world.x[e], pose.y - world.y[e]
         if self.kind == "euclidean":
-            distance = np.hypot(dx, dy)
-            if not self.free:
-                return np.asarray(distance)
             cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
-            along, across = dx * cos + dy * sin - one.center_x, dy * cos - dx * sin
+            along, across = dx * cos + dy * sin, dy * cos - dx * sin
+            if not self.free:
+                return np.where(along > 0.0, np.hypot(dx, dy), -np.hypot(dx, dy))
+            along = along - one.center_x
             beyond = np.maximum(np.abs(along) - 0.5 * one.length, 0.0)
-            return np.asarray(np.hypot(beyond, np.maximum(np.abs(across) - 0.5 * one.width, 0.0)))
+            sign = np.where(along < -0.5 * one.length, -1.0, 1.0)
+            return np.asarray(sign * np.hypot(beyond, np.maximum(np.abs(across) - 0.5 * one.width, 0.0)))
         cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
         if self.kind == "lateral":
             across = dy * cos - dx * sin

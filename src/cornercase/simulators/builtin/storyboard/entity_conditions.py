@@ -19,7 +19,6 @@ from cornercase.simulators.builtin.world.whereabouts import (
     has_lane_between,
     lane_of,
     lanes_between,
-    lateral_speed,
     road_heading,
 )
 
@@ -80,21 +79,20 @@ def _reach_position(element: etree._Element, scope: Scope, world: World) -> Enti
     return reached
 
 
-def _component(world: World, e: int, direction: str) -> FloatArray:
-    """Speed of an entity, or a component of it along or across its heading, in m/s."""
+def _along(world: World, vector: tuple[FloatArray, FloatArray], e: int, axes: int, direction: str) -> FloatArray:
+    """Component of an entity's velocity or acceleration along or across the heading of another, or upwards, (N,)."""
+    x, y, cos, sin = vector[0][e], vector[1][e], np.cos(world.heading[axes]), np.sin(world.heading[axes])
     if direction == "longitudinal":
-        return np.asarray(world.speed[e] * np.cos(world.turn[e]))
-    if direction == "lateral":
-        return lateral_speed(world, e)
-    return np.zeros(world.scenarios) if direction == "vertical" else world.speed[e]
+        return np.asarray(x * cos + y * sin)
+    return np.asarray(y * cos - x * sin) if direction == "lateral" else np.zeros(world.scenarios)
 
 
 def _speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     rule, value = rule_of(element, scope), scope.number(element, "value")
     direction = scope.text(element, "direction", "")
-    if direction in ("", "longitudinal"):
+    if not direction:
         return lambda world, e: np.asarray(rule(world.speed[e], value))
-    return lambda world, e: np.asarray(rule(_component(world, e, direction), value))
+    return lambda world, e: np.asarray(rule(_along(world, world.gone, e, e, direction), value))
 
 
 def _relative_speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -102,12 +100,12 @@ def _relative_speed(element: etree._Element, scope: Scope, world: World) -> Enti
     other, direction = entity_index(element, scope, world), scope.text(element, "direction", "")
 
     def holds(world: World, e: int) -> BoolArray:
-        if direction not in ("longitudinal", "lateral"):
-            return np.asarray(rule(world.speed[e] - world.speed[other], value))
-        turn = world.heading[e] - world.heading[other]
-        own = world.speed[e] * (np.cos(turn) if direction == "longitudinal" else np.sin(turn))
-        theirs = world.speed[other] if direction == "longitudinal" else 0.0
-        return np.asarray(rule(own - theirs, value) & world.present[other])
+        if not direction:
+            apart = world.speed[e] - world.speed[other]
+        else:
+            own, theirs = (_along(world, world.gone, one, other, direction) for one in (e, other))
+            apart = own - theirs
+        return np.asarray(rule(apart, value) & world.present[other])
 
     return holds
 
@@ -117,13 +115,11 @@ def _acceleration(element: etree._Element, scope: Scope, world: World) -> Entity
     direction = scope.text(element, "direction", "")
 
     def holds(world: World, e: int) -> BoolArray:
-        if direction in ("lateral", "vertical"):
-            across = world.speed[e] * world.turn_rate[e]
-            return np.asarray(rule(across if direction == "lateral" else np.zeros(world.scenarios), value))
-        along = world.acceleration[e]
-        if direction == "longitudinal":
-            return np.asarray(rule(along, value))
-        return np.asarray(rule(np.hypot(along, world.speed[e] * world.turn_rate[e]), value))
+        if direction:
+            return np.asarray(rule(_along(world, world.pull, e, e, direction), value))
+        # Against the heading it is negative.
+        size = np.hypot(world.pull[0][e], world.pull[1][e])
+        return np.asarray(rule(np.where(_along(world, world.pull, e, e, "longitudinal") < 0.0, -size, size), value))
 
     return holds
 
@@ -217,10 +213,13 @@ def _time_to_collision(element: etree._Element, scope: Scope, world: World) -> E
 
 def _collides(world: World, e: int, other: int, gap: Gap, rule: Callable[[Any, Any], Any], value: Any) -> BoolArray:
     distance = gap.to_entity(world, e, other)
-    own, theirs = world.speed[e], np.abs(world.speed[other])
-    direction = world.heading[other] + np.where(world.speed[other] < 0, np.pi, 0.0)
-    along = own * np.cos(world.heading[e] - direction)
-    closing = np.where(theirs < TOLERANCE, own, np.sign(own) * np.sign(along) * (along - theirs))
+    # How fast the gap closes is measured along the way that the other goes.
+    x, y = world.gone[0][other], world.gone[1][other]
+    pace = np.hypot(x, y)
+    stands = (np.abs(x) < TOLERANCE) & (np.abs(y) < TOLERANCE)
+    own = (world.gone[0][e] * x + world.gone[1][e] * y) / np.where(stands, 1.0, pace)
+    signs = np.where(world.speed[e] < 0.0, -1.0, 1.0) * np.where(own < 0.0, -1.0, 1.0)
+    closing = np.where(stands, world.speed[e], signs * (own - np.abs(world.speed[other])))
     return np.asarray(_in_time(distance, closing, rule, value) & world.present[other])
 
 

@@ -42,6 +42,7 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     # The distance of a jump does not count as travelled.
     world.from_x[entity][where], world.from_y[entity][where] = pose.x[where], pose.y[where]
     world.present[entity] |= where
+    world.jumped[entity] |= where
     world.moved[entity] |= where & (world.time > 0.0)
     align_trailers(world, entity, where)
     # An entity that follows a trajectory keeps following it.

@@ -52,14 +52,18 @@ def move_entities(world: World, dt: float) -> None:
     pull_trailers(world)
     gone_x, gone_y = world.x - world.from_x, world.y - world.from_y
     chord = np.hypot(gone_x, gone_y)
+    # A jump counts neither as a way nor as a velocity.
+    held = velocity_ahead(world)
+    before, world.gone = world.gone, held
     if dt > 0:
-        world.gone = (gone_x / dt, gone_y / dt)
-        chord = np.where(np.isfinite(chord), chord, 0.0)
+        chord = np.where(np.isfinite(chord) & ~world.jumped, chord, 0.0)
+        world.gone = (np.where(world.jumped, held[0], gone_x / dt), np.where(world.jumped, held[1], gone_y / dt))
+        world.pull = ((world.gone[0] - before[0]) / dt, (world.gone[1] - before[1]) / dt)
         world.odometer += chord
         world.velocity = chord / dt
     world.time += dt
     world.from_x, world.from_y, world.from_heading = world.x.copy(), world.y.copy(), world.heading.copy()
-    world.moved[:] = False
+    world.moved[:] = world.jumped[:] = False
     world.pace[:] = np.nan
     world.sideways[:] = 0.0
     if dt > 0:
@@ -70,6 +74,20 @@ def move_entities(world: World, dt: float) -> None:
         for e, since in enumerate(world.off_road_since):
             off = world.present[e] if world.network is None else world.present[e] & ~on_road(world, e)
             since[:] = np.where(off, np.minimum(since, world.time), np.inf)
+
+
+def velocity_ahead(world: World) -> tuple[FloatArray, FloatArray]:
+    """Velocity along x and y with which all would go on along their headings, in m/s, each (E, N).
+
+    Parameters
+    ----------
+    world : World
+
+    Returns
+    -------
+    tuple of two ndarray of float64, each (E, N)
+    """
+    return world.speed * np.cos(world.heading), world.speed * np.sin(world.heading)
 
 
 def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
