@@ -136,7 +136,7 @@ WITHOUT_EFFECT = {
     "p of <Orientation>": ('<Orientation type="relative"', '<Orientation type="relative" p="0.1"'),
     "weather of <RoadNetwork>": ("<RoadNetwork>", '<RoadNetwork weather="rain">'),
     "<Wormhole> in <Storyboard>": ("<Storyboard>", "<Storyboard><Wormhole/>"),
-    "<Property> in <Properties>": ("<Properties>", '<Properties><Property name="colour" value="red"/>'),
+    "<Property colour>": ("<Properties>", '<Properties><Property name="colour" value="red"/>'),
     "<UserDefinedAction>": (
         "<Init><Actions>",
         "<Init><Actions><UserDefinedAction><CustomCommandAction type='a'>b</CustomCommandAction></UserDefinedAction>",

@@ -17,8 +17,9 @@ from lxml import etree
 from cornercase._common.errors import InputError, NoticeWarning, suggestion
 from cornercase._common.recorded_xml import asked_attributes, children, was_read
 
-# More lines than this are counted, not named.
+# More lines, and more things, than this are counted, not named.
 _MOST_LINES: Final = 5
+_MOST_NAMES: Final = 8
 
 # Attributes of XML itself, such as where a schema lies.
 _XML: Final = "{http://www.w3.org/"
@@ -90,7 +91,10 @@ class Notice:
         more = len(self.lines) - _MOST_LINES
         named += f" and {more} more" if more > 0 else ""
         place = f"{self.file.name}, line{'s' if len(self.lines) > 1 else ''} {named}" if self.lines else self.file.name
-        return f"{', '.join(self.what)} ({place}): {self.why}"
+        what = ", ".join(self.what[:_MOST_NAMES])
+        others = len(self.what) - _MOST_NAMES
+        what += f" and {others} more" if others > 0 else ""
+        return f"{what} ({place}): {self.why}"
 
 
 def merged(notices: Iterable[Notice]) -> tuple[Notice, ...]:
@@ -241,7 +245,7 @@ class Ledger:
     def _silent(self, element: etree._Element, path: tuple[str, ...], read: bool) -> Iterator[tuple[str, str, int]]:
         entry, line = self.entry(path), _line(element)
         if entry is None:
-            yield f"<{path[-1]}> in <{path[-2]}>" if len(path) > 1 else f"<{path[-1]}>", "is not known here", line
+            yield _called(element, path), "is not known here", line
             return
         if entry.status is Status.WITHOUT_EFFECT:
             if not entry.is_silent(""):
@@ -250,7 +254,7 @@ class Ledger:
         if entry.status is Status.REFUSED:
             return
         if read and len(path) > 1 and not _anything_read(element) and not entry.is_silent(""):
-            yield f"<{path[-1]}> in <{path[-2]}>", _unread(entry), line
+            yield _called(element, path), _unread(entry), line
             return
         asked = asked_attributes(element) if read else None
         for name, value in _attributes(element):
@@ -264,6 +268,14 @@ class Ledger:
                 yield f"{name} of <{path[-1]}>", _unread(entry), line
         for child in children(element):
             yield from self._silent(child, (*path, local_name(child)), read)
+
+
+def _called(element: etree._Element, path: tuple[str, ...]) -> str:
+    """Tag of an element, with its name or with the element that holds it."""
+    name = element.attrib.get("name")
+    if name:
+        return f"<{path[-1]} {name}>"
+    return f"<{path[-1]}> in <{path[-2]}>" if len(path) > 1 else f"<{path[-1]}>"
 
 
 def _unread(entry: Entry) -> str:
