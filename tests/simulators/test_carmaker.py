@@ -19,7 +19,7 @@ import pytest
 import foreign_recordings as foreign
 from command_line import cornercase
 from conftest import ran
-from cornercase._common.errors import InputError, SimulationError, SimulatorError
+from cornercase._common.errors import InputError, NoticeWarning, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMakerSimulator, WorkerSimulator
 from cornercase.simulators.carmaker.cmapi import CarMakerApi
@@ -236,7 +236,7 @@ def test_a_carmaker_that_does_not_stop_is_left(project, quick):
     port.close()
 
 
-def test_boxes_and_kinds_come_from_the_scenario(project, caplog):
+def test_boxes_and_kinds_come_from_the_scenario(project, recwarn):
     path = project.parent / "s.xosc"
     body = """<{0} {1}><BoundingBox><Center x="1" y="0" z="1"/><Dimensions length="{2}" width="{3}" height="1"/>
 </BoundingBox></{0}>"""
@@ -253,14 +253,15 @@ def test_boxes_and_kinds_come_from_the_scenario(project, caplog):
     assert found.width.tolist() == [2.5, 0.6]
     # The position in the file is the middle of the rear end.
     np.testing.assert_allclose([found.x[0, 0], found.y[0, 0]], foreign.way(0.0, 6.0), atol=1e-6)
-    assert not caplog.records
+    assert not recwarn.list
     port.close()
 
 
-def test_who_has_no_box_is_said(project, caplog):
+def test_who_has_no_box_is_said(project):
     port = Port()
-    assert run(project, port).length.tolist() == [4.5, 4.5]
-    assert "s.xosc: Ego, T00 have no <BoundingBox>" in caplog.text
+    with pytest.warns(NoticeWarning, match=r"s\.xosc: Ego, T00 have no <BoundingBox>"):
+        found = run(project, port)
+    assert found.length.tolist() == [4.5, 4.5]
     port.close()
 
 

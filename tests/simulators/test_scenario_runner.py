@@ -51,6 +51,7 @@ def test_asams_checker_finds_nothing_and_no_parameter_is_left(path, tmp_path):
     assert root.xpath(kind.format("=")) == ["ego_vehicle"]
     others = root.xpath("Entities/ScenarioObject[Vehicle and @name!='Ego']/@name")
     assert isinstance(others, list)
+    assert others
     assert root.xpath(kind.format("!=")) == ["simulation"] * len(others)
     assert (tmp_path / "one.xodr").read_bytes() == path.with_suffix(".xodr").read_bytes()
 

@@ -147,6 +147,14 @@ def test_refuses_in_one_sentence(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(InputError, match=r"broken.xodr: netconvert cannot convert it"):
         run(broken, {})
+    # netconvert itself would open the file that an entity names.
+    for hostile in (
+        '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/hostname">]><OpenDRIVE>&x;</OpenDRIVE>',
+        "<OpenDRIVE>&x;",
+    ):
+        (tmp_path / "broken.xodr").write_text(hostile)
+        with pytest.raises(InputError, match=r"netconvert cannot convert it \(.*(document type|not well-formed)"):
+            run(broken, {})
     assert not list((tmp_path / "cornercase" / "sumo").glob("*.net.xml"))
     monkeypatch.setattr("cornercase.simulators.sumo.simulator.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'cornercase\[sumo\]'"):

@@ -15,4 +15,5 @@ from .parameter import Value as Value
 from .scope import Scope as Scope
 from .space import ParameterSpace as ParameterSpace
 from .varies import VariesError as VariesError
+from .xml import parse_xml as parse_xml
 from .xml import read_xml as read_xml

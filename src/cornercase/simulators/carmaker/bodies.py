@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import logging
+import warnings
 from collections.abc import Mapping
 
 from lxml import etree
 
+from cornercase._common.errors import NoticeWarning
 from cornercase.recordings import EntityBox
 from cornercase.scenario import Scenario, Scope, Value
 
@@ -26,7 +27,7 @@ def read_bodies(scenario: Scenario, values: Mapping[str, Value]) -> dict[str, En
     Returns
     -------
     dict of str to EntityBox
-        By entity. Where the file does not tell, a car of 4.5 m x 1.8 m, with a warning in the log.
+        By entity. Where the file does not tell, a car of 4.5 m x 1.8 m, with a notice.
 
     Raises
     ------
@@ -48,6 +49,11 @@ def warn_of_missing(scenario: Scenario) -> None:
     Parameters
     ----------
     scenario : Scenario
+
+    Warns
+    -----
+    NoticeWarning
+        Somebody's is missing.
     """
     scope = Scope.of_file(str(scenario.path), scenario.root, [{}], scenario.catalog_entry)
     missing = [
@@ -56,13 +62,12 @@ def warn_of_missing(scenario: Scenario) -> None:
         if _body(element, scope) is None
     ]
     if missing:
-        logging.getLogger(__name__).warning(
-            "%s: %s %s no <BoundingBox>, and CarMaker's result files tell no sizes; taken for a car of %g m x %g m.",
-            scenario.path,
-            ", ".join(missing),
-            "has" if len(missing) == 1 else "have",
-            _USUAL.length,
-            _USUAL.width,
+        have = "has" if len(missing) == 1 else "have"
+        warnings.warn(
+            f"{scenario.path}: {', '.join(missing)} {have} no <BoundingBox>, and CarMaker's result files tell no sizes;"
+            f" taken for a car of {_USUAL.length:g} m x {_USUAL.width:g} m.",
+            NoticeWarning,
+            stacklevel=3,
         )
 
 

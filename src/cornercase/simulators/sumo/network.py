@@ -12,9 +12,9 @@ from shutil import which
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.files import written_whole
+from cornercase._common.files import read_file, written_whole
 from cornercase._common.platform import user_cache
-from cornercase.scenario import Scenario, Value
+from cornercase.scenario import Scenario, Value, parse_xml
 
 _PATIENCE: Final = 120.0
 
@@ -54,23 +54,28 @@ def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[s
             f"{scenario.path}: names SUMO's network {roads.name} as its roads, where positions on roads need OpenDRIVE;"
             " name an OpenDRIVE file there, and give the network by `simulator` sumo:network=FILE."
         )
-    try:
-        key = hashlib.sha256(roads.read_bytes()).hexdigest()[:32]
-    except OSError as error:
-        raise InputError(f"{roads}: cannot be read ({error.strerror}).") from error
+    content = read_file(roads)
+    key = hashlib.sha256(content).hexdigest()[:32]
     cached = user_cache() / "cornercase" / "sumo" / f"{key}.net.xml"
     if not cached.exists():
         with written_whole(cached) as temporary:
-            _convert(roads, temporary)
+            _convert(roads, content, temporary)
     return cached
 
 
-def _convert(roads: Path, target: Path) -> None:
+def _convert(roads: Path, content: bytes, target: Path) -> None:
     program = _netconvert()
+    # netconvert would resolve the entities of a document type: it gets only what is refused nowhere else.
+    try:
+        parse_xml(content, roads)
+    except InputError as error:
+        raise InputError(f"{roads}: netconvert cannot convert it ({error}).") from error
     # netconvert recognises the format by the ending of the name.
     with tempfile.TemporaryDirectory() as folder:
-        written = Path(folder) / "roads.net.xml"
-        command = [program, "--opendrive", str(roads), "--output-file", str(written)]
+        # A name of ours, since it takes commas for the end of a name.
+        given, written = Path(folder) / "roads.xodr", Path(folder) / "roads.net.xml"
+        given.write_bytes(content)
+        command = [program, "--opendrive", str(given), "--output-file", str(written)]
         command += ["--offset.disable-normalization", "true", "--xml-validation", "never"]
         try:
             done = subprocess.run(command, capture_output=True, timeout=_PATIENCE, check=False)
