@@ -57,7 +57,7 @@ class Schema:
         """
         found: dict[tuple[str, ...], set[str]] = {}
         left: deque[tuple[tuple[str, ...], etree._Element | None]] = deque(
-            ((name,), self._type_of(self._elements[name])) for name in roots
+            ((name,), of) for name in roots for of in self._types_of(self._elements[name])
         )
         seen: set[tuple[tuple[str, ...], int]] = set()
         while left:
@@ -74,7 +74,7 @@ class Schema:
     def words(self, *roots: str) -> dict[tuple[str, str], set[str]]:
         """Values of the attributes that take one of a few words, by element and attribute."""
         found: dict[tuple[str, str], set[str]] = {}
-        left = [(name, self._type_of(self._elements[name])) for name in roots]
+        left = [(name, of) for name in roots for of in self._types_of(self._elements[name])]
         seen = set()
         while left:
             name, kind = left.pop()
@@ -88,9 +88,13 @@ class Schema:
             left += self._children_of(kind)
         return found
 
-    def _type_of(self, element: etree._Element) -> etree._Element | None:
+    def _types_of(self, element: etree._Element) -> list[etree._Element | None]:
+        """Type of an element; where it depends on an attribute, all that it may have."""
         inline = element.find(f"{_XS}complexType")
-        return inline if inline is not None else self._types.get(_local(element.get("type", "")))
+        if inline is not None:
+            return [inline]
+        names = [element.get("type", ""), *(one.get("type", "") for one in element.iterfind(f"{_XS}alternative"))]
+        return [self._types.get(_local(name)) for name in dict.fromkeys(names) if name] or [None]
 
     def _children_of(self, kind: etree._Element) -> list[tuple[str, etree._Element | None]]:
         found: list[tuple[str, etree._Element | None]] = []
@@ -98,7 +102,7 @@ class Schema:
             tag = _kind(one)
             if tag == "element":
                 element = self._elements[_local(one.get("ref", ""))] if one.get("ref") else one
-                found.append((element.get("name", ""), self._type_of(element)))
+                found += [(element.get("name", ""), of) for of in self._types_of(element)]
             elif tag == "group" and one.get("ref"):
                 found += self._children_of(self._groups[_local(one.get("ref", ""))])
             elif tag == "extension":

@@ -39,6 +39,11 @@ def test_who_goes_straight_on_takes_no_notice_of_whole_turns_in_headings(tmp_pat
     assert (path.x[-1], path.y[-1]) == pytest.approx((170.0, -2.0))
 
 
+def way(roads, road, s, along, goal, goal_s) -> float:
+    (found,) = roads.way(*(np.array([one]) for one in (road, s, along, goal, goal_s)))
+    return float(found)
+
+
 def test_roads_that_lie_apart_are_not_bridged(tmp_path):
     gap = [road("1", 100.0, links=linked("successor", "2", "start")),
            road("2", 100.0, at=(140.0, 0.0, 0.0), links=linked("predecessor", "1", "end"))]  # fmt: skip
@@ -48,7 +53,7 @@ def test_roads_that_lie_apart_are_not_bridged(tmp_path):
     assert path.x[-1] == pytest.approx(100.0)
     assert path.ends
     assert roads.gaps() == [("1", "2", pytest.approx(40.0))]  # type: ignore[comparison-overlap]
-    assert not np.isfinite(roads.way(0, 50.0, True, 1, 50.0))
+    assert not np.isfinite(way(roads, 0, 50.0, True, 1, 50.0))
 
 
 def test_roads_that_nearly_meet_are_joined(tmp_path):
@@ -98,10 +103,10 @@ def test_a_way_that_is_longer_than_a_path_is_cut_not_ended(tmp_path):
 
 def test_the_way_along_roads_goes_through_all_that_connect(tmp_path):
     roads = network(tmp_path, *chain(20, 600.0), road("alone", 100.0, at=(0.0, 50.0, 0.0)))
-    assert roads.way(0, 100.0, True, 19, 100.0) == pytest.approx(19 * 600.0)
-    assert roads.way(19, 100.0, True, 0, 100.0) == pytest.approx(-19 * 600.0)
-    assert roads.way(19, 100.0, False, 0, 100.0) == pytest.approx(19 * 600.0)
-    assert not np.isfinite(roads.way(0, 100.0, True, roads.index_of("alone"), 50.0))
+    assert way(roads, 0, 100.0, True, 19, 100.0) == pytest.approx(19 * 600.0)
+    assert way(roads, 19, 100.0, True, 0, 100.0) == pytest.approx(-19 * 600.0)
+    assert way(roads, 19, 100.0, False, 0, 100.0) == pytest.approx(19 * 600.0)
+    assert not np.isfinite(way(roads, 0, 100.0, True, roads.index_of("alone"), 50.0))
 
 
 def test_a_lane_that_has_widths_takes_no_notice_of_borders(tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conftest import car, scenario_file, speed_action
+from conftest import car, event, scenario_file, speed_action, story_of
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
@@ -75,3 +75,52 @@ def test_an_entity_on_a_reversed_lane_drives_against_the_s_of_its_road(tmp_path)
     reversed_ = lane(-1, more='direction="reversed"')
     recording = run(tmp_path, placed("1", 80.0, 10.0), road("1", 100.0, right=reversed_), duration=5.0)
     assert recording.x[0][-1] == pytest.approx(30.0, abs=1.5)
+
+
+def condition(body: str) -> str:
+    return f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>
+<TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition>{body}
+</EntityCondition></ByEntityCondition></Condition></ConditionGroup>"""
+
+
+ALONG = 'entityRef="Other" freespace="false" relativeDistanceType="longitudinal" coordinateSystem="road"'
+
+
+@pytest.mark.parametrize(
+    ("test", "holds"),
+    [
+        (f'<RelativeDistanceCondition {ALONG} rule="lessThan" value="1000"/>', False),
+        (f'<RelativeDistanceCondition {ALONG} rule="greaterThan" value="1000"/>', True),
+        (f'<TimeHeadwayCondition {ALONG} rule="lessThan" value="100"/>', False),
+        (f'<RelativeDistanceCondition {ALONG.replace("longitudinal", "lateral")} rule="lessThan" value="1000"/>', False),
+        ('<RelativeClearanceCondition freeSpace="false" oppositeLanes="false" distanceForward="100"'
+         ' distanceBackward="100"><EntityRef entityRef="Other"/></RelativeClearanceCondition>', True),
+    ],
+)  # fmt: skip
+def test_nothing_is_near_along_roads_that_do_not_connect(tmp_path, test, holds):
+    # 30 m apart, on two roads that run side by side.
+    recording = run(
+        tmp_path,
+        placed("1", 10.0, 10.0) + placed("2", 40.0, 10.0, "Other"),
+        road("1", 1000.0),
+        road("2", 1000.0, at=(0.0, 30.0, 0.0)),
+        entities=car("Ego") + car("Other"),
+        story=story_of(event("e", speed_action("0"), condition(test))),
+    )
+    assert (recording.speed[0][-1] == 0.0) == holds
+
+
+def test_what_drives_on_a_road_that_connects_is_near_along_it(tmp_path):
+    # The other is on the road that a route would take; the ego goes straight on.
+    aside = road("aside", 200.0, at=(100.0, 0.0, np.pi / 4), junction="j", links=linked("predecessor", "in", "end"))
+    ahead = road("ahead", 200.0, at=(100.0, 0.0, 0.0), junction="j", links=linked("predecessor", "in", "end"))
+    recording = run(
+        tmp_path,
+        placed("in", 10.0, 10.0) + placed("aside", 150.0, 0.0, "Other"),
+        road("in", 100.0, links=linked("successor", "j")), aside, ahead, '<junction id="j"/>',
+        entities=car("Ego") + car("Other"),
+        story=story_of(event("e", speed_action("0"), condition(
+            f'<RelativeDistanceCondition {ALONG} rule="lessThan" value="200"/>'))),
+    )  # fmt: skip
+    # 240 m lie between them.
+    assert recording.x[0][-1] == pytest.approx(50.0, abs=2.5)

@@ -1,2 +1,3 @@
 from .lane_path import LanePath as LanePath
+from .notices import name_without_effect as name_without_effect
 from .opendrive import RoadNetwork as RoadNetwork

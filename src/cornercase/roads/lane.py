@@ -38,7 +38,7 @@ class Lane:
     kind : str
         Its type.
     widths, borders : tuple of Polynomial
-        A lane that has widths takes no notice of its borders; so the standard settles it.
+        Where the file gives widths, its borders do not count, as the standard settles it.
     predecessors, successors : tuple of int
         Lanes that it is linked to; several where it merges or splits.
     reverse : bool, default False
@@ -135,17 +135,18 @@ def _shifted(polynomials: tuple[Polynomial, ...], by: float) -> tuple[Polynomial
 
 
 def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lane]:
-    return {
-        lane_number(element, where): Lane(
+    found = {}
+    for element in section.iterfind(f"{side}/lane"):
+        widths = read_polynomials(element.iterfind("width"), "sOffset", where)
+        found[lane_number(element, where)] = Lane(
             element.get("type", "none"),
-            read_polynomials(element.iterfind("width"), "sOffset", where),
-            read_polynomials(element.iterfind("border"), "sOffset", where),
+            widths,
+            () if widths else read_polynomials(element.iterfind("border"), "sOffset", where),
             tuple(lane_number(link, where) for link in element.iterfind("link/predecessor")),
             tuple(lane_number(link, where) for link in element.iterfind("link/successor")),
             element.get("direction") == "reversed",
         )
-        for element in section.iterfind(f"{side}/lane")
-    }
+    return found
 
 
 def lane_number(element: etree._Element, where: str, name: str = "id") -> int:

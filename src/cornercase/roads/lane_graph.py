@@ -75,11 +75,7 @@ class LaneGraph:
         self, roads: Sequence[Road], connections: Mapping[str, Sequence[Connection]], index: Mapping[str, int]
     ) -> None:
         self._roads, self._connections, self._index = roads, connections, index
-        self._ways = RoadGraph(roads, connections, index)
-
-    def way(self, road: int, s: float, along: bool, goal: int, goal_s: float) -> float:
-        """Way in m from a place on a road to another, as `RoadGraph.way` measures it."""
-        return self._ways.way(road, s, along, goal, goal_s)
+        self.roads = RoadGraph(roads, connections, index)
 
     def walk(self, here: Stretch, goals: Sequence[int], longest: float) -> Walk:
         """Stretches from one on, through the goals where they can be reached, else as straight on as possible.
@@ -119,7 +115,7 @@ class LaneGraph:
 
     def _choose(self, here: Stretch, options: list[Stretch], goal: int | None) -> Stretch:
         if goal is not None:
-            ways = [self._ways.length_to(option.road, option.section, option.along, goal) for option in options]
+            ways = [self.roads.length_to(option.road, option.section, option.along, goal) for option in options]
             if np.isfinite(min(ways)):
                 return options[int(np.argmin(ways))]
         if options[0].road == here.road and options[0].along == here.along:
@@ -177,7 +173,7 @@ class LaneGraph:
             s = one.sections[max(here.section, following)][0]
             beside = [
                 option
-                for at, name, contact in self._ways.leaving.get((one.name, here.along), ())
+                for at, name, contact in self.roads.leaving.get((one.name, here.along), ())
                 if at == s
                 for option in self._onto(name, contact, here.lane)
             ]
@@ -191,7 +187,7 @@ class LaneGraph:
         # also hold for an entity that drives against the traffic.
         end = "end" if here.along else "start"
         found = list[Stretch]()
-        for name, contact in self._ways.connecting.get((link.element, one.name, end), ()):
+        for name, contact in self.roads.connecting.get((link.element, one.name, end), ()):
             found += self._onto(name, contact, here.lane)
         if not found:
             for incoming, connecting, contact, links in self._connections.get(link.element, ()):

@@ -15,6 +15,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.lane import lane_number
 from cornercase.roads.lane_graph import LaneGraph, Stretch
 from cornercase.roads.lane_path import LanePath, join
+from cornercase.roads.ledger import LEDGER
 from cornercase.roads.locating import Locator, Place
 from cornercase.roads.reference_line import read_number
 from cornercase.roads.road import Road, read_road
@@ -85,6 +86,7 @@ class RoadNetwork:
                 element.tag = element.tag.split("}", 1)[1]
         if root.tag != "OpenDRIVE":
             raise InputError(f"{path}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
+        LEDGER.refuse(root, path)
         cuts = _places_of_links(root, path)
         roads = tuple(
             read_road(e, f"{path}, road {e.get('id')}", cuts.get(e.get("id", ""), ())) for e in root.iterfind("road")
@@ -284,30 +286,30 @@ class RoadNetwork:
         beyond = way - np.array(begins)[leg]
         return np.array(roads)[leg], np.array(starts)[leg] + np.where(along, beyond, -beyond), along
 
-    def way(self, road: int, s: float, along: bool, goal: int, goal_s: float) -> float:
-        """Measure the way along the roads from one place to another, by the shortest way ahead or back.
+    def way(self, road: IntArray, s: FloatArray, along: BoolArray, goal: IntArray, goal_s: FloatArray) -> FloatArray:
+        """Measure the ways along the roads from places to others, by the shortest way ahead or back.
 
         Lanes do not matter.
 
         Parameters
         ----------
-        road : int
-            Index of the road where it begins.
-        s : float
-            Place on it, in m.
-        along : bool
-            Whether ahead is along the s of that road.
-        goal : int
-            Index of the road where it ends.
-        goal_s : float
-            Place on it, in m.
+        road : ndarray of int64, shape (N,)
+            Indices of the roads where they begin.
+        s : ndarray of float64, shape (N,)
+            Places on these, in m.
+        along : ndarray of bool, shape (N,)
+            Whether ahead is along the s of the road where it begins.
+        goal : ndarray of int64, shape (N,)
+            Indices of the roads where they end.
+        goal_s : ndarray of float64, shape (N,)
+            Places on these, in m.
 
         Returns
         -------
-        float
+        ndarray of float64, shape (N,)
             m; negative where the way leads back, infinite where the roads do not connect.
         """
-        return self._graph.way(road, s, along, goal, goal_s)
+        return self._graph.roads.way(road, s, along, goal, goal_s)
 
     def gaps(self) -> list[tuple[str, str, float]]:
         """Find roads that are linked but do not meet.

@@ -119,7 +119,7 @@ class Road:
         for number in sorted(n for n in (abs(other) for other in lanes if other * sign > 0) if n <= abs(lane)):
             inner, last = outer, number
             one = lanes[sign * number]
-            if one.borders and not one.widths:
+            if one.borders:
                 outer = zero + evaluate_polynomials(one.borders, s - start)
             else:
                 outer = inner + sign * np.maximum(evaluate_polynomials(one.widths, s - start), 0.0)

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.road import Link, Road
 
 GAP: Final = 1.0
@@ -37,27 +38,20 @@ class RoadGraph:
         self._entries: dict[tuple[int, int, bool, int], list[tuple[float, float, bool]]] = {}
         self._touching: dict[tuple[int, float, int, float], bool] = {}
 
-    def way(self, road: int, s: float, along: bool, goal: int, goal_s: float) -> float:
-        """Way in m from a place on a road to another, by the shortest way ahead or back.
-
-        Parameters
-        ----------
-        road, goal : int
-            Indices of the roads.
-        s, goal_s : float
-            Places on them, in m.
-        along : bool
-            Whether ahead is along the s of the road where it begins.
-
-        Returns
-        -------
-        float
-            Negative for a way back; infinite where there is none.
-        """
-        if road == goal:
-            return (goal_s - s) if along else (s - goal_s)
-        ways = [self._way(road, s, direction, goal, goal_s) for direction in (along, not along)]
-        return ways[0] if ways[0] <= ways[1] else -ways[1]
+    def way(self, road: IntArray, s: FloatArray, along: BoolArray, goal: IntArray, goal_s: FloatArray) -> FloatArray:
+        """Ways in m from places on roads to others, as `RoadNetwork.way` measures them, shape (N,)."""
+        ahead = np.where(road == goal, np.where(along, goal_s - s, s - goal_s), np.inf)
+        back = np.full(len(s), np.inf)
+        section = np.zeros(len(s), dtype=np.int64)
+        for r in np.unique(road):
+            section[road == r] = self._roads[r].section_at(s[road == r])
+        elsewhere = np.flatnonzero(road != goal)
+        keys = np.stack([road, section, along, goal])[:, elsewhere]
+        for one in np.unique(keys, axis=1).T:
+            rows = elsewhere[(keys == one[:, None]).all(axis=0)]
+            for ways, direction in ((ahead, bool(one[2])), (back, not one[2])):
+                ways[rows] = self._way(int(one[0]), int(one[1]), direction, s[rows], int(one[3]), goal_s[rows])
+        return np.where(ahead <= back, ahead, -back)
 
     def length_to(self, road: int, section: int, along: bool, goal: int) -> float:
         """Length in m of the roads before a goal, from the begin of a lane section; infinite where none leads there."""
@@ -66,18 +60,13 @@ class RoadGraph:
         start, end = self._span(road, section)
         return end - start + min((way for way, _, _ in self._ways_to(road, section, along, goal)), default=float("inf"))
 
-    def _way(self, road: int, s: float, along: bool, goal: int, goal_s: float) -> float:
-        section = int(self._roads[road].section_at(np.array([s]))[0])
+    def _way(self, road: int, section: int, along: bool, s: FloatArray, goal: int, goal_s: FloatArray) -> FloatArray:
         start, end = self._span(road, section)
-        rest = end - s if along else s - start
-        return min(
-            (
-                rest + way + abs(goal_s - begin)
-                for way, begin, onward in self._ways_to(road, section, along, goal)
-                if (goal_s - begin) * (1 if onward else -1) >= 0.0
-            ),
-            default=float("inf"),
-        )
+        rest, best = end - s if along else s - start, np.full(len(s), np.inf)
+        for way, begin, onward in self._ways_to(road, section, along, goal):
+            beyond = (goal_s - begin) * (1 if onward else -1)
+            best = np.where(beyond >= 0.0, np.minimum(best, rest + way + beyond), best)
+        return best
 
     def _span(self, road: int, section: int) -> tuple[float, float]:
         one = self._roads[road]

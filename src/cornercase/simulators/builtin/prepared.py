@@ -59,7 +59,7 @@ class PreparedScenario:
         self.splitting: set[str] = set()
         self.own_error: str | None = None
         self.looked_at: set[int] = set()
-        self._networks: dict[Path, RoadNetwork] = {}
+        self.networks: dict[Path, RoadNetwork] = {}
 
     @classmethod
     def of(cls, scenario: Scenario) -> PreparedScenario:
@@ -115,6 +115,6 @@ class PreparedScenario:
             The file cannot be used.
         """
         path = self.scenario.beside(reference, "road file")
-        if path not in self._networks:
-            self._networks[path] = RoadNetwork.of_xml(self.scenario.xml(path), path)
-        return self._networks[path]
+        if path not in self.networks:
+            self.networks[path] = RoadNetwork.of_xml(self.scenario.xml(path), path)
+        return self.networks[path]

@@ -13,6 +13,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.gaps import (
+    along_roads,
     distance_ahead,
     distance_beside,
     lateral_gap,
@@ -20,7 +21,6 @@ from cornercase.simulators.builtin.world.gaps import (
     longitudinal_reach,
     offset_from,
     offset_of,
-    remaining,
 )
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of
@@ -52,12 +52,13 @@ class Gap:
             return np.asarray(sign * _distance(world, e, world.x[other], world.y[other]))
         if self.kind == "lateral":
             if self.along_road:
-                apart = offset_from(world, e, other) - world.offset[e]
+                linked = np.isfinite(along_roads(world, e, lane_of(world, other)))
+                apart = np.where(linked, offset_from(world, e, other) - world.offset[e], np.inf)
                 half = 0.5 * (world.entities[e].width + world.entities[other].width)
                 return np.asarray(np.sign(apart) * np.maximum(np.abs(apart) - half, 0.0) if self.free else apart)
             return lateral_gap(world, e, other) if self.free else distance_beside(world, e, other)
         if self.along_road:
-            way = remaining(world, e, lane_of(world, other))
+            way = along_roads(world, e, lane_of(world, other))
             if not self.free:
                 return way
             ahead, behind = longitudinal_reach(world, e, other)
@@ -82,9 +83,10 @@ class Gap:
         if self.kind == "lateral":
             across = dy * cos - dx * sin
             if self.along_road:
-                across = offset_of(world, e, pose.x, pose.y) - world.offset[e]
+                linked = np.isfinite(along_roads(world, e, pose))
+                across = np.where(linked, offset_of(world, e, pose.x, pose.y) - world.offset[e], np.inf)
             return np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
-        way = remaining(world, e, pose) if self.along_road else dx * cos + dy * sin
+        way = along_roads(world, e, pose) if self.along_road else dx * cos + dy * sin
         if self.free:
             way = np.where(way > 0, np.maximum(way - front, 0.0), np.minimum(way + rear, 0.0))
         return way

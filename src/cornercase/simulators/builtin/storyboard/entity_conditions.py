@@ -13,7 +13,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.distances import Gap, read_gap
 from cornercase.simulators.builtin.paths.positions import entities_in, entity_index, read_position
-from cornercase.simulators.builtin.world.gaps import longitudinal_reach, remaining
+from cornercase.simulators.builtin.world.gaps import along_roads, longitudinal_reach
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import (
     has_lane_between,
@@ -244,7 +244,7 @@ def _relative_clearance(element: etree._Element, scope: Scope, world: World) -> 
         for other in others or [k for k in range(len(world.entities)) if k != e]:
             pose = lane_of(world, other)
             assert pose.lane is not None
-            way = remaining(world, e, pose)
+            way = along_roads(world, e, pose)
             if free:
                 ahead, behind = longitudinal_reach(world, e, other)
                 way = np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))

@@ -10,6 +10,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
 
 # Beyond this distance from a track, in m, a target is not on it.
 _ASTRAY: Final = 20.0
@@ -35,10 +36,42 @@ def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArr
     ndarray of float64, shape (N,)
         m.
     """
-    result = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
-    known = {} if known is None else known
+    way = _on_track(world, entity, target, {} if known is None else known)
+    crow = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
+    return np.where(np.isfinite(way), way, crow)
+
+
+def along_roads(world: World, entity: int, target: Pose) -> FloatArray:
+    """Distance to a target along the entity's track, else along the roads, in m, shape (N,); negative behind it.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    target : Pose
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; infinite where no road leads from one to the other.
+    """
+    result = _on_track(world, entity, target, {})
+    rows = np.flatnonzero(~np.isfinite(result) & np.isfinite(world.x[entity] + target.x))
+    own = lane_of(world, entity) if rows.size else None
+    if world.network is not None and own is not None and own.road is not None and own.s is not None:
+        assert target.road is not None
+        assert target.s is not None
+        ahead = np.cos(own.heading - road_heading(world, own)) > -1e-6
+        result[rows] = world.network.way(own.road[rows], own.s[rows], ahead[rows], target.road[rows], target.s[rows])
+    return result
+
+
+def _on_track(world: World, entity: int, target: Pose, known: dict[int, FloatArray]) -> FloatArray:
+    """Distance along the entity's track to a target in m, shape (N,); infinite where its track does not lead there."""
+    result = np.full(world.scenarios, np.inf)
     for k, track in enumerate(world.tracks[entity]):
-        rows = np.flatnonzero(world.track[entity] == k)
+        rows = np.flatnonzero((world.track[entity] == k) & np.isfinite(target.x + target.y))
         if rows.size:
             places = known.setdefault(k, np.full(world.scenarios, np.nan))
             new = rows[np.isnan(places[rows])]
@@ -47,9 +80,8 @@ def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArr
                 x, y, _ = track.at(along, np.zeros(len(new)), new)
                 leads = np.hypot(x - target.x[new], y - target.y[new]) < _ASTRAY
                 places[new] = np.where(leads, along, np.inf)
-            way = places[rows] - world.distance[entity][rows]
-            result[rows] = np.where(np.isfinite(way), way, result[rows])
-    return np.asarray(result)
+            result[rows] = places[rows] - world.distance[entity][rows]
+    return result
 
 
 def offset_from(world: World, entity: int, other: int) -> FloatArray:

@@ -1,0 +1,10 @@
+"""What happens with each element and attribute of a road file."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cornercase._common.ledger import Ledger
+
+LEDGER: Final = Ledger.read("cornercase.roads", "opendrive.csv")
+"""Elements and attributes of OpenDRIVE 1.8, and those of earlier versions."""

@@ -1,0 +1,170 @@
+"""Each element and attribute of OpenDRIVE: used, named as without effect, or refused.
+
+``python tests/roads/test_road_ledger.py`` writes docs/opendrive.md from the ledger.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import pytest
+from lxml import etree
+
+from conftest import EXAMPLES, car, scenario_file, speed_action, teleport
+from cornercase._common.errors import InputError
+from cornercase._common.ledger import Status
+from cornercase.roads import RoadNetwork, name_without_effect
+from cornercase.roads.ledger import LEDGER
+from cornercase.scenario.xml import XmlFiles
+from cornercase.simulators import check
+from ledgers import gaps, page, strangers
+from road_networks import WIDTH, lane, linked, road, virtual, write
+
+PAGE = Path(__file__).parents[2] / "docs" / "opendrive.md"
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
+INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("1")}</Private>'
+HEAD = """
+# What cornercase reads of OpenDRIVE
+
+Road files of OpenDRIVE 1.4 to 1.8 are read. Each element and attribute of the standard is used, has no effect, or is
+refused. What a file holds that has no effect is named by `cornercase check`, and in a notice by `simulate` and
+`explore`; what is refused ends with its name, its line and exit code 2. What a file holds beyond the standard is named
+as not known. An element without effect, or refused, says so for all that it holds.
+
+Beyond single elements it is named where roads climb or bank by more than 2 %, since vehicles drive in the plane; where
+lanes are for buses, taxis, trams or full cars only, since everybody may drive on them; and where two roads are linked
+but lie apart, since no way leads from one to the other.
+"""
+SCHEMAS = {
+    "1.8.0": "OpenDRIVE_Core.xsd",
+    "1.7.0": "opendrive_17_core.xsd",
+    "1.6.1": "opendrive_16_core.xsd",
+    "1.5": "OpenDRIVE_1.5M.xsd",
+    "1.4": "OpenDRIVE_1.4H.xsd",
+}
+# Elements of OpenDRIVE 1.4 that later versions do not have.
+EARLIER = {"neighbor", "crossfall", "visibility"}
+
+
+def schema(version: str) -> Path:
+    import qc_opendrive
+
+    return Path(qc_opendrive.__file__).parent / "schema" / version / SCHEMAS[version]
+
+
+@pytest.mark.parametrize("version", SCHEMAS)
+def test_the_ledger_knows_all_of_the_standard(version):
+    assert gaps(LEDGER, schema(version), "OpenDRIVE") == []
+
+
+def test_the_ledger_knows_nothing_beyond_the_standard():
+    beyond = {entry.element for entry in strangers(LEDGER, schema("1.8.0"), "OpenDRIVE") if not entry.attribute}
+    assert beyond == EARLIER
+
+
+def test_the_page_says_what_the_ledger_says():
+    assert PAGE.read_text(encoding="utf-8") == page(LEDGER, HEAD), f"run python {Path(__file__).name}"
+
+
+def told(path: Path) -> dict[str, str]:
+    files = XmlFiles()
+    root = files.root(path)
+    notices = name_without_effect(root, path, RoadNetwork.of_xml(root, path))
+    return {", ".join(notice.what): notice.why for notice in notices}
+
+
+def test_nothing_is_said_of_what_is_used(tmp_path):
+    assert told(write(tmp_path, *virtual())) == {}
+    for name in ("x_intersection", "t_intersection"):
+        assert told(EXAMPLES / name / f"{name}.xodr") == {}
+
+
+@pytest.mark.parametrize(
+    ("inside", "what"),
+    [
+        ('<access sOffset="0" rule="deny" restriction="bus"/>', "<access>"),
+        ('<speed sOffset="0" max="50"/>', "<speed>"),
+        ('<border sOffset="0" a="-5" b="0" c="0" d="0"/>', "<border> in <lane>"),
+        ('<roadMark sOffset="0" type="solid" color="white"/>', "<roadMark>"),
+        ('<kerb sOffset="0"/>', "<kerb> in <lane>"),
+    ],
+)
+def test_what_of_a_lane_has_no_effect_is_named(tmp_path, inside, what):
+    assert list(told(write(tmp_path, road("1", 100.0, right=lane(-1, inside=WIDTH + inside))))) == [what]
+
+
+@pytest.mark.parametrize(
+    ("more", "what"),
+    [
+        ('direction="both"', "direction of <lane>"),
+        ('dynamicLaneDirection="true"', "dynamicLaneDirection of <lane>"),
+        ('level="true"', "level of <lane>"),
+        ('colour="blue"', "colour of <lane>"),
+        ('direction="reversed" level="false"', None),
+    ],
+)
+def test_what_an_attribute_of_a_lane_asks_for_in_vain_is_named(tmp_path, more, what):
+    assert list(told(write(tmp_path, road("1", 100.0, right=lane(-1, more=more))))) == [what] * (what is not None)
+
+
+@pytest.mark.parametrize("kind", ["bus", "taxi", "HOV"])
+def test_lanes_for_some_vehicles_are_named(tmp_path, kind):
+    reserved = lane(-1).replace("driving", kind)
+    (why,) = told(write(tmp_path, road("1", 100.0, right=reserved))).values()
+    assert why == "vehicles of all kinds may drive on every lane"
+
+
+def test_roads_that_cross_are_named(tmp_path):
+    crossing = ('<junction id="7" name="level crossing" type="crossing"><roadSection id="0" roadId="1" sStart="10"'
+                ' sEnd="20"/></junction>')  # fmt: skip
+    found = told(write(tmp_path, road("1", 100.0), crossing))
+    assert found == {"type of <junction>, <roadSection>": "roads that cross are not linked there"}
+
+
+def test_links_between_roads_that_lie_apart_are_named(tmp_path):
+    apart = [road("1", 100.0, links=linked("successor", "2", "start")), road("2", 100.0, at=(140.0, 0.0, 0.0))]
+    found = told(write(tmp_path, *apart))
+    assert list(found) == ["link between the roads 1 and 2"]
+    assert "lie 40 m apart" in found["link between the roads 1 and 2"]
+
+
+def test_a_file_that_includes_others_is_refused(tmp_path):
+    path = write(tmp_path, road("1", 100.0), '<include file="more.xml"/>')
+    with pytest.raises(InputError, match=r"line 1: <include> cannot be used; write what it includes into the file"):
+        RoadNetwork.read(path)
+
+
+def test_check_names_what_of_a_road_has_no_effect(tmp_path):
+    scenario = scenario_file(tmp_path, init=INIT, entities=car("Ego"))
+    write(tmp_path, road("1", 100.0), '<controller id="1"><control signalId="7"/></controller>')
+    found = check(scenario)
+    assert found.good
+    assert [str(one) for one in found.notices if one.file.name == "road.xodr"] == [
+        "<controller> (road.xodr, line 1): vehicles heed no signs and lights of the road file"
+    ]
+
+
+@pytest.mark.skipif(not REFERENCE.is_dir(), reason="needs the reference scenarios")
+def test_of_the_roads_of_others_all_is_used_or_named_and_nothing_unknown():
+    for path in sorted(REFERENCE.glob("**/*.xodr")):
+        found = told(path)
+        assert len(found) <= 8, path.name
+        assert not [why for why in found.values() if "not known" in why or "nothing reads it" in why], path.name
+        top = {str(one.tag) for one in etree.parse(str(path)).getroot().iterfind("road/*")}
+        named = " ".join(found)
+        assert [
+            tag for tag in ("type", "objects", "signals", "surface") if tag in top and f"<{tag}>" not in named
+        ] == []
+
+
+def test_each_line_of_the_ledger_says_why():
+    for entry in LEDGER.entries:
+        assert entry.status is Status.USED or entry.note, entry
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(LEDGER, HEAD), encoding="utf-8")
