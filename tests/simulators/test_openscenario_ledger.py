@@ -127,9 +127,9 @@ WITHOUT_EFFECT = {
     ),
     "closed of <Route>": ('<Route name="r" closed="false"', '<Route name="r" closed="true"'),
     "routeStrategy of <Waypoint>": ('routeStrategy="shortest"', 'routeStrategy="fastest"'),
-    "<TrafficSignals>": (
-        "</RoadNetwork>",
-        '<TrafficSignals><TrafficSignalController name="a"/></TrafficSignals></RoadNetwork>',
+    "<TrafficSignalGroupState>": (
+        '<Phase name="go" duration="5"/>',
+        '<Phase name="go" duration="5"><TrafficSignalGroupState state="a"/></Phase>',
     ),
     "y of <Center>": ('<Center x="1.4" y="0"', '<Center x="1.4" y="0.2"'),
     "z of <WorldPosition>": ('<WorldPosition x="50" y="-2" h="0"', '<WorldPosition x="50" y="-2" h="0" z="1"'),

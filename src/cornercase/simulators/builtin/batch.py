@@ -22,6 +22,7 @@ from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableErr
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
 from cornercase.simulators.builtin.world.contacts import find_contacts
 from cornercase.simulators.builtin.world.motion import move_entities
+from cornercase.simulators.builtin.world.signals import read_signal_controllers
 from cornercase.simulators.builtin.world.state import World
 
 _MOST_ENTITIES: Final = 500
@@ -96,6 +97,7 @@ class Batch:
             )
         entities, tows = read_entities(objects, scope)
         self._world = World(entities, scope.scenarios, network, tows)
+        self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
         self._world.selections = _selections(scenario.root, self._world, scope)
         self._world.parameters = {name: _held(value, scope.scenarios) for name, value in scope.values.items()}
         self._world.variables = scope.declared(
@@ -130,6 +132,8 @@ class Batch:
         dt = 0.0
         while world.running.any() and steps * self._time_step < self._duration + 1e-9:
             before = world.speed.copy()
+            for controller in world.signal_controllers.values():
+                controller.switch(world.signals, world.time)
             self._storyboard.step(dt)
             for driving in world.drivers:
                 driving.step(dt)

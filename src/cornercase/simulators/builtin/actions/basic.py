@@ -24,11 +24,12 @@ from cornercase.simulators.builtin.actions.speed_profile import SpeedProfileActi
 from cornercase.simulators.builtin.actions.synchronise import SynchronizeAction
 from cornercase.simulators.builtin.paths.positions import entity_index, read_position, read_route
 from cornercase.simulators.builtin.world.lanes import assign_route, place_entity
+from cornercase.simulators.builtin.world.signals import named_controller, named_phase
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
 # Actions that change nothing that a criticality metric measures.
 WITHOUT_EFFECT: Final = (
-    "EnvironmentAction", "AppearanceAction", "TrafficSignalControllerAction", "UserDefinedAction",
+    "EnvironmentAction", "AppearanceAction", "UserDefinedAction",
     "OverrideControllerValueAction", "SetMonitorAction",
 )  # fmt: skip
 
@@ -183,6 +184,20 @@ class ValueAction(Action):
         self._values[self._name] = np.where(where, new, values)
 
 
+class SignalControllerAction(Action):
+    """Begins a phase of a controller of traffic signals, which goes on from there."""
+
+    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
+        where = f"{scope.source}, line {element.sourceline}"
+        name = scope.text(element, "trafficSignalControllerRef")
+        self._controller = named_controller(world.signal_controllers, name, where)
+        self._phase = named_phase(self._controller, scope.text(element, "phase"), where)
+
+    def start(self, world: World, where: BoolArray) -> None:
+        self._controller.go_to(self._phase, world.time, where)
+        self._controller.switch(world.signals, world.time)
+
+
 class SignalAction(Action):
     """Switches a traffic signal, which conditions can ask for."""
 
@@ -217,4 +232,5 @@ _GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | N
     "VariableAction": ValueAction,
     "ParameterAction": ValueAction,
     "TrafficSignalStateAction": SignalAction,
+    "TrafficSignalControllerAction": SignalControllerAction,
 }

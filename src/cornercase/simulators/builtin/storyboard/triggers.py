@@ -14,14 +14,13 @@ from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.storyboard.element import Watch
 from cornercase.simulators.builtin.storyboard.entity_conditions import BY_ENTITY, TOLERANCE, EntityTest, rule_of
+from cornercase.simulators.builtin.world.signals import named_controller, named_phase
 from cornercase.simulators.builtin.world.state import World
 
 Test = Callable[[World, BoolArray], BoolArray]
 
-# Conditions that only a user's program, a controller of traffic lights or the time of day could make true.
-NEVER_TRUE: Final = (
-    "UserDefinedValueCondition", "TrafficSignalControllerCondition", "TimeOfDayCondition",
-)  # fmt: skip
+# Conditions that only a user's program or the time of day could make true.
+NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
 
 
 class Elements(Protocol):
@@ -323,11 +322,19 @@ def _signal(element: etree._Element, scope: Scope, world: World, elements: Eleme
     )
 
 
+def _signal_controller(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
+    place = f"{scope.source}, line {element.sourceline}"
+    controller = named_controller(world.signal_controllers, scope.text(element, "trafficSignalControllerRef"), place)
+    phase = named_phase(controller, scope.text(element, "phase"), place)
+    return lambda world, where: np.asarray(controller.phase(world.time) == phase)
+
+
 _BY_VALUE: Final[dict[str, Callable[[etree._Element, Scope, World, Elements], Test]]] = {
     "SimulationTimeCondition": _simulation_time,
     "StoryboardElementStateCondition": _element_state,
     "ParameterCondition": _held,
     "VariableCondition": _held,
     "TrafficSignalCondition": _signal,
+    "TrafficSignalControllerCondition": _signal_controller,
     **dict.fromkeys(NEVER_TRUE, _never),
 }

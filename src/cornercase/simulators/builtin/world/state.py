@@ -15,6 +15,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.roads import RoadNetwork
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Track
+from cornercase.simulators.builtin.world.signals import SignalController
 
 LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
@@ -128,6 +129,8 @@ class World:
         The file's variables, and its parameters as conditions see them, as numbers or as texts.
     signals : dict of str to ndarray, each (N,)
         States of the traffic signals that were switched, as texts.
+    signal_controllers : dict of str to SignalController
+        By name.
     selections : dict of str to list of int
         Rows of the entities of each selection.
     actor : int or None
@@ -190,6 +193,7 @@ class World:
         self.distance, self.offset = np.zeros(shape), np.zeros(shape)
         self.target_speed = np.full(shape, np.inf)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
+        self.signal_controllers: dict[str, SignalController] = {}
         self.drivers: list[Decision] = []
         self.driver = np.full(shape, -1)
         self.activated, self.driven = (np.zeros(shape, dtype=np.bool_) for _ in range(2))

@@ -1,0 +1,120 @@
+"""Controllers of traffic signals, which go through their phases over and over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from lxml import etree
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.scenario import Scope
+
+# A phase begins this little early, in s, since times are multiples of the time step but for rounding.
+_TINY: Final = 1e-6
+
+
+class SignalController:
+    """Switches traffic signals at the beginning of each of its phases, from the start of the simulation on.
+
+    Between these instants a signal has the state that anybody else gives it.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the phases, P of them.
+    states : sequence of dict of str to str
+        State of each signal in each phase.
+    durations : ndarray of float64, shape (P, N)
+        s.
+    delay : ndarray of float64, shape (N,)
+        s by which its phases are later.
+    """
+
+    def __init__(
+        self, names: Sequence[str], states: Sequence[dict[str, str]], durations: FloatArray, delay: FloatArray
+    ) -> None:
+        self.names = tuple(names)
+        self._states = tuple(states)
+        self._ends = np.cumsum(durations, axis=0)
+        self.delay = delay
+        self._begin = delay.copy()
+        self._phase = np.full(len(delay), -1)
+
+    def phase(self, time: float) -> IntArray:
+        """Which phase it is in at a time in s, shape (N,)."""
+        since = np.mod(time - self._begin + _TINY, self._ends[-1])
+        return np.asarray(np.minimum((self._ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
+
+    def go_to(self, phase: int, time: float, where: BoolArray) -> None:
+        """Begin a phase now, and go on from there, in the scenarios of a mask."""
+        begins = self._ends[phase - 1] if phase else np.zeros(self._ends.shape[1])
+        self._begin[where] = (time - begins)[where]
+        self._phase[where] = -1
+
+    def switch(self, signals: dict[str, npt.NDArray[np.str_]], time: float) -> None:
+        """Give the signals their states where a phase has begun."""
+        now = self.phase(time)
+        for k in np.unique(now[now != self._phase]):
+            begun = (now == k) & (now != self._phase)
+            for signal, state in self._states[k].items():
+                signals[signal] = np.where(begun, state, signals.get(signal, np.full(len(now), "")))
+        self._phase = now
+
+
+def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, SignalController]:
+    """Read the controllers of traffic signals of a scenario file.
+
+    Parameters
+    ----------
+    root : lxml element
+        ``OpenSCENARIO``.
+    scope : Scope
+        Values of the parameters there.
+
+    Returns
+    -------
+    dict of str to SignalController
+        By name.
+
+    Raises
+    ------
+    InputError
+        One has no phases, or a duration is negative, or all are 0, or it refers to none before it.
+    """
+    found: dict[str, SignalController] = {}
+    for element in root.iterfind("RoadNetwork/TrafficSignals/TrafficSignalController"):
+        name, where = scope.text(element, "name"), f"{scope.source}, line {element.sourceline}"
+        phases = list(element.iterfind("Phase"))
+        durations = np.array([scope.number(phase, "duration") for phase in phases])
+        if not phases or (durations < 0).any() or not (durations.sum(axis=0) > 0).all():
+            raise InputError(f"{where}: the signal controller '{name}' needs phases that take some time.")
+        delay, other = scope.number(element, "delay", 0.0), scope.text(element, "reference", "")
+        if other:
+            delay = delay + named_controller(found, other, where).delay
+        states = [
+            {
+                scope.text(one, "trafficSignalId"): scope.text(one, "state")
+                for one in phase.iterfind("TrafficSignalState")
+            }
+            for phase in phases
+        ]
+        found[name] = SignalController([scope.text(phase, "name") for phase in phases], states, durations, delay)
+    return found
+
+
+def named_controller(controllers: dict[str, SignalController], name: str, where: str) -> SignalController:
+    """Controller of a name; raises an `InputError` that begins with `where` if there is none."""
+    if name not in controllers:
+        raise InputError(f"{where}: there is no signal controller '{name}'; {suggestion(name, controllers)}")
+    return controllers[name]
+
+
+def named_phase(controller: SignalController, name: str, where: str) -> int:
+    """Number of the phase of a name; raises an `InputError` that begins with `where` if there is none."""
+    if name not in controller.names:
+        raise InputError(f"{where}: the signal controller has no phase '{name}'; {suggestion(name, controller.names)}")
+    return controller.names.index(name)
