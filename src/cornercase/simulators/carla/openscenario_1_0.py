@@ -38,6 +38,7 @@ _LATER: Final = {
 }
 _NAMED: Final = str.maketrans("", "", "${}")
 _RULES: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
+_MOST_ENTITIES: Final = 500
 
 
 @dataclass(frozen=True)
@@ -202,6 +203,11 @@ def _tree_1_0(
     scenario: Scenario, values: Mapping[str, Value], ego: str, run: Run, town: str
 ) -> tuple[etree._Element, list[str], set[Path]]:
     """Tree of a concrete scenario in the words of 1.0, what is not quite the same, and controllers that it needs."""
+    # Each is held against all others.
+    if len(scenario.entities) > _MOST_ENTITIES:
+        raise InputError(
+            f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MOST_ENTITIES} can be said."
+        )
     root = etree.fromstring(etree.tostring(scenario.root))
     scope = Scope.of_file(str(scenario.path), scenario.root, [dict(values)], scenario.catalog_entry)
     if scope.violations(scenario.root):
