@@ -124,3 +124,40 @@ def test_what_drives_on_a_road_that_connects_is_near_along_it(tmp_path):
     )  # fmt: skip
     # 240 m lie between them.
     assert recording.x[0][-1] == pytest.approx(50.0, abs=2.5)
+
+
+TWO_SECTIONS = "".join(
+    f'<laneSection s="{s}"><center><lane id="0" type="none"/></center><right>{"".join(map(lane, lanes))}</right>'
+    "</laneSection>" for s, lanes in ((0, [-1]), (50, [-1, -2]))
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"Lane": -2, "S": 60.0}, None),
+        ({"Lane": -2}, "road '1' has no lane -2 at s = 10 m"),
+        ({"Lane": -5}, "road '1' has no lane -5 at s = 10 m"),
+        ({"Road": "7"}, "has no road '7'"),
+    ],
+)
+def test_a_place_on_a_lane_or_road_that_does_not_exist_is_the_error_of_its_scenario(tmp_path, values, words):
+    place = '<LanePosition roadId="$Road" laneId="$Lane" s="$S"/>'
+    declared = (("Road", "string", "1"), ("Lane", "integer", "-1"), ("S", "double", "10"))
+    path = scenario_file(
+        tmp_path,
+        init=f'<Private entityRef="Ego"><PrivateAction><TeleportAction><Position>{place}</Position></TeleportAction>'
+        "</PrivateAction></Private>",
+        parameters="".join(
+            f'<ParameterDeclaration name="{name}" parameterType="{kind}" value="{value}"/>'
+            for name, kind, value in declared
+        ),
+    )
+    write(tmp_path, road("1", 100.0, sections=TWO_SECTIONS))
+    concretes = [ConcreteScenario(path, values), ConcreteScenario(path, {})]
+    result, other = BuiltinSimulator(duration=0.2).run(concretes)
+    assert isinstance(other, Recording)
+    if words is None:
+        assert isinstance(result, Recording)
+    else:
+        assert words in str(result)

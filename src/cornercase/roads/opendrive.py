@@ -141,19 +141,23 @@ class RoadNetwork:
     def _index(self) -> dict[str, int]:
         return {road.name: i for i, road in enumerate(self.roads)}
 
-    def has_lane(self, road: int, lane: int) -> bool:
-        """Tell whether a road has a lane of that number anywhere.
+    def has_lane_at(self, road: int, lane: int, s: FloatArray) -> BoolArray:
+        """Tell whether a road has a lane of that number at places along it; each has a lane 0, its centre.
 
         Parameters
         ----------
         road, lane : int
             Index of the road, and lane.
+        s : ndarray of float64, shape (N,)
+            m.
 
         Returns
         -------
-        bool
+        ndarray of bool, shape (N,)
         """
-        return lane != 0 and any(lane in lanes for _, lanes in self.roads[road].sections)
+        one = self.roads[road]
+        held = np.array([lane == 0 or lane in lanes for _, lanes in one.sections])
+        return np.asarray(held[one.section_at(s)])
 
     def runs_along(self, road: int, lane: int, s: float) -> bool:
         """Tell whether traffic on a lane runs along the road's s.

@@ -120,6 +120,13 @@ def _lane_position(element: etree._Element, scope: Scope, world: World) -> Posit
     s, offset = scope.number(element, "s", 0.0), scope.number(element, "offset", 0.0)
     turn, relative = _orientation(element, scope)
     n = scope.scenarios
+    name, length = network.roads[road].name, network.roads[road].length
+    missing = ~network.has_lane_at(road, lane, s) & (s >= -_EDGE) & (s <= length + _EDGE)
+    for where in np.unique(s[missing]):
+        world.fail(
+            missing & (s == where),
+            f"{scope.source}, line {element.sourceline}: road '{name}' has no lane {lane} at s = {where:g} m",
+        )
 
     def resolve(world: World) -> Pose:
         return _on_lane(world, np.full(n, road), np.full(n, lane), s, offset, turn, relative)
@@ -412,7 +419,8 @@ def _on_lane(
     for one_road, one_lane in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
         rows = (road == one_road) & (lane == one_lane)
         inside = rows & (s >= -_EDGE) & (s <= world.network.lengths[one_road] + _EDGE)
-        if (one_lane == 0 or world.network.has_lane(one_road, one_lane)) and inside.any():
+        inside &= world.network.has_lane_at(one_road, one_lane, s)
+        if inside.any():
             at = np.clip(s[inside], 0.0, world.network.lengths[one_road])
             x[inside], y[inside], heading[inside] = world.network.world(one_road, one_lane, at, offset[inside])
     heading = heading + turn if relative else np.where(np.isnan(heading), np.nan, turn)
