@@ -29,6 +29,9 @@ VERSION = "0.9.16"
 BOXES = {
     "vehicle.tesla.model3": (2.4, 1.0),
     "vehicle.carlamotors.carlacola": (2.6, 1.3),
+    "vehicle.volkswagen.t2": (2.2, 1.0),
+    "vehicle.kawasaki.ninja": (1.0, 0.4),
+    "vehicle.diamondback.century": (0.8, 0.3),
     "walker.pedestrian.0001": (0.2, 0.2),
 }
 
@@ -226,6 +229,11 @@ class Server:
         kinds = [
             ("vehicle.tesla.model3", car),
             ("vehicle.carlamotors.carlacola", [*car[:-1], fixed("base_type", "truck")]),
+            ("vehicle.volkswagen.t2", [*car[:-1], fixed("base_type", "van")]),
+            ("vehicle.kawasaki.ninja", [*car[:-1], fixed("base_type", "motorcycle")]),
+            ("vehicle.diamondback.century", [*car[:-1], fixed("base_type", "bicycle")]),
+            ("static.prop.streetbarrier", [role]),
+            ("static.prop.chainbarrier", [role]),
             ("walker.pedestrian.0001", [role]),
             ("sensor.other.collision", [role]),
             (

@@ -6,13 +6,8 @@ With CARLA_HOST set to a host or host:port, the tests of runs use the CARLA that
 from __future__ import annotations
 
 import importlib.util
-import itertools
-import os
-import socket
-import subprocess
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -21,6 +16,7 @@ import psutil
 import pytest
 from lxml import etree
 
+from carla_served import REAL, Served, free_port
 from command_line import cornercase
 from conftest import AXLES, ran
 from cornercase._common.errors import InputError, SimulationError
@@ -39,47 +35,9 @@ EXAMPLES = HERE.parent / "examples"
 T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
 ROAD = T.with_suffix(".xodr")
 RUNNER = HERE / "fake_scenario_runner"
-REAL = os.environ.get("CARLA_HOST", "")
 STUB_ONLY = pytest.mark.skipif(bool(REAL), reason="what goes wrong is made by the stand-in")
-COUNT = itertools.count(os.getpid() % 250)
 # A real car is not at its speed at once.
 NEAR = 3.0 if REAL else 0.3
-
-
-class Served:
-    """A stand-in that runs in a process of its own, since its client may abort."""
-
-    def __init__(self, *wrong):
-        self.host, self.port = "localhost", free_port()
-        if REAL:
-            self.host, _, port = REAL.partition(":")
-            self.port = int(port or 2000)
-            return
-        command = [sys.executable, HERE / "carla_server.py", str(self.port), ROAD, *wrong]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == b"ready\n"
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        if not REAL:
-            self._process.kill()
-            # Closes the pipes too.
-            self._process.communicate()
-
-
-def free_port():
-    """A port with the next one free, too, which no other process of the tests takes."""
-    part = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
-    for _ in range(250):
-        port = 21000 + 500 * part + 2 * (next(COUNT) % 250)
-        with suppress(OSError):
-            for one in (port, port + 1):
-                socket.create_server(("127.0.0.1", one)).close()
-            return port
-    raise OSError("no port is free")
 
 
 def options(server, **more):
@@ -129,7 +87,7 @@ def run(server, scenario, values=None, **more):
 
 
 def test_motion_is_in_the_axes_of_the_scenario_and_collisions_go_on(scenario):
-    with Served() as server:
+    with Served(ROAD) as server:
         found = run(server, scenario)
     assert found.names == ("Ego", "C", "Walker")
     assert found.kinds == ("car", "car", "pedestrian")
@@ -153,7 +111,7 @@ def test_motion_is_in_the_axes_of_the_scenario_and_collisions_go_on(scenario):
 
 
 def test_a_collision_or_the_duration_may_end_the_run(scenario):
-    with Served() as server:
+    with Served(ROAD) as server:
         stopped = run(server, scenario, on_collision="stop")
         assert [one.entities for one in stopped.collisions] == [("Ego", "C")]
         assert stopped.time[-1] == stopped.collisions[0].time < 5.0
@@ -163,7 +121,7 @@ def test_a_collision_or_the_duration_may_end_the_run(scenario):
 
 
 def test_the_recorders_file_tells_the_same(scenario, tmp_path):
-    with Served() as server:
+    with Served(ROAD) as server:
         one = run(server, scenario)
         other = run(server, scenario, record="recorder", folder=str(tmp_path / "kept"))
     assert other.names == one.names
@@ -177,18 +135,18 @@ def test_the_recorders_file_tells_the_same(scenario, tmp_path):
     assert {"cornercase.xosc", "cornercase.log", "scenario_runner.log"} <= {file.name for file in kept.iterdir()}
     # What a scenario names lies on no path of Python's modules.
     assert [file.name for file in (kept / "road").iterdir()] == ["road.xodr"]
-    assert [file.name for file in (kept / "drivers").iterdir() if file.suffix] == []
+    assert [file.name for file in (kept / "drivers").iterdir() if file.suffix] == ["cornercase_trajectory.py"]
     assert not [file for file in kept.iterdir() if file.suffix in (".py", ".xodr")]
 
 
 def test_the_recorders_file_is_cut_as_well(scenario, tmp_path):
-    with Served() as server:
+    with Served(ROAD) as server:
         found = run(server, scenario, record="recorder", on_collision="stop")
     assert found.time[-1] == found.collisions[0].time
 
 
 def test_one_server_runs_many_and_is_left_as_it_was(scenario):
-    with Served() as server:
+    with Served(ROAD) as server:
         simulator = CarlaSimulator(**options(server))
         found = ran(simulator, [ConcreteScenario(scenario, {"gap": gap, "end": 1.0}) for gap in (20.0, 30.0)])
         assert [round(one.x[1][-1]) for one in found] == [-60, -50]
@@ -200,7 +158,7 @@ def test_one_server_runs_many_and_is_left_as_it_was(scenario):
 def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(scenario):
     town = scenario.with_name("town.xosc")
     town.write_text(scenario.read_text().replace("road.xodr", "Town02"))
-    with Served() as server:
+    with Served(ROAD) as server:
         for path, name in ((town, "Town02"), (scenario, "OpenDriveMap"), (town, "Town02")):
             assert run(server, path, {"end": 0.5}).names == ("Ego", "C", "Walker")
             # A new one, as clients keep the map that they know.
@@ -224,7 +182,7 @@ def test_what_goes_wrong_is_one_error_and_only_the_simulators_is_tried_again(
 ):
     monkeypatch.setenv("FAKE_RUNNER", runner)
     # In a process of its own, as always: CARLA's client may abort when its server dies.
-    with Served(*filter(None, [wrong])) as server:
+    with Served(ROAD, *filter(None, [wrong])) as server:
         simulator = WorkerSimulator("carla", options(server), retries=0)
         try:
             (found,) = simulator.run([ConcreteScenario(scenario, {})])
@@ -243,13 +201,13 @@ def test_nobody_who_listens_and_another_version_are_said(scenario):
         InputError, match=rf"No CARLA answers on localhost:{nobody.port} .*-carla-rpc-port={nobody.port}"
     ):
         run(nobody, scenario, patience=0.5)
-    with Served("version=0.9.15") as server, pytest.raises(InputError, match=r"version 0.9.15.*carla==0.9.15"):
+    with Served(ROAD, "version=0.9.15") as server, pytest.raises(InputError, match=r"version 0.9.15.*carla==0.9.15"):
         run(server, scenario)
 
 
 @STUB_ONLY
 def test_a_client_that_aborts_costs_the_scenario_alone(scenario):
-    with Served("cut-at=30") as server:
+    with Served(ROAD, "cut-at=30") as server:
         simulator = WorkerSimulator("carla", options(server), retries=0)
         values = [{"end": 3.0}, {"end": 0.5}]
         try:
@@ -264,7 +222,7 @@ def test_a_client_that_aborts_costs_the_scenario_alone(scenario):
 @STUB_ONLY
 def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monkeypatch):
     monkeypatch.setenv("FAKE_RUNNER", "hang")
-    with Served() as server:
+    with Served(ROAD) as server:
         simulator = WorkerSimulator("carla", options(server, patience=60.0), timeout=4.0, retries=0)
         try:
             (found,) = simulator.run([ConcreteScenario(scenario, {})])
@@ -280,7 +238,7 @@ def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monke
 
 
 def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
-    with Served() as server:
+    with Served(ROAD) as server:
         given = ",".join(f"{name}={value}" for name, value in options(server).items())
         command = (
             "explore", scenario, "--range", "gap=15:35", "--ego", "Ego", "--other", "C", "--metric", "ttc",
@@ -295,7 +253,7 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
         assert spread is not None
         assert spread.shape == (3, 2)
         # On another server the same command goes on.
-        with Served() as other:
+        with Served(ROAD) as other:
             given = ",".join(f"{name}={value}" for name, value in options(other).items())
             again = [f"carla:{given}" if str(one).startswith("carla:") else one for one in command]
             again[again.index("--budget") + 1] = 4

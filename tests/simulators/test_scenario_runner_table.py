@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import sys
 from importlib import resources
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
 
 from conftest import AXLES
-from cornercase.scenario import read_xml
-from cornercase.simulators import convert, simulate
+from cornercase.scenario import Scenario, read_xml
+from cornercase.simulators import CarlaSimulator, convert, simulate
+from cornercase.simulators.carla.dialect import TRAJECTORY
 from cornercase.simulators.carla.table import Status, row_of, table
 from schemas import Schema
 
@@ -251,6 +255,146 @@ def test_acts_end_with_the_storyboard_and_names_are_unique(write, tmp_path):
         assert value == root.findall("Storyboard/StopTrigger//SimulationTimeCondition")[0].get("value")
     names = [one.get("name") for one in root.iterfind("Storyboard/Story//*[@name]")]
     assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ('s="30"/>', 's="30"><Orientation type="relative" h="3.14159"/></LanePosition>', "direction of the lane"),
+        ('s="30"/>', 's="30" offset="0.6"/>', "middle of the lane"),
+    ],
+)
+def test_who_does_not_follow_a_lane_moves_along_a_trajectory(write, tmp_path, old, new, why):
+    path = write()
+    path.write_text(path.read_text().replace(old, new))
+    notes = convert(path, tmp_path / "one.xosc", ego="Ego").notes
+    assert any(note.startswith("Other moves along a trajectory") and why in note for note in notes)
+
+
+def test_entities_begin_at_the_height_of_their_road(write, tmp_path):
+    path = write()
+    road = path.with_name("road.xodr")
+    text = road.read_text()
+    text = re.sub(r"<elevationProfile\s*/>|<elevationProfile>.*?</elevationProfile>", "", text, flags=re.DOTALL)
+    climb = '<elevationProfile><elevation s="0" a="5" b="0.1" c="0" d="0"/></elevationProfile>'
+    road.write_text(re.sub(r"(</planView>)", rf"\1{climb}", text))
+    root = read_xml(convert(path, tmp_path / "one.xosc", ego="Ego").path)
+    heights = [float(one.get("z", "0")) for one in root.iterfind("Storyboard/Init//WorldPosition")]
+    assert heights == pytest.approx([5.5, 8.0], abs=0.01)
+
+
+def test_the_simulator_names_what_is_done_otherwise(write):
+    names = {
+        what: notice.why
+        for notice in CarlaSimulator.notices(Scenario.read(write(action=OFFSET)))
+        for what in notice.what
+    }
+    assert "moves along a trajectory" in names["<LaneOffsetAction>"]
+    assert "models" in names["<Axles>"]
+
+
+def test_code_of_ours_runs_where_scenario_runner_does(monkeypatch):
+    """The controller of trajectories, with all that it would find there replaced."""
+    clock = SimpleNamespace(now=0.0)
+    made = control_of(monkeypatch, clock)
+    actor = Body()
+    control = made(actor, {"center_x": "1.4"})
+    control.run_step()
+    control.update_waypoints([place(10.0, 0.0, 0.0), place(20.0, 0.0, 0.0), place(20.0, 10.0, 90.0)], [0.0, 1.0, 2.0])
+    for _ in range(39):
+        clock.now += 0.05
+        control.run_step()
+        actor.move(0.05)
+        if clock.now == pytest.approx(0.5):
+            # A step ahead, and ahead of the reference point by where the box is.
+            assert (actor.x, actor.y) == pytest.approx((10.0 + 5.5 + 1.4, 0.0))
+    assert not control.check_reached_waypoint_goal()
+    for _ in range(2):
+        clock.now += 0.05
+        control.run_step()
+        actor.move(0.05)
+    assert control.check_reached_waypoint_goal()
+    assert (actor.x, actor.y, actor.yaw) == pytest.approx((20.0, 11.4, 90.0), abs=1e-6)
+    # Who is far away is put there.
+    assert actor.put == 1
+
+
+class Body:
+    """A vehicle that moves by the velocities that it is given."""
+
+    is_alive = True
+
+    def __init__(self):
+        self.x = self.y = self.yaw = 0.0
+        self.put = 0
+        self.velocity, self.turning = (0.0, 0.0), 0.0
+        self.bounding_box = SimpleNamespace(location=SimpleNamespace(x=0.0))
+
+    def get_transform(self):
+        return place(self.x, self.y, self.yaw)
+
+    def set_transform(self, there):
+        self.put += 1
+        self.x, self.y, self.yaw = there.location.x, there.location.y, there.rotation.yaw
+        self.velocity, self.turning = (0.0, 0.0), 0.0
+
+    def get_velocity(self):
+        return SimpleNamespace(z=0.0)
+
+    def set_target_velocity(self, velocity):
+        self.velocity = (velocity.x, velocity.y)
+
+    def set_target_angular_velocity(self, velocity):
+        self.turning = velocity.z
+
+    def move(self, step):
+        self.x, self.y = self.x + step * self.velocity[0], self.y + step * self.velocity[1]
+        self.yaw += step * self.turning
+
+
+class Vector(SimpleNamespace):
+    def __init__(self, x=0.0, y=0.0, z=0.0):
+        super().__init__(x=x, y=y, z=z)
+
+    def distance(self, other):
+        return float(np.hypot(self.x - other.x, self.y - other.y))
+
+
+def place(x, y, yaw):
+    return SimpleNamespace(location=Vector(x, y), rotation=SimpleNamespace(pitch=0.0, yaw=yaw, roll=0.0))
+
+
+def control_of(monkeypatch, clock):
+    def module(name, **content):
+        made = ModuleType(name)
+        vars(made).update(content)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    class Basic:
+        def __init__(self, actor):
+            self._actor, self._waypoints, self._times, self._reached_goal = actor, [], [], False
+
+        def update_waypoints(self, waypoints, times=None, start_time=None):
+            self._waypoints, self._times = waypoints, times
+
+        def check_reached_waypoint_goal(self):
+            return self._reached_goal
+
+    for package in ("srunner", "srunner.scenariomanager", "srunner.scenariomanager.actorcontrols"):
+        module(package)
+    module(
+        "carla", Vehicle=Body, Walker=int, Vector3D=Vector, Location=Vector,
+        Transform=lambda location, rotation: SimpleNamespace(location=location, rotation=rotation),
+        Rotation=lambda pitch, yaw, roll: SimpleNamespace(pitch=pitch, yaw=yaw, roll=roll),
+    )  # fmt: skip
+    module("srunner.scenariomanager.actorcontrols.basic_control", BasicControl=Basic)
+    module("srunner.scenariomanager.timer", GameTime=SimpleNamespace(get_time=lambda: clock.now))
+    spec = importlib.util.spec_from_file_location("cornercase_trajectory", TRAJECTORY)
+    assert spec is not None
+    assert spec.loader is not None
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded.CornercaseTrajectory
 
 
 def scenarios(folder):

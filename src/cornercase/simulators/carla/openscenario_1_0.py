@@ -17,7 +17,8 @@ from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_be
 from cornercase.simulators.builtin.checking import schema_errors
 from cornercase.simulators.carla.dialect import Agents, assign_controllers
 from cornercase.simulators.carla.foreign_code import refuse_code
-from cornercase.simulators.carla.plan import Plan, kept_ends, plan
+from cornercase.simulators.carla.lanes import heights, strays
+from cornercase.simulators.carla.plan import Plan, kept_ends, plan, refuse
 from cornercase.simulators.carla.storyboard import end_acts, end_at, leave_out, name_apart, set_beginning, take_over
 from cornercase.simulators.carla.trajectories import add_trajectories, sample
 
@@ -199,10 +200,23 @@ def carla_map(road: Path | None) -> str:
     return road.name
 
 
-def _tree_1_0(
-    scenario: Scenario, values: Mapping[str, Value], ego: str, run: Run, town: str
-) -> tuple[etree._Element, list[str], set[Path]]:
-    """Tree of a concrete scenario in the words of 1.0, what is not quite the same, and controllers that it needs."""
+def concrete_tree(scenario: Scenario, values: Mapping[str, Value]) -> etree._Element:
+    """Make the tree of a concrete scenario, without parameters and references to catalogs.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    values : mapping of str to float or str
+
+    Returns
+    -------
+    lxml element
+
+    Raises
+    ------
+    InputError
+        A value cannot be evaluated or breaks a constraint, or there are too many entities.
+    """
     # Each is held against all others.
     if len(scenario.entities) > _MOST_ENTITIES:
         raise InputError(
@@ -215,14 +229,26 @@ def _tree_1_0(
     # The file's own declarations are in the scope already, with the values that were given.
     for child in root:
         _resolve(child, scope)
+    return root
+
+
+def _tree_1_0(
+    scenario: Scenario, values: Mapping[str, Value], ego: str, run: Run, town: str
+) -> tuple[etree._Element, list[str], set[Path]]:
+    """Tree of a concrete scenario in the words of 1.0, what is not quite the same, and controllers that it needs."""
+    root = concrete_tree(scenario, values)
     refuse_code(root, scenario.path)
     _header(root, scenario.path)
     _name_members(root)
+    refuse(root, scenario.path)
     driven = run.agents.driven(ego)
     if ego in scenario.drivers:
         # It is the system under test, which an agent drives that the file cannot name.
         driven.add(ego)
-    made = plan(root, sorted(driven), scenario.path, town)
+    recording = None if town else sample(scenario, values, run.time_step, run.duration)
+    road = scenario.road_file(values)
+    astray = {} if recording is None else strays(recording, road, scenario)
+    made = plan(root, sorted(driven), scenario.path, town, astray)
     notes = made.notes
     for name in made.sampled if not run.open_loop else ():
         if name in made.reacting:
@@ -231,7 +257,6 @@ def _tree_1_0(
                 f" cannot move it so ({made.sampled[name][0]}); `simulator` carla:open_loop=true lets it move as in the"
                 " builtin simulator, whatever others do."
             )
-    recording = None if town else sample(scenario, values, run.time_step, run.duration)
     kept = kept_ends(root, made, driven or ({ego} if town else set()))
     leave_out(root)
     take_over(root, set(made.sampled) | made.dropped)
@@ -240,7 +265,8 @@ def _tree_1_0(
     centers: dict[str, float] = {}
     end = run.duration
     if recording is not None:
-        set_beginning(root, recording, set(recording.names) - set(made.sampled))
+        keeping = set(recording.names) - set(made.sampled)
+        set_beginning(root, recording, keeping, heights(recording, road, scenario))
         centers = dict(zip(recording.names, map(float, recording.center_x), strict=True))
         last = float(recording.time[-1])
         # Where nothing ends the scenario, who runs it does.

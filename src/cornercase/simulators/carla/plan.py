@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -40,7 +40,9 @@ class Plan:
     notes: list[str] = field(default_factory=list)
 
 
-def plan(root: etree._Element, driven: Collection[str], source: Path, map_of_carla: str) -> Plan:
+def plan(
+    root: etree._Element, driven: Collection[str], source: Path, map_of_carla: str, astray: Mapping[str, str]
+) -> Plan:
     """Decide how each entity is moved.
 
     Who does not react to an entity that is driven from outside always moves in the same way, so that a trajectory loses
@@ -57,6 +59,8 @@ def plan(root: etree._Element, driven: Collection[str], source: Path, map_of_car
         For messages.
     map_of_carla : str
         Name of the map; empty where there is a road file, without which there is no run to take trajectories from.
+    astray : mapping of str to str
+        Entities that ScenarioRunner's own controls would take elsewhere, and why.
 
     Returns
     -------
@@ -65,13 +69,13 @@ def plan(root: etree._Element, driven: Collection[str], source: Path, map_of_car
     Raises
     ------
     InputError
-        Names an element or attribute that is refused.
+        An entity needs a trajectory, and there is none.
     """
     names = [one.get("name", "") for one in root.iterfind("Entities/ScenarioObject")]
     parts = {name: list(_parts(root, name)) for name in names}
     reacting = _reacting(root, parts, driven)
     made = Plan(reacting=reacting - set(driven))
-    _whole_file(root, source, made)
+    made.notes += _left_out(root)
     for name in names:
         if name in driven:
             _driven(name, parts[name], made)
@@ -83,6 +87,8 @@ def plan(root: etree._Element, driven: Collection[str], source: Path, map_of_car
                     made.sampled.setdefault(name, []).append(_reason(one))
                 elif one.row.status is Status.APPROXIMATE:
                     near.append(_reason(one))
+        if name in astray:
+            near.append(astray[name])
         if _has_driver(root, name):
             near.append("it has a driver of cornercase")
         if map_of_carla and name in made.sampled:
@@ -158,16 +164,32 @@ def _parts(root: etree._Element, name: str) -> Iterator[etree._Element]:
                 yield from (*act.iterfind("StartTrigger"), *act.iterfind("StopTrigger"))
 
 
-def _whole_file(root: etree._Element, source: Path, made: Plan) -> None:
-    """Refuse what the table refuses, and note what is left out."""
-    without: dict[str, list[str]] = {}
+def refuse(root: etree._Element, source: Path) -> None:
+    """Refuse a scenario with an element or attribute that the table refuses, or does not know.
+
+    Parameters
+    ----------
+    root : lxml element
+        Of a concrete scenario, without references to catalogs.
+    source : Path
+        For messages.
+
+    Raises
+    ------
+    InputError
+        Names the first one.
+    """
     for one in findings(root):
         if one.row.status is Status.REFUSED:
             raise InputError(f"{source}, line {one.element.sourceline}: {one.what} {_refusal(one)}.")
+
+
+def _left_out(root: etree._Element) -> list[str]:
+    without: dict[str, list[str]] = {}
+    for one in findings(root):
         if one.row.status is Status.WITHOUT_EFFECT:
             without.setdefault(one.row.note, []).append(one.what)
-    for note, what in without.items():
-        made.notes.append(f"{', '.join(dict.fromkeys(what))}: without effect, as {note}.")
+    return [f"{', '.join(dict.fromkeys(what))}: without effect, as {note}." for note, what in without.items()]
 
 
 def _refusal(one: Finding) -> str:

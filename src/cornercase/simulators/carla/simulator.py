@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Final, Literal
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggestion
+from cornercase._common.ledger import Notice, merged
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording, read_carla_log
-from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 from cornercase.simulators.carla.dialect import BEHAVIORS, Agents
-from cornercase.simulators.carla.openscenario_1_0 import Run, carla_map, write_1_0
+from cornercase.simulators.carla.openscenario_1_0 import Run, carla_map, concrete_tree, write_1_0
 from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
 from cornercase.simulators.carla.server import Server
+from cornercase.simulators.carla.table import Status, findings
 from cornercase.simulators.carla.tracker import Tracker
 from cornercase.simulators.hosts import address
 
@@ -29,6 +31,12 @@ _MISSING: Final = "CARLA's client is not installed; pip install 'cornercase[carl
 _PORTS_EACH: Final = 4
 # Road file of a run, in a folder that is on no path of Python's.
 _ROAD: Final = "road/road.xodr"
+# What follows from the statuses of the table that are worth a notice.
+_INSTEAD: Final = {
+    Status.WITHOUT_EFFECT: "",
+    Status.APPROXIMATE: "; who reacts to an entity that an agent drives does that, any other moves along a trajectory",
+    Status.SAMPLED: "; the entity moves along a trajectory of the builtin simulator",
+}
 # Categories for which ScenarioRunner would take any vehicle.
 _UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
 # s without a frame after which the server is taken for gone, in multiples of `patience`.
@@ -147,6 +155,28 @@ class CarlaSimulator(Simulator):
             "agent": _fingerprint(self._agent),
             "agent_config": _fingerprint(self._agent_config),
         }
+
+    @classmethod
+    def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+        """Name what of a scenario ScenarioRunner does not do as it says.
+
+        Parameters
+        ----------
+        scenario : Scenario
+        values : mapping of str to float or str, optional
+            Of its parameters.
+
+        Returns
+        -------
+        tuple of Notice
+            What is left out, what is done otherwise, and what becomes a trajectory.
+        """
+        root = concrete_tree(scenario, values or {})
+        return merged(
+            Notice((one.what,), one.row.note + _INSTEAD[one.row.status], scenario.path, ())
+            for one in findings(root)
+            if one.row.status in _INSTEAD
+        )
 
     @classmethod
     def availability(cls) -> Availability:

@@ -8,6 +8,7 @@ from typing import Final
 
 from lxml import etree
 
+from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.simulators.carla.table import Finding, Status, findings
 
@@ -82,7 +83,7 @@ def take_over(root: etree._Element, names: Collection[str]) -> None:
                 _remove(element)
 
 
-def set_beginning(root: etree._Element, recording: Recording, names: Iterable[str]) -> None:
+def set_beginning(root: etree._Element, recording: Recording, names: Iterable[str], heights: FloatArray) -> None:
     """Give each entity the position and the speed of the first instant.
 
     Routes stay for our own controller; all else that is in ``Init`` goes.
@@ -94,6 +95,8 @@ def set_beginning(root: etree._Element, recording: Recording, names: Iterable[st
     recording : Recording
     names : iterable of str
         Entities that keep their routes.
+    heights : ndarray of float64, shape (A,)
+        m.
     """
     actions = root.find("Storyboard/Init/Actions")
     assert actions is not None
@@ -107,7 +110,10 @@ def set_beginning(root: etree._Element, recording: Recording, names: Iterable[st
     for k, name in enumerate(recording.names):
         private = etree.SubElement(actions, "Private", entityRef=name)
         holder = etree.SubElement(etree.SubElement(private, "PrivateAction"), "TeleportAction")
-        holder.append(world_position(recording.x[k, 0], recording.y[k, 0], recording.heading[k, 0]))
+        position = world_position(recording.x[k, 0], recording.y[k, 0], recording.heading[k, 0])
+        if heights[k]:
+            position[0].set("z", plain(heights[k]))
+        holder.append(position)
         if name in keeping and name in routes:
             private.append(routes[name])
         if recording.kinds[k] != "misc":

@@ -1,0 +1,67 @@
+"""The real ScenarioRunner builds and ticks its behaviour trees of converted files, on the stand-in of CARLA.
+
+CORNERCASE_SCENARIO_RUNNER names its folder, CORNERCASE_CARLA_PYTHON the Python of its environment, and CARLA_ROOT the
+folder in which PythonAPI/carla/agents lies.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from alone import REFERENCE
+from carla_served import Served
+from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.simulators import CarlaSimulator, simulate
+from cornercase.simulators.carla.openscenario_1_0 import Run, write_1_0
+
+FOLDER = os.environ.get("CORNERCASE_SCENARIO_RUNNER", "")
+pytestmark = pytest.mark.skipif(not FOLDER or not REFERENCE.is_dir(), reason="CORNERCASE_SCENARIO_RUNNER is not set")
+# s of each scenario; the whole tree is built whatever is run of it.
+DURATION = 4.0
+# Half a frame at 130 km/h, and what a walker or a controlled car is behind.
+NEAR = 1.5
+
+
+def protocols():
+    files = [one for folder in ("ncap", "alks") for one in sorted((REFERENCE / folder).rglob("*.xosc"))]
+    return [one for one in files if "<Storyboard" in one.read_text(errors="replace")]
+
+
+def centers(recording, name):
+    k = recording.names.index(name)
+    ahead = recording.center_x[k]
+    return np.stack(
+        [recording.x[k] + ahead * np.cos(recording.heading[k]), recording.y[k] + ahead * np.sin(recording.heading[k])]
+    )
+
+
+def apart(one, other):
+    """Largest distance of two ways, of which one may begin some frames later."""
+    found = []
+    for later in range(-5, 25):
+        a, b = one[:, max(later, 0) :], other[:, max(-later, 0) :]
+        shared = min(a.shape[1], b.shape[1])
+        if shared > 20:
+            found.append(float(np.nanmax(np.hypot(*(a[:, :shared] - b[:, :shared])))))
+    return min(found)
+
+
+@pytest.mark.parametrize("file", protocols(), ids=lambda file: file.stem)
+def test_the_real_tree_of_each_protocol_is_built_and_moves_as_the_scenario_says(file, tmp_path):
+    scenario = Scenario.read(file)
+    notes = write_1_0(scenario, {}, tmp_path / "one.xosc", ego="Ego", run=Run(duration=DURATION))
+    assert (tmp_path / "one.xosc").exists()
+    sampled = {note.partition(" moves along")[0] for note in notes if " moves along a trajectory" in note}
+    expected = simulate(scenario, duration=DURATION)
+    with Served(scenario.road_file({})) as server:
+        simulator = CarlaSimulator(
+            hosts=server.host, port=server.port, scenario_runner=FOLDER, ego="Ego", duration=DURATION, patience=20.0
+        )
+        (found,) = simulator.run([ConcreteScenario(file, {}, scenario)])
+    assert not isinstance(found, Exception), found
+    assert set(found.names) == set(scenario.entities)
+    for name in sampled:
+        assert apart(centers(found, name), centers(expected, name)) < NEAR, name
