@@ -17,6 +17,8 @@ from cornercase.simulators.carla.storyboard import at_time, plain, speed_action,
 
 # m and rad by which what lies between two vertices may differ from the run.
 _NEAR, _TURN = 0.001, 0.001
+# rad by which the heading may change from one vertex to the next: not all players turn evenly between them.
+_BEND: Final = 0.03
 # m/s by which the speed may differ from that of the way, and how many jumps there may be.
 _SPEED, _MOST = 0.2, 20
 # s; no run takes this long.
@@ -207,6 +209,8 @@ def _vertices(way: FloatArray) -> list[int]:
         while end < last:
             inner = way[start + 1 : end + 1]
             part = ((inner[:, 0] - way[start, 0]) / (way[end + 1, 0] - way[start, 0]))[:, None]
+            if abs(way[end + 1, 3] - way[start, 3]) > _BEND:
+                break
             if (np.abs(way[start, 1:] + part * (way[end + 1, 1:] - way[start, 1:]) - inner[:, 1:]) > limit).any():
                 break
             end += 1
