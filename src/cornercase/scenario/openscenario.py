@@ -259,6 +259,11 @@ class Scenario:
             catalog = self._files.root(file).find("Catalog")
             if catalog is not None:
                 found.setdefault(catalog.get("name", ""), catalog)
+        # Some files call a catalog as its file is called.
+        for file in self._catalog_files:
+            catalog = self._files.root(file).find("Catalog")
+            if catalog is not None:
+                found.setdefault(file.stem, catalog)
         return found
 
     def catalog_files(self) -> list[Path]:

@@ -144,7 +144,10 @@ class PresenceAction(Action):
         if self._position is None:
             world.present[self._entity][where] = False
         else:
-            place_entity(world, self._entity, self._position(world), where & ~world.present[self._entity])
+            added = where & ~world.present[self._entity]
+            place_entity(world, self._entity, self._position(world), added)
+            # Unlike after a jump, it moves in the same step.
+            world.moved[self._entity][added] = False
 
 
 class ValueAction(Action):

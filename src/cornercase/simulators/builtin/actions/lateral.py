@@ -144,7 +144,10 @@ class LaneOffsetAction(Action):
             pose = lane_of(world, e)
             target = np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, self._value, -self._value)
         else:
-            target = offset_from(world, e, self._reference) + self._value
+            # Its left is the left of the entity that it refers to.
+            apart = world.heading[self._reference] - (world.heading[e] - world.turn[e])
+            side = np.where(np.cos(apart) > -1e-6, self._value, -self._value)
+            target = offset_from(world, e, self._reference) + side
         self._to[where] = target[where]
         self._duration[where] = time_by_acceleration(self._shape, self._to - self._from, self._most)[where]
         self._elapsed[where] = 0.0
