@@ -23,7 +23,7 @@ from cornercase.simulators.builtin.paths.transitions import (
 from cornercase.simulators.builtin.world.gaps import offset_from
 from cornercase.simulators.builtin.world.lanes import change_lane
 from cornercase.simulators.builtin.world.state import LATERAL, World
-from cornercase.simulators.builtin.world.whereabouts import lane_of, lateral_speed, road_heading
+from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
 
 # m/s²; esmini's figure for a lane offset without one.
 _GENTLE: Final = 0.5
@@ -217,7 +217,9 @@ class LateralDistanceAction(Action):
         fastest = np.maximum(np.minimum(self._fastest, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
         springy = np.isfinite(self._most)
         stiffness = 0.4 * np.where(springy, self._most, 0.0)
-        theirs = lateral_speed(world, self._other)
+        # As in esmini, what the other one moves across its own heading, which on a lane change is nearly nothing.
+        heading = world.heading[self._other]
+        theirs = world.gone[1][self._other] * np.cos(heading) - world.gone[0][self._other] * np.sin(heading)
         wanted = stiffness * error - 2.0 * np.sqrt(stiffness) * (self._speed - theirs)
         step = np.where(np.isfinite(self._jerk), self._jerk * dt, np.inf)
         wanted = self._acceleration + np.clip(wanted - self._acceleration, -step, step)

@@ -8,10 +8,11 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 
-# A curve is sampled about once in so many m, and its direction over at most so much of its parameter, as in esmini: the
-# times depend on it.
+# A control point's influence is looked for about once in so many m, and so much of the curve's parameter beyond, as in
+# esmini: the times depend on it. In between there are so many points.
 _SPACING: Final = 1.0
 _AHEAD: Final = 0.001
+_FINER: Final = 8
 
 
 def nurbs_points(
@@ -44,20 +45,20 @@ def nurbs_points(
     begin, end = knots[order - 1], knots[len(weights)]
     # Each scenario by its own length alone.
     counts = 1 + (np.hypot(np.diff(x), np.diff(y)).sum(axis=1) / _SPACING).astype(np.int64)
-    found = np.empty((4, len(x), int(counts.max()) + 1))
+    found = np.empty((4, len(x), _FINER * int(counts.max()) + 1))
     for count in np.unique(counts):
         rows = counts == count
-        u = np.linspace(begin, end, count + 1)
+        coarse, u = np.linspace(begin, end, count + 1), np.linspace(begin, end, _FINER * count + 1)
         value, slope = basis(u) * weights, basis(u, 1) * weights
         total, change = value.sum(axis=1), slope.sum(axis=1)
         px, py = x[rows] @ value.T / total, y[rows] @ value.T / total
         dx, dy = (x[rows] @ slope.T - px * change) / total, (y[rows] @ slope.T - py * change) / total
-        step = min(_AHEAD, float(u[1] - u[0]))
-        ahead = np.append(u[:-1] + step, u[-1] - step)
-        clock = time[rows] @ _shares(u, u[basis(ahead).argmax(axis=0)])
+        step = min(_AHEAD, float(coarse[1] - coarse[0]))
+        ahead = np.append(coarse[:-1] + step, coarse[-1] - step)
+        clock = time[rows] @ _shares(u, coarse[basis(ahead).argmax(axis=0)])
         for part, held in zip((px, py, np.unwrap(np.arctan2(dy, dx), axis=1), clock), found, strict=True):
-            held[rows, : count + 1] = part
-            held[rows, count + 1 :] = part[:, -1:]
+            held[rows, : u.size] = part
+            held[rows, u.size :] = part[:, -1:]
     return found[0], found[1], found[2], found[3]
 
 

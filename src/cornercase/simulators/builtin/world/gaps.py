@@ -100,8 +100,8 @@ def offset_from(world: World, entity: int, other: int) -> FloatArray:
     ndarray of float64, shape (N,)
         m.
     """
-    there = world.present[other]
-    return offset_of(world, entity, np.where(there, world.x[other], np.nan), np.where(there, world.y[other], np.nan))
+    there, (x, y) = world.present[other], _beside_its_track(world, other)
+    return offset_of(world, entity, np.where(there, x, np.nan), np.where(there, y, np.nan))
 
 
 def offset_of(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -129,6 +129,16 @@ def offset_of(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatA
             at_x, at_y, heading = track.at(along, np.zeros(len(rows)), rows)
             result[rows] = (y[rows] - at_y) * np.cos(heading) - (x[rows] - at_x) * np.sin(heading)
     return np.asarray(result)
+
+
+def _beside_its_track(world: World, entity: int) -> tuple[FloatArray, FloatArray]:
+    """Where an entity is once what it goes sideways in the coming step is done, each (N,)."""
+    x, y = world.x[entity].copy(), world.y[entity].copy()
+    for k, track in enumerate(world.tracks[entity]):
+        rows = np.flatnonzero((world.track[entity] == k) & world.present[entity] & ~world.moved[entity])
+        if rows.size:
+            x[rows], y[rows], _ = track.at(world.distance[entity][rows], world.offset[entity][rows], rows)
+    return x, y
 
 
 def distance_ahead(world: World, entity: int, other: int) -> FloatArray:
