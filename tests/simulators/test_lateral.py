@@ -60,3 +60,15 @@ def test_an_added_entity_moves_at_once(tmp_path):
     assert not there[(recording.time > 1.06) & (recording.time < 1.99)].any()
     first = int(np.argmax(there & (recording.time > 1.5)))
     assert recording.x[1][first] == pytest.approx(200.0 + 10 * DT)
+
+
+@pytest.mark.parametrize(("heading", "reached"), [(None, True), ("0.04", True), ("0.1", False)])
+def test_a_position_with_an_orientation_is_reached_with_that_heading(tmp_path, heading, reached):
+    inside = "" if heading is None else f'<Orientation type="relative" h="{heading}"/>'
+    stop = f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>
+<TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition>
+<ReachPositionCondition tolerance="1"><Position><LanePosition roadId="1" laneId="-1" s="70">{inside}</LanePosition></Position>
+</ReachPositionCondition></EntityCondition></ByEntityCondition></Condition></ConditionGroup>"""
+    path = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("10")), stop=stop)
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=4.0), [ConcreteScenario(path)])
+    assert (recording.time[-1] < 3.0) == reached

@@ -26,6 +26,9 @@ EntityTest = Callable[[World, int], BoolArray]
 
 TOLERANCE: Final = 1e-6
 
+# A position with an orientation is reached with a heading that differs by less, in rad; esmini's figure.
+_ALIGNED: Final = 0.05
+
 
 def _equal(a: Any, b: Any) -> Any:
     return np.abs(a - b) <= TOLERANCE
@@ -71,10 +74,13 @@ def _reach_position(element: etree._Element, scope: Scope, world: World) -> Enti
     if holder is None:
         raise InputError(f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>.")
     position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
+    oriented = holder.find("*/Orientation") is not None
 
     def reached(world: World, e: int) -> BoolArray:
         pose = position(world)
-        return np.asarray(np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance)
+        near = np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance
+        turn = (pose.heading - world.heading[e] + np.pi) % (2 * np.pi) - np.pi
+        return np.asarray(near & (np.abs(turn) < _ALIGNED) if oriented else near)
 
     return reached
 
