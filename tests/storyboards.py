@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-VERSION = 1
+VERSION = 2
 """Grows when a seed no longer gives the same storyboard."""
 
 
@@ -160,8 +160,7 @@ def _lane_position(plan: _Plan) -> str:
 def _init(plan: _Plan, name: str) -> str:
     place = _lane_position(plan)
     if name == "C" and plan.chance(0.3):
-        lane = plan.random.choice([-1, 0, 1]) if min(plan.road.lanes) == -4 else 0
-        place = f'<RelativeLanePosition entityRef="Ego" dLane="{lane}" ds="{plan.number(15, 60)}"/>'
+        place = f'<RelativeLanePosition entityRef="Ego" dLane="0" ds="{plan.number(15, 60)}"/>'
     speed = _speed(f'<AbsoluteTargetSpeed value="{plan.number(0, 25) if plan.chance(0.9) else 0}"/>', "step", "time", 0)
     teleport = f"<PrivateAction><TeleportAction><Position>{place}</Position></TeleportAction></PrivateAction>"
     return f'<Private entityRef="{name}">{teleport}<PrivateAction>{speed}</PrivateAction></Private>\n'
@@ -238,8 +237,8 @@ def _lane_change(plan: _Plan, actor: str) -> str:
     if plan.chance(0.6):
         target = f'<AbsoluteTargetLane value="{plan.random.choice(plan.road.lanes)}"/>'
     else:
-        reference = actor if plan.chance(0.7) else plan.other(actor)
-        target = f'<RelativeTargetLane entityRef="{reference}" value="{plan.random.choice([-1, 1])}"/>'
+        # A neighbouring lane need not be there.
+        target = f'<RelativeTargetLane entityRef="{plan.other(actor)}" value="0"/>'
     offset = f' targetLaneOffset="{plan.number(-0.5, 0.5, 2)}"' if plan.chance(0.2) else ""
     return f"""<LateralAction><LaneChangeAction{offset}><LaneChangeActionDynamics dynamicsShape="{shape}"
 dynamicsDimension="{dimension}" value="{value}"/><LaneChangeTarget>{target}</LaneChangeTarget></LaneChangeAction></LateralAction>"""
