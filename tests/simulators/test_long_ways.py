@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conftest import car, event, scenario_file, speed_action, story_of
+from conftest import car, event, scenario_file, speed_action, story_of, time_trigger
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
@@ -161,3 +161,40 @@ def test_a_place_on_a_lane_or_road_that_does_not_exist_is_the_error_of_its_scena
         assert isinstance(result, Recording)
     else:
         assert words in str(result)
+
+
+def test_who_changes_lanes_on_a_route_does_not_go_back_to_what_it_has_passed(tmp_path):
+    # From "b" a road leads back to "a" as well as on to "c"; the route is a, b, c.
+    two = lane(-1, -1, -1) + lane(-2, -2, -2)
+    radius = 200.0 / np.pi
+    back = [
+        road("up", 200.0, at=(200.0, 0.0, 0.0), junction="j", shape=f'<arc curvature="{1 / radius}"/>', right=two,
+             links=linked("predecessor", "b", "end") + linked("successor", "home", "start")),
+        road("home", 200.0, at=(200.0, 2 * radius, np.pi), right=two,
+             links=linked("predecessor", "up", "end") + linked("successor", "down", "start")),
+        road("down", 200.0, at=(0.0, 2 * radius, np.pi), right=two, shape=f'<arc curvature="{1 / radius}"/>',
+             links=linked("predecessor", "home", "end") + linked("successor", "a", "start")),
+    ]  # fmt: skip
+    parts = [
+        road("a", 100.0, right=two, links=linked("successor", "b", "start") + linked("predecessor", "down", "end")),
+        road("b", 100.0, at=(100.0, 0.0, 0.0), right=two,
+             links=linked("predecessor", "a", "end") + linked("successor", "j")),
+        *back,
+        road("c", 300.0, at=(200.0, 0.0, 0.0), junction="j", right=two, links=linked("predecessor", "b", "end")),
+        '<junction id="j"/>',
+    ]  # fmt: skip
+    waypoints = "".join(
+        f'<Waypoint routeStrategy="shortest"><Position><LanePosition roadId="{name}" laneId="-1" s="{s}"/></Position>'
+        "</Waypoint>" for name, s in (("a", 10), ("b", 50), ("c", 200))
+    )  # fmt: skip
+    route = f"""<PrivateAction><RoutingAction><AssignRouteAction><Route name="r" closed="false">{waypoints}</Route>
+</AssignRouteAction></RoutingAction></PrivateAction>"""
+    change = """<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="cubic" value="2"
+dynamicsDimension="time"/><LaneChangeTarget><AbsoluteTargetLane value="-2"/></LaneChangeTarget></LaneChangeAction>
+</LateralAction></PrivateAction>"""
+    init = placed("a", 10.0, 20.0).replace("</Private>", route + "</Private>")
+    recording = run(
+        tmp_path, init, *parts, duration=15.0, story=story_of(event("e", change, time_trigger("6")))
+    )  # fmt: skip
+    assert recording.x[0][-1] == pytest.approx(310.0, abs=3.0)
+    assert recording.y[0][-1] == pytest.approx(-6.0)

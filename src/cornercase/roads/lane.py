@@ -14,7 +14,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.roads.reference_line import read_number
 
 # A side of a road has at most so many lanes.
-_MOST_LANES: Final = 1000
+_MOST_LANES: Final = 200
 # A lane section longer than this, in m, is read as several that follow each other.
 _LONGEST_SECTION: Final = 10_000.0
 _DRIVABLE: Final = (
