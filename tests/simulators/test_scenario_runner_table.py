@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 from conftest import AXLES
+from cornercase._common.errors import InputError
 from cornercase.scenario import Scenario, read_xml
 from cornercase.simulators import CarlaSimulator, convert, simulate
-from cornercase.simulators.carla.dialect import TRAJECTORY
+from cornercase.simulators.carla.dialect import TRAJECTORY, Agents
+from cornercase.simulators.carla.openscenario_1_0 import Run, write_1_0
 from cornercase.simulators.carla.table import Status, row_of, table
 from schemas import Schema
 
@@ -233,6 +235,25 @@ def test_who_no_longer_reacts_is_named(write, tmp_path):
     near = by_entity(NEAR.format("cartesianDistance", "false"))
     found = convert(write(action=OFFSET, condition=near, drivers=DRIVEN), tmp_path / "one.xosc", ego="Ego")
     assert "Other would react to Ego, and no longer does." in found.notes
+
+
+def test_who_would_have_to_react_to_an_agent_and_cannot_is_refused_before_the_run(write, tmp_path):
+    init = f"<PrivateAction>{ROUTE}</PrivateAction>"
+    path = write(action=OFFSET, condition=by_entity(NEAR.format("cartesianDistance", "false")))
+    path.write_text(path.read_text().replace("</Private>", f"{init}</Private>", 1))
+    closed, open_loop = (Run(Agents({"Ego": "normal"}), open_loop=given) for given in (False, True))
+    with pytest.raises(InputError, match=r"'Other' would have to react to Ego.*carla:open_loop=true"):
+        write_1_0(Scenario.read(path), {}, tmp_path / "one.xosc", ego="Ego", run=closed)
+    write_1_0(Scenario.read(path), {}, tmp_path / "one.xosc", ego="Ego", run=open_loop)
+    modules = [one.get("value") for one in read_xml(tmp_path / "one.xosc").findall(".//Property[@name='module']")]
+    assert modules == ["cornercase_driver.py", "cornercase_trajectory.py"]
+
+
+def test_on_a_map_of_carla_what_needs_a_trajectory_is_refused(write, tmp_path):
+    path = write(action=OFFSET)
+    path.write_text(path.read_text().replace('filepath="road.xodr"', 'filepath="Town01"'))
+    with pytest.raises(InputError, match=r"cannot move 'Other' so \(<LaneOffsetAction>.*Town01"):
+        convert(path, tmp_path / "one.xosc", ego="Ego")
 
 
 @pytest.mark.parametrize(
