@@ -72,3 +72,16 @@ def test_a_position_with_an_orientation_is_reached_with_that_heading(tmp_path, h
     path = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("10")), stop=stop)
     (recording,) = ran(BuiltinSimulator(time_step=DT, duration=4.0), [ConcreteScenario(path)])
     assert (recording.time[-1] < 3.0) == reached
+
+
+@pytest.mark.parametrize(("kind", "off"), [("none", True), ("border", False)])
+def test_a_lane_of_no_type_is_beside_the_road(tmp_path, kind, off):
+    stop = """<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>
+<TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition>
+<OffroadCondition duration="0.5"/></EntityCondition></ByEntityCondition></Condition></ConditionGroup>"""
+    path = scenario_file(tmp_path, init=private("Ego", teleport("50", "-2"), speed_action("10")), stop=stop)
+    lane = f'<lane id="-2" type="{kind}"><width sOffset="0" a="4" b="0" c="0" d="0"/></lane></right>'
+    road = path.with_name("road.xodr")
+    road.write_text(road.read_text().replace("</right>", lane))
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=3.0), [ConcreteScenario(path)])
+    assert (recording.time[-1] < 1.0) == off

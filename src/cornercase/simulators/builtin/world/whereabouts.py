@@ -84,8 +84,12 @@ def on_road(world: World, entity: int) -> BoolArray:
         rows = (place.road == road) & (place.lane == lane)
         one = world.network.roads[road]
         section = one.section_at(place.s[rows])
+        # A lane of no type is beside the road.
+        lanes = {int(k): one.sections[int(k)][1].get(lane) for k in np.unique(section)}
+        beside = {k for k, its in lanes.items() if its is not None and its.kind == "none" and lane != 0}
         width[rows] = [
-            float(one.width(int(k), lane, place.s[rows][i : i + 1])[0]) for i, k in enumerate(section.tolist())
+            -1.0 if k in beside else float(one.width(int(k), lane, place.s[rows][i : i + 1])[0])
+            for i, k in enumerate(section.tolist())
         ]
     return np.asarray(np.abs(place.offset) <= 0.5 * width + 1e-6)
 
