@@ -161,9 +161,11 @@ class CarMakerApi:
         except TimeoutError:
             await self._stop()
             raise SimulationError(f"CarMaker did not end the TestRun within {self._patience:g} s") from None
-        # Not each version of the module tells how a run has ended.
-        told = getattr(variation, "get_simend_info", None)
-        if told is not None and getattr(told(), "error_flag", False):
+        failed = False
+        # Not each version of the module says how a run has ended.
+        with suppress(AttributeError):
+            failed = bool(variation.get_simend_info().error_flag)
+        if failed:
             raise SimulationError("CarMaker ended the TestRun with an error; its log tells which")
 
     async def _stop(self) -> bool:
