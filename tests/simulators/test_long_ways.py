@@ -198,3 +198,20 @@ dynamicsDimension="time"/><LaneChangeTarget><AbsoluteTargetLane value="-2"/></La
     )  # fmt: skip
     assert recording.x[0][-1] == pytest.approx(310.0, abs=3.0)
     assert recording.y[0][-1] == pytest.approx(-6.0)
+
+
+@pytest.mark.parametrize("limits", ["", '<DynamicConstraints maxAcceleration="3" maxDeceleration="5" maxSpeed="60"/>'])
+def test_an_entity_keeps_no_distance_to_who_drives_on_a_road_that_does_not_connect(tmp_path, limits):
+    action = f"""<PrivateAction><LongitudinalAction><LongitudinalDistanceAction entityRef="Other" distance="50"
+freespace="false" continuous="true" coordinateSystem="road">{limits}</LongitudinalDistanceAction></LongitudinalAction>
+</PrivateAction>"""
+    recording = run(
+        tmp_path,
+        placed("1", 10.0, 10.0) + placed("2", 200.0, 15.0, "Other"),
+        road("1", 1000.0),
+        road("2", 1000.0, at=(0.0, 30.0, 0.0)),
+        entities=car("Ego") + car("Other"),
+        story=story_of(event("e", action, time_trigger("1"))),
+    )
+    np.testing.assert_allclose(recording.speed[0], 10.0)
+    np.testing.assert_allclose(np.diff(recording.x[0][1:]), 1.0)

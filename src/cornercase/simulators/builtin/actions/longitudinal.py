@@ -13,7 +13,7 @@ from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.paths.transitions import Transition
-from cornercase.simulators.builtin.world.gaps import distance_ahead, longitudinal_gap, remaining
+from cornercase.simulators.builtin.world.gaps import along_roads, distance_ahead, longitudinal_gap
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 from cornercase.simulators.builtin.world.whereabouts import lane_of
 
@@ -151,7 +151,10 @@ class LongitudinalDistanceAction(Action):
         e, o = self._entity, self._other
         speed, other = world.speed[e], world.speed[o]
         wanted = np.abs(self._distance if self._gap is None else np.abs(other) * self._gap)
-        error = self._measure(world) - np.where(self._behind, wanted, -wanted)
+        way = self._measure(world)
+        # To who drives on roads that do not connect there is no distance: the entity keeps its speed.
+        where = where & np.isfinite(way)
+        error = np.where(np.isfinite(way), way, 0.0) - np.where(self._behind, wanted, -wanted)
         if self._rigid:
             world.distance[e][where] += error[where]
             world.set_speed(e, where, other)
@@ -176,7 +179,7 @@ class LongitudinalDistanceAction(Action):
         if self._free:
             return longitudinal_gap(world, self._entity, self._other)
         if self._system in ("lane", "road", "trajectory"):
-            return remaining(world, self._entity, lane_of(world, self._other))
+            return along_roads(world, self._entity, lane_of(world, self._other))
         return distance_ahead(world, self._entity, self._other)
 
 
