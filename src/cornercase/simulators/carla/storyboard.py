@@ -107,7 +107,11 @@ def set_beginning(root: etree._Element, recording: Recording, names: Iterable[st
                 routes[private.get("entityRef", "")] = action
     for child in list(actions):
         actions.remove(child)
+    entities = {one.get("name") for one in root.iterfind("Entities/ScenarioObject")}
     for k, name in enumerate(recording.names):
+        if name not in entities:
+            # A trailer, which is left out.
+            continue
         private = etree.SubElement(actions, "Private", entityRef=name)
         holder = etree.SubElement(etree.SubElement(private, "PrivateAction"), "TeleportAction")
         position = world_position(recording.x[k, 0], recording.y[k, 0], recording.heading[k, 0])
