@@ -11,6 +11,8 @@ from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators import BuiltinSimulator, simulate
 from cornercase.simulators.builtin import simulator as builtin_simulator
+from cornercase.simulators.builtin.batch import Batch
+from cornercase.simulators.builtin.prepared import PreparedScenario
 from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
 from cornercase.simulators.builtin.tracks.nurbs import nurbs_points
 
@@ -144,7 +146,7 @@ def test_what_is_wrong_whatever_is_varied_is_said_once(tmp_path):
     """An unknown road that stands in the file itself cannot be varied away."""
     init = private(teleport("$s").replace('roadId="1"', 'roadId="9"'))
     path = scenario_file(tmp_path, init=init, parameters=declared("s", "0") + declared("road", "1", "string"))
-    for values in ([{"s": 5.0}], [{"s": 5.0}, {"s": 6.0}], [{"road": "1"}, {"road": "2"}], [{}]):
+    for values in ([{"s": 5.0}], [{"s": 5.0}, {"s": 6.0}], [{"road": "1"}, {"road": "2"}], [{"s": 0.0}]):
         with pytest.raises(InputError, match="has no road '9'"):
             results(path, *values)
 
@@ -204,13 +206,12 @@ def test_batches_are_cut_by_what_they_hold_and_give_the_same(tmp_path, monkeypat
     )
     values = [{"v": float(v)} for v in range(1, 13)]
     whole = [outcome(one) for one in results(path, *values)]
-    one = builtin_simulator.PreparedScenario(Scenario.read(path)).bytes_for(22, False)
+    one = PreparedScenario(Scenario.read(path)).bytes_for(22, False)
     sizes = []
-    real = builtin_simulator.Batch
 
     def counted(prepared, values, *rest):
         sizes.append(len(values))
-        return real(prepared, values, *rest)
+        return Batch(prepared, values, *rest)
 
     monkeypatch.setattr(builtin_simulator, "Batch", counted)
     monkeypatch.setattr(builtin_simulator, "_MOST_BYTES", 5 * one)

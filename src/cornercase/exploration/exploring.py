@@ -194,11 +194,19 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
     with _simulator(one) as simulator:
         # Asked before a study is made, since without these means no scenario can be run.
         simulator.require_means(one.logical.scenario)
+        some = one.logical.space.values(one.logical.space.samples())
+        simulator.require_runnable([one.logical.concrete(values) for values in some])
         warn_of(_notices(one))
         meta = one.meta(objective, simulator.settings)
         with Study.open(path) if path.exists() else Study.create(path, meta) as study:
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
-            return ScenarioExplorer(one, simulator, optimizer, study, objective).run(progress)
+            try:
+                return ScenarioExplorer(one, simulator, optimizer, study, objective).run(progress)
+            except InputError:
+                # What nothing could be run with must not keep out the corrected command.
+                if not study.done():
+                    study.clear()
+                raise
 
 
 def _notices(one: Configuration) -> tuple[Notice, ...]:

@@ -38,6 +38,11 @@ class Distribution:
     high: float
     numbers: tuple[float, ...] = ()
 
+    @property
+    def discrete(self) -> bool:
+        """Whether it is one of single values."""
+        return self.kind in ("poisson", "set")
+
     def quantile(self, u: float) -> float:
         """Value below which the share `u` of the cut-off distribution lies; for the continuous kinds."""
         if self.kind == "uniform":

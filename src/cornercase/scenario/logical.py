@@ -137,7 +137,8 @@ class LogicalScenario:
             raise InputError(f"{file.path}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
         file.require_parameters(list(varied.assigns))
         varied = varied.continuous() if flag("continuous", continuous) else varied
-        varied = varied.constrained(read_declarations(file.root, str(file.path)), str(file.path))
+        declarations = read_declarations(file.root, str(file.path))
+        varied = varied.typed(declarations, str(file.path)).constrained(declarations, str(file.path))
         return cls(file.path, varied, file.fingerprint(), file)
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:

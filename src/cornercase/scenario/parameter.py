@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +37,8 @@ class Parameter:
     sets : tuple of tuple of (str, str)
         For each choice, the scenario's parameters that it sets together, and their values; empty where it sets but the
         one of its own name.
+    whole : bool
+        Whether the values of a range are whole numbers, since the scenario declares them so.
 
     Raises
     ------
@@ -53,6 +55,7 @@ class Parameter:
     unit: str = ""
     distribution: Distribution | None = None
     sets: tuple[tuple[tuple[str, str], ...], ...] = ()
+    whole: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         number("low", self.low)
@@ -79,7 +82,8 @@ class Parameter:
         """Its values in a few words, as ``"2 to 17 by 0.1"``."""
         if self.choices:
             return ", ".join(self.choices)
-        return f"{self.low:g} to {self.high:g}" + ("" if self.step is None else f" by {self.step:g}")
+        plain = self.step is None or (self.whole and self.step == 1.0)
+        return f"{self.low:g} to {self.high:g}" + ("" if plain else f" by {self.step:g}")
 
     @property
     def size(self) -> int | None:
@@ -142,13 +146,16 @@ class Parameter:
 
         Returns
         -------
-        float or str
+        float, int or str
         """
         if self.size is None:
             x = self.low + u * (self.high - self.low)
             return float(x if self.distribution is None else self.distribution.quantile(u))
         (k,) = self.numbers(np.array([u])).tolist()
-        return self.choices[k] if self.choices else _clean(self.low + k * float(self.step or 0.0))
+        if self.choices:
+            return self.choices[int(k)]
+        value = _clean(self.low + k * float(self.step or 0.0))
+        return round(value) if self.whole else value
 
     def unit_place(self, value: Value) -> float:
         """Return the place of a value on the unit interval, the inverse of `value`.
@@ -216,7 +223,13 @@ class Parameter:
     @cached_property
     def _edges(self) -> FloatArray | None:
         """Bounds of the shares where they differ."""
-        return None if self.size is None or self.distribution is None else self.distribution.edges()
+        if self.size is None or self.distribution is None:
+            return None
+        if self.distribution.discrete:
+            return self.distribution.edges()
+        # Each value has the share of what is rounded to it.
+        between = self.low + float(self.step or 1.0) * (np.arange(self.size - 1) + 0.5)
+        return np.array([0.0, *(self.distribution.place(float(one)) for one in between), 1.0])
 
 
 def _clean(x: float) -> float:

@@ -16,6 +16,7 @@ from cornercase.scenario import constraints, distributions
 from cornercase.scenario.admission import admitted
 from cornercase.scenario.constraints import Declaration, in_words
 from cornercase.scenario.parameter import Parameter, Value
+from cornercase.scenario.typed_ranges import typed_parameter
 from cornercase.scenario.varied import read_distribution_file, read_ranges, scenario_file_of, without
 from cornercase.scenario.xml import XmlFiles
 
@@ -201,8 +202,33 @@ class ParameterSpace:
         ParameterSpace
         """
         parameters = [
-            replace(one, step=None) if one.low < one.high and not one.choices else one for one in self.parameters
+            replace(one, step=None) if one.low < one.high and not one.choices and not _counts(one) else one
+            for one in self.parameters
         ]
+        return ParameterSpace(parameters, self.declarations)
+
+    def typed(self, declarations: Sequence[Declaration], source: str = "the scenario") -> ParameterSpace:
+        """Space whose values have the types that a scenario declares for its parameters.
+
+        Parameters
+        ----------
+        declarations : sequence of Declaration
+            All parameters that the scenario declares.
+        source : str
+            Name of the file, for messages.
+
+        Returns
+        -------
+        ParameterSpace
+            Ranges of integers hold the whole numbers only, those of booleans false and true.
+
+        Raises
+        ------
+        InputError
+            A range does not suit the type.
+        """
+        kinds = {one.name: one.kind for one in declarations}
+        parameters = [typed_parameter(one, kinds.get(one.name, "double"), source) for one in self.parameters]
         return ParameterSpace(parameters, self.declarations)
 
     def constrained(self, declarations: Sequence[Declaration], source: str = "the scenario") -> ParameterSpace:
@@ -226,8 +252,7 @@ class ParameterSpace:
         """
         if not any(declaration.groups for declaration in declarations):
             return ParameterSpace(self.parameters)
-        few = self.size is not None and self.size <= _SAMPLED
-        some = self.lattice() if few else np.random.default_rng(0).random((_SAMPLED, self.dimension))
+        some = self._some()
         if not admitted(declarations, self.values(self.snap(some)), source).any():
             raise InputError(
                 f"None of {len(some)} concrete scenarios fulfils the constraints of the scenario's parameters; vary"
@@ -302,11 +327,29 @@ class ParameterSpace:
         ndarray of float64, shape (1, d)
             The middle of the box where it fulfils the constraints, else a random point that does.
         """
-        points = np.concatenate(
-            [np.full((1, self.dimension), 0.5), np.random.default_rng(0).random((_SAMPLED, self.dimension))]
-        )
-        points = self.snap(points)
+        points = self.snap(np.concatenate([np.full((1, self.dimension), 0.5), self._some()]))
         return points[self.admits(points)][:1]
+
+    def samples(self) -> FloatArray:
+        """Return a few points within the constraints, among which are all choices of each parameter.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, d)
+            In the unit cube; the first is the middle of the space.
+        """
+        most = max(len(parameter.choices) for parameter in self.parameters)
+        points = np.full((max(most, 1), self.dimension), 0.5)
+        for j, parameter in enumerate(self.parameters):
+            if parameter.choices:
+                points[:, j] = parameter.middles(np.arange(len(points)) % len(parameter.choices))
+        points = self.snap(points)
+        return np.concatenate([self.middle(), points[self.admits(points)]])
+
+    def _some(self) -> FloatArray:
+        """Points that are looked at to see whether constraints leave anything: all of a few, else random ones."""
+        few = self.size is not None and self.size <= _SAMPLED
+        return self.lattice() if few else np.random.default_rng(0).random((_SAMPLED, self.dimension))
 
     def snap(self, points: FloatArray) -> FloatArray:
         """Move points to what is really run: the middle of each step or choice.
@@ -366,6 +409,8 @@ class ParameterSpace:
                     "unit": p.unit,
                     "distribution": None if p.distribution is None else p.distribution.to_json(),
                     "sets": [dict(members) for members in p.sets],
+                    # Studies of earlier versions do not know it.
+                    **({"whole": True} if p.whole else {}),
                 }
                 for p in self.parameters
             ],
@@ -394,7 +439,13 @@ class ParameterSpace:
                 p["unit"],
                 None if p["distribution"] is None else distributions.from_json(p["distribution"]),
                 tuple(tuple(members.items()) for members in p["sets"]),
+                bool(p.get("whole", False)),
             )
             for p in plain["parameters"]
         ]
         return cls(parameters, constraints.from_json(plain["declarations"]))
+
+
+def _counts(parameter: Parameter) -> bool:
+    """Whether a parameter takes numbers from a law of single ones, which no interval goes between."""
+    return parameter.distribution is not None and parameter.distribution.discrete

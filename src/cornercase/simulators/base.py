@@ -120,6 +120,20 @@ class Simulator(ABC):
             It lacks what the scenario asks for. By default nothing is refused.
         """
 
+    def require_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:  # noqa: B027 - optional
+        """Refuse scenarios of which none can be run, without running any; asked before there is a study.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+            Some of those that may be run.
+
+        Raises
+        ------
+        InputError
+            None of them can be run, as far as that shows beforehand. By default nothing is refused.
+        """
+
     @classmethod
     def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
         """Name what of a scenario changes nothing in this simulator.

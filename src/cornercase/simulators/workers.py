@@ -93,6 +93,20 @@ class WorkerSimulator(Simulator):
         """
         self._unused.require_means(scenario)
 
+    def require_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
+        """Let the simulator refuse scenarios of which it can run none.
+
+        Parameters
+        ----------
+        concretes : sequence of ConcreteScenario
+
+        Raises
+        ------
+        InputError
+            None can be run, as far as that shows beforehand.
+        """
+        self._unused.require_runnable(concretes)
+
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
         """Run scenarios.
 

@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from sqlite3 import Connection
+from typing import Any, Final
 
 import numpy.typing as npt
 
@@ -21,6 +22,9 @@ from cornercase.study.damage import damage_told
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
 from cornercase.study.table import Row
+
+# Tables that hold something of scenarios; those that refer to others come first.
+_CONTENT: Final = ("courses", "repeats", "outcomes", "arrays", "analyses", "elapsed", "scenarios")
 
 
 class Study(StudyContents):
@@ -102,7 +106,8 @@ class Study(StudyContents):
         """Refuse to go on with a study of something else, and note what has changed.
 
         That is the budget, and what an earlier version did not write: the constraints of the space, which follow from
-        the same scenario file, and a threshold.
+        the same scenario file, and a threshold. A study in which no scenario has ended yet
+        becomes one of `meta`.
 
         Parameters
         ----------
@@ -116,7 +121,12 @@ class Study(StudyContents):
         InputError
             The study is of something else.
         """
-        self.meta.require_same(meta, self.path, same_budget=same_budget)
+        try:
+            self.meta.require_same(meta, self.path, same_budget=same_budget)
+        except InputError:
+            if any(row.state != "pending" for row in self.rows()):
+                raise
+            self._begin_anew(meta)
         known = replace(
             self.meta,
             space=self.space if self.space.declarations else meta.space,
@@ -133,6 +143,21 @@ class Study(StudyContents):
                 [(json.dumps(plain[key], sort_keys=True), key) for key in ("space", "critical", "budget")],
             )
         self.meta, self.space = known, known.space
+
+    def clear(self) -> None:
+        """Remove all scenarios, and what is known of them."""
+        with self._database.writing() as connection:
+            _remove_content(connection)
+
+    def _begin_anew(self, meta: StudyMeta) -> None:
+        """Make an empty study of something else of this one."""
+        with self._database.writing() as connection:
+            _remove_content(connection)
+            connection.executemany(
+                "UPDATE meta SET value = ? WHERE key = ?",
+                [(json.dumps(value, sort_keys=True), key) for key, value in meta.to_json().items()],
+            )
+        self.meta, self.space = meta, meta.space
 
     def propose(self, number: int, points: FloatArray, values: Sequence[Mapping[str, Value]]) -> list[Row]:
         """Store a round of proposals as pending, all or none.
@@ -249,3 +274,8 @@ class Study(StudyContents):
                 " ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds",
                 (stage, seconds),
             )
+
+
+def _remove_content(connection: Connection) -> None:
+    for table in _CONTENT:
+        connection.execute(f"DELETE FROM {table}")

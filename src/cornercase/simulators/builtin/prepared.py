@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -48,8 +48,6 @@ class PreparedScenario:
     scenario : Scenario
     splitting : set of str
         Parameters found to shape the storyboard: scenarios of one batch have the same values of them.
-    own_error : str or None
-        Why the file cannot be used with its own values; None where it can, or where nobody has tried.
     looked_at : set of int
         Elements of whose parts is known that none is refused, by their ``id``.
     """
@@ -57,7 +55,7 @@ class PreparedScenario:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.splitting: set[str] = set()
-        self.own_error: str | None = None
+        self._own_error: str | None = None
         self.looked_at: set[int] = set()
         self.networks: dict[Path, RoadNetwork] = {}
 
@@ -77,12 +75,45 @@ class PreparedScenario:
         """Why a value cannot be that of its parameter, without a full stop; None where all can."""
         return unusable_value(self._declarations, values)
 
-    def own_value(self, name: str) -> str | None:
-        """Value of a parameter as the file has it, as a text; None where it has none that can be evaluated."""
-        return self._own_values.get(name)
+    def what_is_wrong(self, error: InputError, values: Mapping[str, Value], build: Callable[[], object]) -> str:
+        """Say what is wrong with one scenario, as a part of a sentence that names the file itself.
+
+        Parameters
+        ----------
+        error : InputError
+            What was raised when the file was read with the values of the scenario.
+        values : mapping of str to float or str
+        build : callable
+            Reads the file with its own values, as it was read for the scenario.
+
+        Returns
+        -------
+        str
+
+        Raises
+        ------
+        InputError
+            The `error`: the file cannot be used whatever the values of its parameters are.
+        """
+        names = error.names if isinstance(error, UnusableError) else set(values)
+        given = {name: value_text(values[name]) for name in names if name in values}
+        if not given:
+            raise error
+        # With the file's own values it says of course the same, and another value may mend it.
+        if any(self._own_values.get(name) != text for name, text in given.items()):
+            if self._own_error is None:
+                try:
+                    build()
+                except InputError as own:
+                    self._own_error = str(own)
+            if self._own_error == str(error):
+                raise error
+        text, path = str(error).removesuffix("."), str(self.scenario.path)
+        return text.removeprefix(path).lstrip(",: ") if text.startswith(path) else text
 
     @cached_property
     def _own_values(self) -> dict[str, str]:
+        """Values of the parameters as the file has them, as texts; none where they cannot be evaluated."""
         try:
             found = self.scope([{}]).values
         except InputError:

@@ -10,11 +10,11 @@ from cornercase._common.ledger import Notice
 from cornercase._common.version import __version__
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, Value, VariesError, value_text
+from cornercase.scenario import ConcreteScenario, Scenario, Value, VariesError
 from cornercase.simulators.base import Availability, Simulator, checked_settings
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.effect import notices
-from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
+from cornercase.simulators.builtin.prepared import PreparedScenario
 
 # A batch keeps the whole motion of its scenarios; so many bytes at most, and so many scenarios.
 _MOST_BYTES = 400_000_000
@@ -193,35 +193,13 @@ class BuiltinSimulator(Simulator):
             return
         except InputError as error:
             # Whatever it is because of is the same for the whole group.
-            if self._is_of_file(prepared, error, concretes[chosen[0]]):
-                raise
-            words = _words(error, prepared)
+            first = concretes[chosen[0]]
+            own = ConcreteScenario(first.path, {}, prepared.scenario)
+            words = prepared.what_is_wrong(error, first.values, lambda: self._batch(prepared, [own]))
             ran.update((i, SimulationError(words)) for i in chosen)
             return
         batch.run()
         ran.update((i, (batch, place)) for place, i in enumerate(chosen))
-
-    def _is_of_file(self, prepared: PreparedScenario, error: InputError, concrete: ConcreteScenario) -> bool:
-        """Whether the file cannot be used whatever the values of its parameters are, rather than with these."""
-        names = error.names if isinstance(error, UnusableError) else set(concrete.values)
-        given = {name: value_text(concrete.values[name]) for name in names if name in concrete.values}
-        if not given:
-            return True
-        if all(prepared.own_value(name) == text for name, text in given.items()):
-            return False
-        if prepared.own_error is None:
-            try:
-                self._batch(prepared, [ConcreteScenario(concrete.path, {}, prepared.scenario)])
-            except InputError as own:
-                prepared.own_error = str(own)
-        return prepared.own_error == str(error)
-
-
-def _words(error: InputError, prepared: PreparedScenario) -> str:
-    """What is wrong with one scenario, as a part of a sentence that names the file itself."""
-    text = str(error).removesuffix(".")
-    path = str(prepared.scenario.path)
-    return text.removeprefix(path).lstrip(",: ") if text.startswith(path) else text
 
 
 def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:

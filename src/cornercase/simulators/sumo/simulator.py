@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
@@ -17,7 +18,7 @@ from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.effect import notices
-from cornercase.simulators.builtin.prepared import PreparedScenario
+from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
 from cornercase.simulators.sumo.coupling import TYPES, SumoCoupling
 from cornercase.simulators.sumo.network import sumo_network
 
@@ -139,20 +140,36 @@ class SumoSimulator(Simulator):
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
             types = self._types(scenario)
-            network = sumo_network(scenario, self._network, concrete.values)
-            with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
-                drivers = {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}
-                batch = Batch(
-                    prepared,
-                    [concrete.values],
-                    self._time_step,
-                    self._duration,
-                    self._on_collision == "stop",
-                    drivers,
-                    coupling,
-                )
-                batch.run()
-            yield coupling.error or batch.result(0)
+            try:
+                yield self._run(prepared, concrete.values, types)
+            except UnusableError as error:
+                read = partial(self._batch, prepared, {}, self._drivers, None)
+                yield SimulationError(prepared.what_is_wrong(error, concrete.values, read))
+
+    def _run(
+        self, prepared: PreparedScenario, values: Mapping[str, Value], types: Mapping[str, str]
+    ) -> Recording | SimulationError:
+        if (wrong := prepared.unusable(values)) is not None:
+            return SimulationError(wrong)
+        roads = prepared.scenario.road_file(values)
+        if roads is not None and not roads.is_file():
+            self._batch(prepared, values, self._drivers, None)  # says which parameter names them
+        network = sumo_network(prepared.scenario, self._network, values)
+        with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
+            batch = self._batch(prepared, values, {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}, coupling)
+            batch.run()
+        return coupling.error or batch.result(0)
+
+    def _batch(
+        self,
+        prepared: PreparedScenario,
+        values: Mapping[str, Value],
+        drivers: Mapping[str, str | Driver],
+        coupling: SumoCoupling | None,
+    ) -> Batch:
+        return Batch(
+            prepared, [values], self._time_step, self._duration, self._on_collision == "stop", drivers, coupling
+        )
 
     def require_means(self, scenario: Scenario) -> None:
         """Refuse a scenario that asks for a driver that does not exist.

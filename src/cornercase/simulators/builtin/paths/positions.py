@@ -306,7 +306,7 @@ def _along_route(
         *passed, lane, k = (int(one) for one in key)
         begins = [start for start, _ in network.roads[passed[0]].sections] + [float(network.lengths[passed[0]])]
         # From where the section is entered, so that all who begin in it take the same walk.
-        forward = network.runs_along(passed[0], lane, 0.5 * (begins[k] + begins[k + 1]))
+        forward = network.runs_along(passed[0], lane, 0.5 * (max(begins[k], 0.0) + begins[k + 1]))
         edge = max(begins[k], 0.0) if forward else begins[k + 1] - 1e-9
         extra = (first.s[rows] - edge) * (1.0 if forward else -1.0)
         walk = [(passed[0], lane, edge), *((one, 0, 0.0) for one in passed[1:])]
