@@ -27,7 +27,7 @@ from cornercase.reduction.kept import Kept
 from cornercase.reduction.manifest import make_manifest, save_reduction
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.reduction.selection import choose_scenarios
-from cornercase.scenario import Scenario, find_scenario, write_concrete
+from cornercase.scenario import Scenario, find_scenario, with_roads, write_concrete
 from cornercase.study import IMPORTED, Study, open_study
 
 _WHY: Final = {
@@ -149,13 +149,15 @@ def _explored_scenario(study: Study, given: Path | str | Scenario | None) -> Sce
     if meta.simulator == IMPORTED:
         return None
     # The study may come from anywhere: its path of the scenario is a word, and no path here.
-    found = find_scenario(meta.file_name, meta.fingerprint, (study.path.parent, Path())) if given is None else given
+    found = given
+    if found is None:
+        found = find_scenario(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
     if found is None:
         raise InputError(
             f"{study.path}: its scenario file '{meta.file_name}' lies neither beside it nor in the current folder; name"
             " it with `scenario`."
         )
-    scenario = found if isinstance(found, Scenario) else Scenario.read(found)
+    scenario = with_roads(found if isinstance(found, Scenario) else Scenario.read(found), meta.space)
     if scenario.fingerprint() != meta.fingerprint:
         raise InputError(
             f"{scenario.path}: it, its road or its catalogs have changed since {study.path} was explored; restore"

@@ -19,6 +19,10 @@ _MOST_SAMPLES: Final = 2_000_000
 _SLACK: Final = 2.0
 
 
+# Points lie no further out than this, in m.
+_ANYWHERE: Final = 1e12
+
+
 class Place(NamedTuple):
     """Where points are on the roads, each array of shape (N,).
 
@@ -78,7 +82,8 @@ class Locator:
         Place
         """
         samples = self._samples
-        known = np.isfinite(x) & np.isfinite(y)
+        # What is as far as that is found nowhere; NaN is not near either.
+        known = (np.abs(x) < _ANYWHERE) & (np.abs(y) < _ANYWHERE)
         points = np.stack([np.where(known, x, 0.0), np.where(known, y, 0.0)], axis=1)
         gap, near = samples.tree.query(points, k=min(24, len(samples.road)))
         gap, near = np.reshape(gap, (len(x), -1)), np.reshape(near, (len(x), -1))

@@ -1,3 +1,5 @@
+from .concrete_files import copy_beside as copy_beside
+from .concrete_files import write_concrete as write_concrete
 from .constraints import Constraint as Constraint
 from .constraints import Declaration as Declaration
 from .constraints import read_declarations as read_declarations
@@ -8,12 +10,11 @@ from .logical import ConcreteScenario as ConcreteScenario
 from .logical import LogicalScenario as LogicalScenario
 from .openscenario import DRIVER_PROPERTY as DRIVER_PROPERTY
 from .openscenario import Scenario as Scenario
-from .openscenario import copy_beside as copy_beside
-from .openscenario import write_concrete as write_concrete
 from .parameter import Parameter as Parameter
 from .parameter import Value as Value
 from .scope import Scope as Scope
 from .space import ParameterSpace as ParameterSpace
+from .varied_roads import with_roads as with_roads
 from .varies import VariesError as VariesError
 from .xml import parse_xml as parse_xml
 from .xml import read_xml as read_xml

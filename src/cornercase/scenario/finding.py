@@ -9,13 +9,17 @@ from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.space import ParameterSpace
+from cornercase.scenario.varied_roads import with_roads
 
 # How deep below a folder, and how many files and folders of one folder, are looked at.
 _DEEPEST: Final = 2
 _MOST: Final = 1000
 
 
-def find_scenario(name: str, fingerprint: str, folders: Iterable[Path]) -> Scenario | Path | None:
+def find_scenario(
+    name: str, fingerprint: str, folders: Iterable[Path], space: ParameterSpace
+) -> Scenario | Path | None:
     """Find a scenario file in folders and up to two levels below them.
 
     Only what these folders hold is looked at. The name is compared with theirs and never opened as a path.
@@ -25,8 +29,10 @@ def find_scenario(name: str, fingerprint: str, folders: Iterable[Path]) -> Scena
     name : str
         Of the file, without folders. In the folders themselves a file of any name is taken.
     fingerprint : str
-        As `Scenario.fingerprint`.
+        As `LogicalScenario.fingerprint`.
     folders : iterable of Path
+    space : ParameterSpace
+        What is varied; it may name road files.
 
     Returns
     -------
@@ -37,8 +43,8 @@ def find_scenario(name: str, fingerprint: str, folders: Iterable[Path]) -> Scena
     for folder in folders:
         other = None
         for file in _candidates(name, folder):
-            if _has(file, fingerprint):
-                return Scenario(file)
+            if (scenario := _that_has(file, fingerprint, space)) is not None:
+                return scenario
             if other is None and file.name == name:
                 other = file
         if other is not None:
@@ -46,12 +52,13 @@ def find_scenario(name: str, fingerprint: str, folders: Iterable[Path]) -> Scena
     return None
 
 
-def _has(file: Path, fingerprint: str) -> bool:
+def _that_has(file: Path, fingerprint: str, space: ParameterSpace) -> Scenario | None:
     try:
-        return Scenario(file).fingerprint() == fingerprint
+        scenario = with_roads(Scenario(file), space)
+        return scenario if scenario.fingerprint() == fingerprint else None
     except InputError:
         # What cannot be read is not the one.
-        return False
+        return None
 
 
 def _candidates(name: str, top: Path) -> Iterator[Path]:

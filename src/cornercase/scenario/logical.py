@@ -13,6 +13,7 @@ from cornercase.scenario.constraints import read_declarations
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.space import ParameterSpace
+from cornercase.scenario.varied_roads import with_roads
 from cornercase.scenario.xml import XmlFiles
 
 
@@ -66,7 +67,7 @@ class LogicalScenario:
     space : ParameterSpace
         What is varied, and in which bounds.
     fingerprint : str
-        SHA-256 over the scenario file, its road file and its catalogs.
+        SHA-256 over the scenario file, its catalogs, and its road file; of all road files that the space names.
     source : Scenario, optional
         The file as it was read.
     """
@@ -139,6 +140,7 @@ class LogicalScenario:
         varied = varied.continuous() if flag("continuous", continuous) else varied
         declarations = read_declarations(file.root, str(file.path))
         varied = varied.typed(declarations, str(file.path)).constrained(declarations, str(file.path))
+        file = with_roads(file, varied)
         return cls(file.path, varied, file.fingerprint(), file)
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:

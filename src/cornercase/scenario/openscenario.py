@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,17 @@ from lxml import etree
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.files import portable_name, read_file, written_whole
 from cornercase._common.recorded_xml import children, named, unrecorded, was_read
-from cornercase.scenario.declared_types import typed_value, value_text
+from cornercase.scenario.catalogs import Catalogs
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.parameter import Value
-from cornercase.scenario.xml import XmlFiles, parse_xml
+from cornercase.scenario.xml import XmlFiles
 
 DRIVER_PROPERTY = "cornercase.driver"
+
+# Of a file and of a path, in bytes and in characters; no system takes more.
+_LONGEST_NAME = 255
+_LONGEST_PATH = 4000
 
 
 class Scenario:
@@ -34,6 +37,8 @@ class Scenario:
     path : path
     fingerprint : str, optional
         What `fingerprint` has to give; by default that of the files as they are.
+    roads : sequence of str
+        Road files that a varied parameter names, besides the one that the file itself names.
 
     Attributes
     ----------
@@ -42,8 +47,9 @@ class Scenario:
         What others have made of it and keep, by its type.
     """
 
-    def __init__(self, path: Path | str, fingerprint: str | None = None) -> None:
+    def __init__(self, path: Path | str, fingerprint: str | None = None, roads: Sequence[str] = ()) -> None:
         self.path = Path(path)
+        self._roads = tuple(roads)
         self.kept: dict[type, Any] = {}
         self._files = XmlFiles()
         self._fingerprint = fingerprint
@@ -72,8 +78,24 @@ class Scenario:
     def __repr__(self) -> str:
         return f"Scenario({str(self.path)!r})"
 
-    def __reduce__(self) -> tuple[type[Scenario], tuple[Path, str]]:
-        return Scenario, (self.path, self.fingerprint())
+    def __reduce__(self) -> tuple[type[Scenario], tuple[Path, str, tuple[str, ...]]]:
+        return Scenario, (self.path, self.fingerprint(), self._roads)
+
+    def naming(self, roads: Sequence[str]) -> Scenario:
+        """Return the same scenario, to which the road files belong that a varied parameter names.
+
+        Parameters
+        ----------
+        roads : sequence of str
+            As the scenario would name them.
+
+        Returns
+        -------
+        Scenario
+        """
+        other = Scenario(self.path, None, roads)
+        other._files = self._files
+        return other
 
     @cached_property
     def root(self) -> etree._Element:
@@ -162,7 +184,7 @@ class Scenario:
         # A controller of a catalog counts where the file names it itself, not by a parameter.
         for reference in unrecorded(scenario_object, "ObjectController", "CatalogReference"):
             catalog, name = (str(reference.attrib.get(key, "")) for key in ("catalogName", "entryName"))
-            entries = unrecorded(self._catalogs[catalog], "Controller") if catalog in self._catalogs else []
+            entries = [one for each in self._catalogs.named(catalog) for one in unrecorded(each, "Controller")]
             for entry in entries:
                 driver = driver_of(entry) if entry.attrib.get("name") == name else None
                 if driver is not None:
@@ -220,8 +242,10 @@ class Scenario:
         Raises
         ------
         InputError
-            It is a network address.
+            It is a network address, or no name that a file can have.
         """
+        if any(len(part.encode()) > _LONGEST_NAME for part in Path(reference).parts) or len(reference) > _LONGEST_PATH:
+            raise InputError(f"{self.path}: the {what} '{reference[:60]}…' is no name that a file can have.")
         if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", reference) or reference.startswith(("//", "\\\\")):
             raise InputError(f"{self.path}: the {what} '{reference}' is a network address; name a local file.")
         return self.path.parent / reference.replace("\\", "/")
@@ -240,31 +264,13 @@ class Scenario:
         Raises
         ------
         InputError
-            No catalog of that name lies in the catalog locations, or it lacks the entry.
+            No catalog of that name lies in the catalog locations, it lacks the entry, or several have it and differ.
         """
-        if catalog not in self._catalogs:
-            raise InputError(f"{self.path}: there is no catalog '{catalog}'; {suggestion(catalog, self._catalogs)}")
-        entries = {str(e.attrib.get("name", "")): e for e in children(self._catalogs[catalog])}
-        if entry not in entries:
-            raise InputError(
-                f"{self.path}: the catalog '{catalog}' has no entry '{entry}'; {suggestion(entry, entries)}"
-            )
-        entries[entry].get("name")
-        return entries[entry]
+        return self._catalogs.entry(catalog, entry)
 
     @cached_property
-    def _catalogs(self) -> dict[str, etree._Element]:
-        found: dict[str, etree._Element] = {}
-        for file in self._catalog_files:
-            catalog = self._files.root(file).find("Catalog")
-            if catalog is not None:
-                found.setdefault(catalog.get("name", ""), catalog)
-        # Some files call a catalog as its file is called.
-        for file in self._catalog_files:
-            catalog = self._files.root(file).find("Catalog")
-            if catalog is not None:
-                found.setdefault(file.stem, catalog)
-        return found
+    def _catalogs(self) -> Catalogs:
+        return Catalogs(self.path, ((file, self._files.root(file)) for file in self._catalog_files))
 
     def catalog_files(self) -> list[Path]:
         """Return all files in the catalog locations.
@@ -280,7 +286,7 @@ class Scenario:
     def _catalog_files(self) -> list[Path]:
         files: list[Path] = []
         for directory in self._document.iterfind("CatalogLocations//Directory"):
-            folder = self.beside(directory.get("path", ""), "catalog location")
+            folder = self.beside(self._parameter_text(directory.get("path", ""), {}), "catalog location")
             found = sorted(folder.glob("*.xosc")) if folder.is_dir() else [folder]
             files += [file for file in found if file.is_file() and file not in files]
         return files
@@ -340,8 +346,8 @@ class Scenario:
     def _digest(self) -> str:
         files = [self.path, *self._catalog_files]
         road = self.road_file()
-        if road is not None:
-            files.append(road)
+        named = [self.beside(one, "road file") for one in self._roads]
+        files += dict.fromkeys([*([] if road is None else [road]), *named])
         digest = hashlib.sha256()
         for file in files:
             if file.is_file():
@@ -368,124 +374,3 @@ def driver_of(controller: etree._Element) -> str | None:
     """Name of the driver that a property of a ``Controller`` asks for; any other controller does not count as read."""
     item = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
     return None if item is None else item.get("value")
-
-
-def write_concrete(
-    scenario: Scenario,
-    values: Mapping[str, Value],
-    target: Path,
-    drivers: Mapping[str, str] | None = None,
-    description: str | None = None,
-) -> None:
-    """Write a concrete scenario that runs by itself.
-
-    The road file and the catalogs are copied beside it, unless they are there already.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The logical scenario's file.
-    values : mapping of str to float or str
-        Values of parameters, written into their declarations.
-    target : Path
-    drivers : mapping of str to str, optional
-        Driver presets by entity, written as controller properties.
-    description : str, optional
-        Replaces the description in the file's header.
-
-    Raises
-    ------
-    InputError
-        A parameter or entity does not exist, or the target cannot be written.
-    """
-    scenario.require_parameters(list(values))
-    tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
-    root = tree.getroot()
-    header = root.find("FileHeader")
-    if description is not None and header is not None:
-        header.set("description", description)
-    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
-        name = declaration.get("name", "")
-        if name in values:
-            declaration.set("value", _typed_text(values[name], declaration, scenario.path))
-    for name, driver in (drivers or {}).items():
-        scenario.require_entity(name, "driven entity")
-        for element in root.iterfind("Entities/ScenarioObject"):
-            if element.get("name") == name:
-                _set_driver(element, driver)
-
-    logic_file = root.find("RoadNetwork/LogicFile")
-    if logic_file is not None and logic_file.get("filepath"):
-        holder, attribute = _holder(root, logic_file, "filepath")
-        source = scenario.beside(holder.get(attribute, ""), "road file")
-        copy_beside(source, target.parent / source.name, "OpenDRIVE")
-        holder.set(attribute, source.name)
-    for directory in root.iterfind("CatalogLocations//Directory"):
-        holder, attribute = _holder(root, directory, "path")
-        folder = scenario.beside(holder.get(attribute, ""), "catalog location")
-        # "..", too, is the name of a folder.
-        name = portable_name(folder.name)
-        for file in sorted(folder.glob("*.xosc")):
-            copy_beside(file, target.parent / "catalogs" / name / file.name, "OpenSCENARIO")
-        holder.set(attribute, f"catalogs/{name}")
-
-    with written_whole(target) as temporary:
-        tree.write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
-
-
-def _holder(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:
-    """Where a path really stands: in the attribute, or in the declaration of the parameter that it names."""
-    text = element.get(attribute, "")
-    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
-        if text == f"${declaration.get('name')}":
-            return declaration, "value"
-    return element, attribute
-
-
-def _typed_text(value: Value, declaration: etree._Element, path: Path) -> str:
-    """Write a value as one of the type that its parameter is declared with."""
-    if isinstance(value, str) and value.lstrip().startswith("$"):
-        return value
-    try:
-        return value_text(typed_value(value, declaration.get("parameterType", "string")))
-    except ValueError as why:
-        raise InputError(f"{path}: the parameter {declaration.get('name')} is '{value}', {why}.") from None
-
-
-def _set_driver(scenario_object: etree._Element, driver: str) -> None:
-    for controller in scenario_object.iterfind("ObjectController/Controller"):
-        for item in controller.iterfind("Properties/Property"):
-            if item.get("name") == DRIVER_PROPERTY:
-                item.set("value", driver)
-                return
-    holder = etree.SubElement(scenario_object, "ObjectController")
-    controller = etree.SubElement(holder, "Controller", name=f"driver of {scenario_object.get('name')}")
-    etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver)
-
-
-def copy_beside(source: Path, target: Path, root: str) -> None:
-    """Copy an XML file that a scenario needs, unless it is there already.
-
-    A scenario may come from a stranger and name any file, so only one that is what it is needed for is copied.
-
-    Parameters
-    ----------
-    source, target : Path
-    root : str
-        Tag of its root element.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is of another kind.
-    """
-    if not source.is_file():
-        raise InputError(f"{source}: is needed by the scenario but is not there.")
-    content = read_file(source)
-    found = parse_xml(content, source).tag
-    if found != root:
-        raise InputError(f"{source}: the root element is <{found}>; the scenario needs a file with <{root}> there.")
-    if target.exists() and target.read_bytes() == content:
-        return
-    with written_whole(target) as temporary:
-        temporary.write_bytes(content)

@@ -16,6 +16,8 @@ from cornercase.simulators.builtin.tracks.track import Pose, Track
 # than the smallest by at most so many m count as passing, too.
 _PASSES: Final = 16
 _SAME: Final = 0.3
+# Points lie no further out than this, in m.
+_ANYWHERE: Final = 1e12
 # So far before the place where a path is cut, in m, an entity goes over to one that leads on.
 _AHEAD: Final = 1000.0
 _BACK: Final = 250.0
@@ -68,7 +70,7 @@ class LaneTrack(Track):
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         if self._tree is None:
             self._tree = cKDTree(np.stack([self.path.x, self.path.y], axis=1))
-        known = np.isfinite(x) & np.isfinite(y)
+        known = (np.abs(x) < _ANYWHERE) & (np.abs(y) < _ANYWHERE)
         x, y = np.where(known, x, self.path.x[0]), np.where(known, y, self.path.y[0])
         # Of several passes the next one counts.
         found = self._tree.query(np.stack([x, y], axis=1), k=min(_PASSES, len(self.path.x)))

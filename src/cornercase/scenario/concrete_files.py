@@ -1,0 +1,140 @@
+"""Concrete scenarios as files of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.files import portable_name, read_file, written_whole
+from cornercase.scenario.declared_types import typed_value, value_text
+from cornercase.scenario.openscenario import DRIVER_PROPERTY, Scenario
+from cornercase.scenario.parameter import Value
+from cornercase.scenario.xml import parse_xml
+
+
+def write_concrete(
+    scenario: Scenario,
+    values: Mapping[str, Value],
+    target: Path,
+    drivers: Mapping[str, str] | None = None,
+    description: str | None = None,
+) -> None:
+    """Write a concrete scenario that runs by itself.
+
+    The road file and the catalogs are copied beside it, unless they are there already.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The logical scenario's file.
+    values : mapping of str to float or str
+        Values of parameters, written into their declarations.
+    target : Path
+    drivers : mapping of str to str, optional
+        Driver presets by entity, written as controller properties.
+    description : str, optional
+        Replaces the description in the file's header.
+
+    Raises
+    ------
+    InputError
+        A parameter or entity does not exist, or the target cannot be written.
+    """
+    scenario.require_parameters(list(values))
+    tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
+    root = tree.getroot()
+    header = root.find("FileHeader")
+    if description is not None and header is not None:
+        header.set("description", description)
+    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+        name = declaration.get("name", "")
+        if name in values:
+            declaration.set("value", _typed_text(values[name], declaration, scenario.path))
+    for name, driver in (drivers or {}).items():
+        scenario.require_entity(name, "driven entity")
+        for element in root.iterfind("Entities/ScenarioObject"):
+            if element.get("name") == name:
+                _set_driver(element, driver)
+
+    logic_file = root.find("RoadNetwork/LogicFile")
+    if logic_file is not None and logic_file.get("filepath"):
+        holder, attribute = _holder(root, logic_file, "filepath")
+        source = scenario.beside(holder.get(attribute, ""), "road file")
+        copy_beside(source, target.parent / source.name, "OpenDRIVE")
+        holder.set(attribute, source.name)
+    taken: dict[str, Path] = {}
+    for directory in root.iterfind("CatalogLocations//Directory"):
+        holder, attribute = _holder(root, directory, "path")
+        folder = scenario.beside(holder.get(attribute, ""), "catalog location")
+        # "..", too, is the name of a folder.
+        name = plain = portable_name(folder.name)
+        # Two folders may have one name.
+        while taken.setdefault(name, folder) != folder:
+            name = f"{plain}-{len(taken) + 1}"
+        for file in sorted(folder.glob("*.xosc")):
+            copy_beside(file, target.parent / "catalogs" / name / file.name, "OpenSCENARIO")
+        holder.set(attribute, f"catalogs/{name}")
+
+    with written_whole(target) as temporary:
+        tree.write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
+
+
+def _holder(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:
+    """Where a path really stands: in the attribute, or in the declaration of the parameter that it names."""
+    text = element.get(attribute, "")
+    for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
+        if text == f"${declaration.get('name')}":
+            return declaration, "value"
+    return element, attribute
+
+
+def _typed_text(value: Value, declaration: etree._Element, path: Path) -> str:
+    """Write a value as one of the type that its parameter is declared with."""
+    if isinstance(value, str) and value.lstrip().startswith("$"):
+        return value
+    try:
+        return value_text(typed_value(value, declaration.get("parameterType", "string")))
+    except ValueError as why:
+        raise InputError(f"{path}: the parameter {declaration.get('name')} is '{value}', {why}.") from None
+
+
+def _set_driver(scenario_object: etree._Element, driver: str) -> None:
+    for controller in scenario_object.iterfind("ObjectController/Controller"):
+        for item in controller.iterfind("Properties/Property"):
+            if item.get("name") == DRIVER_PROPERTY:
+                item.set("value", driver)
+                return
+    holder = etree.SubElement(scenario_object, "ObjectController")
+    controller = etree.SubElement(holder, "Controller", name=f"driver of {scenario_object.get('name')}")
+    etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver)
+
+
+def copy_beside(source: Path, target: Path, root: str) -> None:
+    """Copy an XML file that a scenario needs, unless it is there already.
+
+    A scenario may come from a stranger and name any file, so only one that is what it is needed for is copied.
+
+    Parameters
+    ----------
+    source, target : Path
+    root : str
+        Tag of its root element.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is of another kind.
+    """
+    if not source.is_file():
+        raise InputError(f"{source}: is needed by the scenario but is not there.")
+    content = read_file(source)
+    found = parse_xml(content, source).tag
+    if found != root:
+        raise InputError(f"{source}: the root element is <{found}>; the scenario needs a file with <{root}> there.")
+    if target.exists() and target.read_bytes() == content:
+        return
+    with written_whole(target) as temporary:
+        temporary.write_bytes(content)

@@ -1,0 +1,118 @@
+"""The files that belong to a scenario: catalogs, and roads that a parameter names."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from conftest import ROAD, scenario_file, teleport
+from cornercase._common.errors import InputError
+from cornercase.scenario import LogicalScenario, Scenario, find_scenario, write_concrete
+from cornercase.simulators import simulate
+
+VEHICLE = """<Vehicle name="{name}" vehicleCategory="car"><BoundingBox><Center x="1.4" y="0" z="0.7"/>
+<Dimensions length="{length}" width="2" height="1.5"/></BoundingBox>
+<Performance maxSpeed="60" maxAcceleration="200" maxDeceleration="200"/><Axles/><Properties/></Vehicle>"""
+
+
+def catalog(folder, file, name, *entries):
+    folder.mkdir(parents=True, exist_ok=True)
+    inner = "".join(VEHICLE.format(name=entry, length=length) for entry, length in entries)
+    (folder / f"{file}.xosc").write_text(
+        '<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a" description="d"/>'
+        f'<Catalog name="{name}">{inner}</Catalog></OpenSCENARIO>'
+    )
+
+
+def from_catalogs(folder, *locations, name="Cars", entry="small"):
+    path = scenario_file(
+        folder,
+        init=f'<Private entityRef="Ego">{teleport("5")}</Private>',
+        entities=f'<ScenarioObject name="Ego"><CatalogReference catalogName="{name}" entryName="{entry}"/></ScenarioObject>',
+    )
+    directories = "".join(f'<VehicleCatalog><Directory path="{one}"/></VehicleCatalog>' for one in locations)
+    path.write_text(
+        path.read_text().replace("<CatalogLocations/>", f"<CatalogLocations>{directories}</CatalogLocations>")
+    )
+    return path
+
+
+def test_an_entry_is_found_in_any_catalog_of_the_name(tmp_path):
+    catalog(tmp_path / "a", "one", "Cars", ("large", 6))
+    catalog(tmp_path / "b", "two", "Cars", ("small", 3))
+    assert simulate(from_catalogs(tmp_path, "a", "b"), duration=0.1).length == [3.0]
+    # By the name of its file, too, as in esmini.
+    assert simulate(from_catalogs(tmp_path, "a", "b", name="two"), duration=0.1).length == [3.0]
+
+
+def test_entries_that_differ_are_refused_and_those_that_do_not_are_one(tmp_path):
+    catalog(tmp_path / "a", "one", "Cars", ("small", 3))
+    catalog(tmp_path / "b", "two", "Cars", ("small", 3))
+    path = from_catalogs(tmp_path, "a", "b")
+    assert simulate(path, duration=0.1).length == [3.0]
+    catalog(tmp_path / "b", "two", "Cars", ("small", 4))
+    with pytest.raises(
+        InputError, match=r"the entry 'small' of the catalog 'Cars' stands in .*one\.xosc and in .*two\.xosc"
+    ):
+        simulate(path, duration=0.1)
+    catalog(tmp_path / "c", "Cars", "Cars", ("small", 5))
+    assert simulate(from_catalogs(tmp_path, "a", "b", "c"), duration=0.1).length == [5.0]
+
+
+def test_catalogs_of_two_folders_of_one_name_are_both_written(tmp_path):
+    catalog(tmp_path / "a" / "catalogs", "cars", "Large", ("small", 6))
+    catalog(tmp_path / "b" / "catalogs", "cars", "Small", ("small", 3))
+    path = from_catalogs(tmp_path, "a/catalogs", "b/catalogs", name="Small")
+    write_concrete(Scenario.read(path), {}, tmp_path / "out" / "scenario.xosc")
+    assert simulate(tmp_path / "out" / "scenario.xosc", duration=0.1).length == [3.0]
+
+
+def with_roads_by_parameter(folder):
+    path = scenario_file(
+        folder,
+        init=f'<Private entityRef="Ego">{teleport("5")}</Private>',
+        parameters='<ParameterDeclaration name="road" parameterType="string" value="road.xodr"/>',
+    )
+    path.write_text(path.read_text().replace('filepath="road.xodr"', 'filepath="$road"'))
+    (folder / "other.xodr").write_text(ROAD)
+    (folder / "space.xosc").write_text(
+        '<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a" description="d"/>'
+        '<ParameterValueDistribution><ScenarioFile filepath="scenario.xosc"/><Deterministic>'
+        '<DeterministicSingleParameterDistribution parameterName="road"><DistributionSet><Element value="road.xodr"/>'
+        '<Element value="other.xodr"/></DistributionSet></DeterministicSingleParameterDistribution></Deterministic>'
+        "</ParameterValueDistribution></OpenSCENARIO>"
+    )
+    return folder / "space.xosc"
+
+
+def test_a_road_that_a_varied_parameter_names_belongs_to_the_scenario(tmp_path):
+    space = with_roads_by_parameter(tmp_path)
+    before = LogicalScenario.read(None, space)
+    assert find_scenario("scenario.xosc", before.fingerprint, [tmp_path], before.space) is not None
+    copy = pickle.loads(pickle.dumps(before.scenario))
+    (tmp_path / "other.xodr").write_text(ROAD.replace('a="4"', 'a="3"'))
+    after = LogicalScenario.read(None, space)
+    assert after.fingerprint != before.fingerprint
+    # A worker that reads it now sees that it is another one.
+    with pytest.raises(InputError, match="has changed since it was read"):
+        _ = copy.root
+    # Where it is not varied, it does not count.
+    assert Scenario.read(tmp_path / "scenario.xosc").fingerprint() not in (before.fingerprint, after.fingerprint)
+
+
+@pytest.mark.parametrize("name", ["9" * 400, "a/" * 3000])
+def test_what_is_no_name_of_a_file_is_refused(tmp_path, name):
+    path = scenario_file(tmp_path, init=f'<Private entityRef="Ego">{teleport("5")}</Private>')
+    path.write_text(path.read_text().replace("road.xodr", name))
+    with pytest.raises(InputError, match="no name that a file can have"):
+        simulate(path, duration=0.1)
+
+
+def test_a_place_at_the_end_of_the_world_is_none(tmp_path):
+    path = scenario_file(
+        tmp_path,
+        init='<Private entityRef="Ego"><PrivateAction><TeleportAction><Position><WorldPosition x="-1e300" y="0"/></Position>'
+        "</TeleportAction></PrivateAction></Private>",
+    )
+    simulate(path, duration=0.1)
