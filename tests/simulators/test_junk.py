@@ -194,5 +194,5 @@ if __name__ == "__main__":
                     result_of(Path(name), changed(place, value))
                 except Exception as error:
                     k, attribute = PLACES[place]
-                    tag = str(list(etree.fromstring(WHOLE).iter())[k].tag)
-                    sys.stdout.write(f"{tag} {attribute}={value[:20]!r}: {error!r}\n")
+                    element = list(etree.fromstring(WHOLE).iter())[k]
+                    sys.stdout.write(f"{element.sourceline} {attribute!r}={value[:20]!r}: {error!r}\n")

@@ -13,6 +13,7 @@ from cornercase._common.typing import FloatArray
 _SPACING: Final = 1.0
 _AHEAD: Final = 0.001
 _FINER: Final = 8
+_MOST_SAMPLES: Final = 100_000
 
 
 def nurbs_points(
@@ -36,7 +37,7 @@ def nurbs_points(
     Returns
     -------
     tuple of ndarray of float64, each (N, samples)
-        The last point is repeated where another scenario has more of them.
+        The last point is repeated, once at least, and where another scenario has more of them.
     """
     # Imported here, since it takes time and few files have such curves.
     from scipy.interpolate import BSpline
@@ -44,22 +45,36 @@ def nurbs_points(
     basis = BSpline(knots, np.eye(len(weights)), order - 1)
     begin, end = knots[order - 1], knots[len(weights)]
     # Each scenario by its own length alone.
-    counts = 1 + (np.hypot(np.diff(x), np.diff(y)).sum(axis=1) / _SPACING).astype(np.int64)
-    found = np.empty((4, len(x), _FINER * int(counts.max()) + 1))
+    length = np.zeros(len(x))
+    for k in range(x.shape[1] - 1):
+        length += np.hypot(x[:, k + 1] - x[:, k], y[:, k + 1] - y[:, k])
+    counts = 1 + np.clip(np.nan_to_num(length / _SPACING), 0.0, _MOST_SAMPLES).astype(np.int64)
+    found = np.empty((4, len(x), _FINER * int(counts.max()) + 2))
     for count in np.unique(counts):
         rows = counts == count
         coarse, u = np.linspace(begin, end, count + 1), np.linspace(begin, end, _FINER * count + 1)
         value, slope = basis(u) * weights, basis(u, 1) * weights
         total, change = value.sum(axis=1), slope.sum(axis=1)
-        px, py = x[rows] @ value.T / total, y[rows] @ value.T / total
-        dx, dy = (x[rows] @ slope.T - px * change) / total, (y[rows] @ slope.T - py * change) / total
+        px, py = _mixed(x[rows], value) / total, _mixed(y[rows], value) / total
+        dx, dy = (_mixed(x[rows], slope) - px * change) / total, (_mixed(y[rows], slope) - py * change) / total
         step = min(_AHEAD, float(coarse[1] - coarse[0]))
         ahead = np.append(coarse[:-1] + step, coarse[-1] - step)
-        clock = time[rows] @ _shares(u, coarse[basis(ahead).argmax(axis=0)])
+        clock = _mixed(time[rows], _shares(u, coarse[basis(ahead).argmax(axis=0)]).T)
         for part, held in zip((px, py, np.unwrap(np.arctan2(dy, dx), axis=1), clock), found, strict=True):
             held[rows, : u.size] = part
             held[rows, u.size :] = part[:, -1:]
     return found[0], found[1], found[2], found[3]
+
+
+def _mixed(controls: FloatArray, shares: FloatArray) -> FloatArray:
+    """Sums of control points by their shares at each sample, (N, C) and (S, C) to (N, S).
+
+    A product of matrices would round otherwise for one scenario than for many.
+    """
+    result = np.zeros((len(controls), len(shares)))
+    for k in range(controls.shape[1]):
+        result += controls[:, k, None] * shares[:, k]
+    return result
 
 
 def _shares(u: FloatArray, peaks: FloatArray) -> FloatArray:
