@@ -78,3 +78,15 @@ def differing(path: Path, values: Sequence[Mapping[str, Value]], duration: float
     turned = [outcome(one) for one in simulator.run(concretes[::-1])][::-1]
     alone = [outcome(next(iter(simulator.run([one])))) for one in concretes]
     return [k for k in range(len(concretes)) if not together[k] == turned[k] == alone[k]]
+
+
+if __name__ == "__main__":
+    # All of them, which takes minutes: python tests/alone.py [WORD OF A PATH]…
+    import sys
+
+    for path in scenario_files(REFERENCE, ROOT / "examples"):
+        if len(sys.argv) == 1 or any(word in str(path) for word in sys.argv[1:]):
+            values = varied(Scenario.read(path), most=6)
+            found = differing(path, values, 10.0)
+            sys.stdout.write(f"{path.name}: {'the same' if not found else [values[k] for k in found]}\n")
+            sys.stdout.flush()
