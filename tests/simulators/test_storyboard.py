@@ -11,6 +11,7 @@ import pytest
 from conftest import car, event, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
+from storyboards import write_roads
 
 DT = 0.05
 
@@ -251,3 +252,47 @@ def test_braking_is_a_negative_acceleration(tmp_path, rule, speed):
     condition = f'<AccelerationCondition value="{"2" if rule == "greaterThan" else "-2"}" rule="{rule}"/>'
     then = event("then", speed_action("20"), of_entity(condition))
     assert of_speed(run(file(tmp_path, brake, then)), 5.0) == pytest.approx(speed)
+
+
+def test_a_storyboard_that_stops_in_the_first_frame_does_nothing(tmp_path):
+    story = story_of(event("e", teleport("150"), time_trigger("0")))
+    path = scenario_file(tmp_path, init=placed(), story=story, stop=time_trigger("0"))
+    recording = run(path)
+    np.testing.assert_allclose(recording.x[0], [50.0])
+
+
+def test_an_offset_from_another_lies_to_the_left_as_that_one_looks(tmp_path):
+    # The other one comes towards it in the lane to the left, 4 m away; its left is the right here.
+    offset = """<PrivateAction><LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics
+dynamicsShape="step"/><LaneOffsetTarget><RelativeTargetLaneOffset entityRef="Lead" value="1"/></LaneOffsetTarget>
+</LaneOffsetAction></LateralAction></PrivateAction>"""
+    init = placed() + placed("Lead", "300", "10", "1")
+    path = file(tmp_path, event("e", offset, time_trigger("1")), init=init, entities=car("Ego") + car("Lead"))
+    recording = run(path, 2.0)
+    assert recording.y[0][-1] == pytest.approx(2.0 - 1.0)
+
+
+@pytest.mark.parametrize("system", ["road", "lane"])
+@pytest.mark.parametrize(("value", "speed"), [("49", 0.0), ("50.5", 5.0)])
+def test_a_distance_along_a_road_is_that_of_its_reference_line(tmp_path, system, value, speed):
+    # On the bend to the left, the way along the right lane is 50.9 m.
+    distance = f"""<RelativeDistanceCondition entityRef="Lead" value="{value}" rule="lessThan" freespace="false"
+coordinateSystem="{system}" relativeDistanceType="longitudinal"/>"""
+    path = file(
+        tmp_path,
+        event("e", speed_action("5"), group(time_trigger("1"), of_entity(distance))),
+        init=placed("Ego", "200", "0") + placed("Lead", "250", "0"),
+        entities=car("Ego") + car("Lead"),
+    )
+    write_roads(tmp_path)
+    (tmp_path / "curve.xodr").replace(tmp_path / "road.xodr")
+    assert of_speed(run(path, 2.0), 1.5) == pytest.approx(speed)
+
+
+def test_standing_as_long_as_asked_for_counts_by_the_clocks_rounding(tmp_path):
+    # Ten steps after 0.65 s, the sum of steps of 0.05 s is a little more than 0.5 s later.
+    stop = event("stop", speed_action("0"), time_trigger("0.6"))
+    again = event("again", speed_action("5"), of_entity('<StandStillCondition duration="0.5"/>'))
+    recording = run(file(tmp_path, stop, again), 3.0)
+    assert of_speed(recording, 1.15) == 0.0
+    assert of_speed(recording, 1.2) == pytest.approx(5.0)

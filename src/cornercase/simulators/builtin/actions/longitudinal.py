@@ -15,7 +15,7 @@ from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.paths.transitions import Transition
 from cornercase.simulators.builtin.world.gaps import along_roads, distance_ahead, longitudinal_gap
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
-from cornercase.simulators.builtin.world.whereabouts import lane_of
+from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, lane_of
 
 # A distance that is kept within this, in m, is reached.
 _REACHED: Final = 0.1
@@ -179,7 +179,8 @@ class LongitudinalDistanceAction(Action):
         if self._free:
             return longitudinal_gap(world, self._entity, self._other)
         if self._system in ("lane", "road", "trajectory"):
-            return along_roads(world, self._entity, lane_of(world, self._other))
+            place = lane_of(world, self._other)
+            return ahead_on_road(world, self._entity, place, along_roads(world, self._entity, place))
         return distance_ahead(world, self._entity, self._other)
 
 

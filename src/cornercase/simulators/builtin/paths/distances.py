@@ -23,7 +23,7 @@ from cornercase.simulators.builtin.world.gaps import (
     offset_of,
 )
 from cornercase.simulators.builtin.world.state import World
-from cornercase.simulators.builtin.world.whereabouts import lane_of
+from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, lane_of
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class Gap:
                 return np.asarray(np.sign(apart) * np.maximum(np.abs(apart) - half, 0.0) if self.free else apart)
             return lateral_gap(world, e, other) if self.free else distance_beside(world, e, other)
         if self.along_road:
-            way = along_roads(world, e, lane_of(world, other))
+            place = lane_of(world, other)
+            way = ahead_on_road(world, e, place, along_roads(world, e, place))
             if not self.free:
                 return way
             ahead, behind = longitudinal_reach(world, e, other)
@@ -86,10 +87,12 @@ class Gap:
                 linked = np.isfinite(along_roads(world, e, pose))
                 across = np.where(linked, offset_of(world, e, pose.x, pose.y) - world.offset[e], np.inf)
             return np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
-        way = along_roads(world, e, pose) if self.along_road else dx * cos + dy * sin
+        way = dx * cos + dy * sin
+        if self.along_road:
+            way = ahead_on_road(world, e, pose, along_roads(world, e, pose))
         if self.free:
             way = np.where(way > 0, np.maximum(way - front, 0.0), np.minimum(way + rear, 0.0))
-        return way
+        return np.asarray(way)
 
 
 def read_gap(element: etree._Element, scope: Scope) -> Gap:

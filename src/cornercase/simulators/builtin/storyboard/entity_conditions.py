@@ -132,7 +132,7 @@ def _acceleration(element: etree._Element, scope: Scope, world: World) -> Entity
 
 def _stand_still(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     duration = scope.number(element, "duration")
-    return lambda world, e: np.asarray(world.time - world.standing_since[e] > duration + 1e-9)
+    return lambda world, e: np.asarray(world.time - world.standing_since[e] > duration)
 
 
 def _end_of_road(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -143,7 +143,7 @@ def _end_of_road(element: etree._Element, scope: Scope, world: World) -> EntityT
 def _off_road(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     duration = scope.number(element, "duration")
     world.watches_roads = True
-    return lambda world, e: np.asarray(world.time - world.off_road_since[e] > duration + 1e-9)
+    return lambda world, e: np.asarray(world.time - world.off_road_since[e] > duration)
 
 
 def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTest:

@@ -88,12 +88,14 @@ class Storyboard:
         if dt > 0.0:
             world.running &= ~(stopped | self._stopped)
         self._stopped = stopped
+        # A storyboard that stops in the first frame, which is recorded, does nothing in it.
+        going = world.running & ~stopped
         for story in self.stories:
-            story.evaluate(world, world.running)
+            story.evaluate(world, going)
         for action in self._init:
             action.step(dt, world.running)
         for story in self.stories:
-            story.step(dt, world.running)
+            story.step(dt, going)
 
     def _read_init(self, root: etree._Element, scope: Scope) -> Iterator[RunningAction]:
         actions = root.find("Init/Actions")

@@ -149,6 +149,32 @@ def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
     return np.asarray(speed)
 
 
+def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray) -> FloatArray:
+    """How far ahead of an entity a target is along the reference line of its road, in m, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    target : Pose
+    otherwise : ndarray of float64, shape (N,)
+        What it is where the target is on another road.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; negative behind it.
+    """
+    if world.network is None or target.road is None or target.s is None:
+        return otherwise
+    own = lane_of(world, entity)
+    assert own.road is not None
+    assert own.s is not None
+    forward = np.where(np.cos(own.heading - road_heading(world, own)) > -1e-6, 1.0, -1.0)
+    return np.where(own.road == target.road, forward * (target.s - own.s), otherwise)
+
+
 def lateral_speed(world: World, entity: int) -> FloatArray:
     """Speed across the entity's track in m/s, shape (N,); positive to the left.
 
