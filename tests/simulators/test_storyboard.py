@@ -296,3 +296,16 @@ def test_standing_as_long_as_asked_for_counts_by_the_clocks_rounding(tmp_path):
     recording = run(file(tmp_path, stop, again), 3.0)
     assert of_speed(recording, 1.15) == 0.0
     assert of_speed(recording, 1.2) == pytest.approx(5.0)
+
+
+def test_a_lane_change_of_who_stands_lets_it_stand_for_the_frame(tmp_path):
+    # The lane change comes first in the frame, and moves the car with the speed that it has then.
+    change = """<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="cubic"
+dynamicsDimension="time" value="5"/><LaneChangeTarget><AbsoluteTargetLane value="1"/></LaneChangeTarget>
+</LaneChangeAction></LateralAction></PrivateAction>"""
+    both = event("e", change, time_trigger("1"))
+    both = both.replace("</Action>", f'</Action><Action name="go">{SLOWLY}</Action>')
+    recording = run(file(tmp_path, both, init=placed(speed="0")))
+    assert of_speed(recording, 1.05) > 0.0
+    assert recording.x[0][round(1.05 / DT)] == pytest.approx(50.0)
+    assert recording.x[0][round(1.1 / DT)] > 50.0

@@ -98,7 +98,8 @@ class LaneChangeAction(Action):
         world.moved[e][moves] = False
         world.offset[e][moves] = offset[moves]
         world.sideways[e][moves] = np.where(abrupt, 0.0, across)[moves]
-        world.pace[e][moves] = world.speed[e][moves]
+        # A speed that another action sets in this frame counts from the next, for one that stands too.
+        world.pace[e][where] = world.speed[e][where]
         world.turn[e][moves] = np.where(arrived, 0.0, np.sign(world.speed[e]) * turn)[moves]
         return np.asarray(where & moves & arrived)
 
