@@ -12,6 +12,7 @@ from cornercase._common.geometry import box_corners
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.free_space import free_space_on_road, free_space_to_place
 from cornercase.simulators.builtin.world.gaps import (
     along_roads,
     distance_ahead,
@@ -55,7 +56,10 @@ class Gap:
                 linked = np.isfinite(along_roads(world, e, lane_of(world, other)))
                 apart = np.where(linked, offset_from(world, e, other) - world.offset[e], np.inf)
                 half = 0.5 * (world.entities[e].width + world.entities[other].width)
-                return np.asarray(np.sign(apart) * np.maximum(np.abs(apart) - half, 0.0) if self.free else apart)
+                if not self.free:
+                    return apart
+                narrowed = np.sign(apart) * np.maximum(np.abs(apart) - half, 0.0)
+                return free_space_on_road(world, e, other, True, narrowed)
             return lateral_gap(world, e, other) if self.free else distance_beside(world, e, other)
         if self.along_road:
             place = lane_of(world, other)
@@ -63,7 +67,8 @@ class Gap:
             if not self.free:
                 return way
             ahead, behind = longitudinal_reach(world, e, other)
-            return np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
+            shortened = np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
+            return free_space_on_road(world, e, other, False, shortened)
         return longitudinal_gap(world, e, other) if self.free else distance_ahead(world, e, other)
 
     def to_place(self, world: World, e: int, pose: Pose) -> FloatArray:
@@ -86,12 +91,15 @@ class Gap:
             if self.along_road:
                 linked = np.isfinite(along_roads(world, e, pose))
                 across = np.where(linked, offset_of(world, e, pose.x, pose.y) - world.offset[e], np.inf)
-            return np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
+            result = np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
+            whole = self.along_road and self.free
+            return free_space_to_place(world, e, pose, True, result) if whole else result
         way = dx * cos + dy * sin
         if self.along_road:
             way = ahead_on_road(world, e, pose, along_roads(world, e, pose))
         if self.free:
             way = np.where(way > 0, np.maximum(way - front, 0.0), np.minimum(way + rear, 0.0))
+            way = free_space_to_place(world, e, pose, False, way) if self.along_road else way
         return np.asarray(way)
 
 

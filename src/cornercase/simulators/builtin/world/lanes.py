@@ -43,7 +43,7 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     world.from_x[entity][where], world.from_y[entity][where] = pose.x[where], pose.y[where]
     world.present[entity] |= where
     world.jumped[entity] |= where
-    world.moved[entity] |= where & (world.time > 0.0)
+    world.moved[entity] |= where & world.begun
     align_trailers(world, entity, where)
     # An entity that follows a trajectory keeps following it.
     attach_to_lane(world, entity, where & ((world.track[entity] == FREE) | on_lane(world, entity)), pose)

@@ -62,6 +62,7 @@ def move_entities(world: World, dt: float) -> None:
         world.odometer += chord
         world.velocity = chord / dt
     world.time += dt
+    world.begun = True
     world.from_x, world.from_y, world.from_heading = world.x.copy(), world.y.copy(), world.heading.copy()
     world.moved[:] = world.jumped[:] = False
     world.pace[:] = np.nan
@@ -143,9 +144,10 @@ def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) 
         over = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & (way < 0.0))
         distance = np.clip(distance, 0.0, track.length)
         # An entity that tries to drive beyond the end stops with the second step, as in esmini.
-        late = world.at_end_since[e][at] < world.time - 1.5 * world.last_step
+        late = world.at_end_since[e][at] < world.time - 0.5 * world.last_step
         world.speed[e][at[over & late & np.isnan(world.pace[e][at])]] = 0.0
-        world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], world.time), np.inf)
+        arrived = world.time + world.last_step
+        world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], arrived), np.inf)
     world.distance[e][at] = distance
     x, y, heading = track.at(distance, offset, at)
     world.x[e][at], world.y[e][at] = x, y

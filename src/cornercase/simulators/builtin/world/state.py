@@ -157,6 +157,8 @@ class World:
         Change of that velocity in the last step, in m/s².
     jumped : ndarray of bool, shape (E, N)
         Entities that were put somewhere in this step.
+    begun : bool
+        Whether the first frame, in which nothing moves, is over.
     last_step : float
         Length of the last time step in s.
     tracks : list of list of Track
@@ -218,6 +220,7 @@ class World:
         self.actor: int | None = None
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
         self.last_step = 0.0
+        self.begun = False
         self.errors: dict[int, str] = {}
 
     def fail(self, where: BoolArray, why: str) -> None:

@@ -1,0 +1,110 @@
+"""Free space between boxes along and across the road that both are on."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.contacts import entity_corners
+from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
+
+# Each pass makes the error in s smaller by the curvature times the distance beside the reference line.
+_PASSES: Final = 6
+
+
+def free_space_on_road(world: World, entity: int, other: int, lateral: bool, otherwise: FloatArray) -> FloatArray:
+    """Least difference in s, or in t, between the corners of two boxes in m, shape (N,); 0 where they are abreast.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    other : int
+        Row of the other entity.
+    lateral : bool
+        In t instead of in s.
+    otherwise : ndarray of float64, shape (N,)
+        What it is where they are on different roads.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; s counts as the entity looks, negative behind it, and t to the left of the road.
+    """
+    own, theirs = lane_of(world, entity), lane_of(world, other)
+    if own.road is None or theirs.road is None:
+        return otherwise
+    corners = entity_corners(world)
+    same = (own.road == theirs.road) & world.present[entity] & world.present[other]
+    first, second = (_on_road(world, pose, corners[k], same, lateral) for k, pose in ((entity, own), (other, theirs)))
+    apart = second[:, None, :] - first[:, :, None]
+    if not lateral:
+        apart *= _direction(world, own)[:, None, None]
+    # They are abreast where some corner of the one lies between corners of the other.
+    behind = apart < 0.0
+    abreast = (behind.any(axis=2) & ~behind.all(axis=2)).any(axis=1)
+    flat = apart.reshape(world.scenarios, -1)
+    least = flat[np.arange(world.scenarios), np.abs(flat).argmin(axis=1)]
+    return np.where(same, np.where(abreast | world.touching[entity, other], 0.0, least), otherwise)
+
+
+def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, otherwise: FloatArray) -> FloatArray:
+    """Least difference in s, or in t, between the corners of a box and a place in m, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    place : Pose
+    lateral : bool
+        In t instead of in s.
+    otherwise : ndarray of float64, shape (N,)
+        What it is where they are on different roads.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; 0 where the place is abreast of the box, s as the entity looks, and t to the left of the road.
+    """
+    own = lane_of(world, entity)
+    if own.road is None or place.road is None or place.s is None:
+        return otherwise
+    same = (own.road == place.road) & world.present[entity] & np.isfinite(place.x)
+    first = _on_road(world, own, entity_corners(world)[entity], same, lateral)
+    point = np.stack([place.x, place.y], axis=-1)[:, None, :]
+    apart = _on_road(world, place, point, same, lateral) - first
+    if not lateral:
+        apart *= _direction(world, own)[:, None]
+    row, size = np.arange(world.scenarios), np.abs(apart)
+    least, most = apart[row, size.argmin(axis=1)], apart[row, size.argmax(axis=1)]
+    return np.where(same, np.where((least < 0.0) != (most < 0.0), 0.0, least), otherwise)
+
+
+def _direction(world: World, pose: Pose) -> FloatArray:
+    """1 where the heading of a pose is along s, else -1, shape (N,)."""
+    return np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, 1.0, -1.0)
+
+
+def _on_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:
+    """s, or t, of P points near a pose on the road of the pose, shape (N, P); 0 beyond the mask."""
+    assert world.network is not None
+    assert pose.road is not None
+    assert pose.s is not None
+    result = np.zeros(points.shape[:2])
+    for number in np.unique(pose.road[where]):
+        rows = np.flatnonzero(where & (pose.road == number))
+        road, flat = world.network.roads[int(number)], points[rows].reshape(-1, 2)
+        s = np.repeat(pose.s[rows], points.shape[1])
+        t = np.zeros_like(s)
+        for _ in range(_PASSES):
+            x, y, heading = road.reference(s)
+            dx, dy = flat[:, 0] - x, flat[:, 1] - y
+            s, t = s + dx * np.cos(heading) + dy * np.sin(heading), dy * np.cos(heading) - dx * np.sin(heading)
+        result[rows] = (t if lateral else s).reshape(len(rows), -1)
+    return result
