@@ -71,6 +71,35 @@ def keep_distance(limits, other="Lead", more='continuous="true"'):
 freespace="false" {more}><DynamicConstraints {limits}/></LongitudinalDistanceAction></LongitudinalAction></PrivateAction>"""
 
 
+@pytest.fixture
+def curve(tmp_path):
+    """Put a curved road where `file` looks for the road."""
+
+    def write(*arguments, **options):
+        path = file(tmp_path, *arguments, **options)
+        write_roads(tmp_path)
+        (tmp_path / "curve.xodr").replace(tmp_path / "road.xodr")
+        return path
+
+    return write
+
+
+def lane_change(lane="1", dimension="distance", value="30", shape="linear"):
+    return f"""<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="{shape}"
+dynamicsDimension="{dimension}" value="{value}"/><LaneChangeTarget><AbsoluteTargetLane value="{lane}"/></LaneChangeTarget>
+</LaneChangeAction></LateralAction></PrivateAction>"""
+
+
+def trajectory(*places, lane="-1"):
+    vertices = "".join(
+        f'<Vertex time="0"><Position><LanePosition roadId="1" laneId="{lane}" s="{s}" offset="0"/></Position></Vertex>'
+        for s in places
+    )
+    return f"""<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false"><Shape>
+<Polyline>{vertices}</Polyline></Shape></Trajectory></TrajectoryRef><TimeReference><None/></TimeReference>
+<TrajectoryFollowingMode followingMode="position"/></FollowTrajectoryAction></RoutingAction></PrivateAction>"""
+
+
 SLOWLY = speed_action("20", "linear", "time", "2")
 
 
@@ -158,6 +187,52 @@ dynamicsDimension="time" value="2"/><LaneChangeTarget><AbsoluteTargetLane value=
     both = both.replace("</Action>", f'</Action><Action name="change">{change}</Action>')
     recording = run(file(tmp_path, both))
     assert recording.x[0][round(1.05 / DT)] == pytest.approx(150.5)
+
+
+def test_a_teleport_in_the_second_frame_stays_there_for_it(tmp_path):
+    # The first frame takes no time: the second begins at 0 s too, and is as long as all others.
+    again = repeated("e", teleport("150"), time_trigger("5", "lessThan"))
+    recording = run(file(tmp_path, again))
+    np.testing.assert_allclose(recording.x[0][:3], [150.0, 150.0, 150.5])
+
+
+def test_a_lane_change_over_a_distance_is_steered_alike_backwards(tmp_path):
+    change = event("e", lane_change(), time_trigger("1"))
+    ahead = run(file(tmp_path, change))
+    back = run(file(tmp_path, change, init=placed(s="200", speed="-10")))
+    at = round(2.0 / DT)
+    assert ahead.heading[0][at] > 0.05
+    assert back.heading[0][at] == pytest.approx(ahead.heading[0][at])
+    assert back.x[0][at] < 200.0
+
+
+def test_after_a_trajectory_an_entity_keeps_its_angle_to_the_road(curve):
+    # It ends on the bend, where its last leg is a chord.
+    recording = run(curve(event("e", trajectory(100, 150, 200), time_trigger("0"))), 20.0)
+    gone = np.arctan2(np.diff(recording.y[0]), np.diff(recording.x[0]))
+    after = recording.time[1:] > 11.0
+    apart = (recording.heading[0][1:] - gone)[after]
+    assert np.ptp(gone[after]) > 0.5
+    assert np.ptp(apart) < 0.01
+
+
+def test_a_meeting_is_planned_along_the_reference_line(curve):
+    # On the bend of radius 100 m the master drives 1.75 m further out, but the way to its place is that of the road.
+    master = 200.0 + 10.0 / 1.0175
+    mine = 16.0 + 6.0 * (300.0 - master) / 10.0
+    meet = f"""<PrivateAction><SynchronizeAction masterEntityRef="Lead"><TargetPositionMaster><LanePosition roadId="1"
+laneId="-1" s="300" offset="0"/></TargetPositionMaster><TargetPosition><LanePosition roadId="1" laneId="-1" s="{mine}"
+offset="0"/></TargetPosition></SynchronizeAction></PrivateAction>"""
+    init = placed("Ego", "10", "6") + placed("Lead", "200", "10")
+    recording = run(curve(event("e", meet, time_trigger("1")), init=init, entities=car("Ego") + car("Lead")), 2.0)
+    assert of_speed(recording, 1.05) == pytest.approx(6.0, abs=1e-4)
+
+
+def test_nobody_stands_before_the_first_frame_that_takes_time(tmp_path):
+    go = event("e", speed_action("5"), of_entity('<StandStillCondition duration="0.3"/>'))
+    recording = run(file(tmp_path, go, init=placed(speed="0")))
+    assert of_speed(recording, 0.4) == 0.0
+    assert of_speed(recording, 0.45) == pytest.approx(5.0)
 
 
 def test_a_rate_holds_while_the_speed_to_reach_changes(tmp_path):

@@ -12,7 +12,7 @@ from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.paths.positions import read_position
 from cornercase.simulators.builtin.paths.trajectory_shapes import Clock, read_trajectory, takes_time
-from cornercase.simulators.builtin.tracks.track import Trajectory
+from cornercase.simulators.builtin.tracks.track import FREE, Trajectory
 from cornercase.simulators.builtin.world.lanes import attach_to_lane, follow_track
 from cornercase.simulators.builtin.world.motion import settle_on_track
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
@@ -62,7 +62,7 @@ class FollowTrajectoryAction(Action):
         world.present[e] |= where
         follow_track(world, e, track, self._skip, where)
         world.offset[e][where] = world.turn[e][where] = 0.0
-        world.frozen[e][where] = False
+        world.stranded[e][where] = False
         x, y, heading = track.at(self._skip, np.zeros(world.scenarios), every)
         line, oriented = track.direction(self._skip, every), track.oriented(self._skip, every)
         backwards = world.speed[e] < 0.0
@@ -136,13 +136,13 @@ class FollowTrajectoryAction(Action):
         settle_on_track(world, e, rows)
 
     def _leave(self, world: World, track: Trajectory, beyond: FloatArray, where: BoolArray) -> None:
-        """Go the rest of the step as the trajectory points, and from there along the road, with the heading kept."""
+        """Go the rest of the step as the trajectory points, and from there along the road, turned from it as now."""
         e, rows = self._entity, np.flatnonzero(where)
         heading = world.heading[e][rows] - world.turn[e][rows]
         world.x[e][rows] += beyond[rows] * np.cos(heading)
         world.y[e][rows] += beyond[rows] * np.sin(heading)
         attach_to_lane(world, e, where)
-        world.frozen[e][where] = True
+        world.stranded[e][where] = (world.track[e] == FREE)[where]
 
 
 def _against(heading: FloatArray, line: FloatArray) -> BoolArray:

@@ -81,6 +81,7 @@ class LaneChangeAction(Action):
             ahead = way / np.sqrt(1.0 + rate**2)
             done = self._done + ahead
             part = self._transition.at(done / extent)
+            # As in esmini, the heading is that of driving forwards even where the entity drives backwards.
             turn, across = np.arctan(rate), way * np.abs(rate) / np.sqrt(1.0 + rate**2)
         else:
             across = np.minimum(dt * np.abs(rate), way)
@@ -90,7 +91,7 @@ class LaneChangeAction(Action):
                 done = self._done + np.where(slow, way * extent / np.abs(change), dt)
             part = np.where(slow, np.clip(done / extent, 0.0, 1.0), self._transition.at(done / extent))
             turn = np.arctan2(np.sign(rate) * across, np.sqrt(np.maximum(way**2 - across**2, 0.0)))
-            turn = np.where(slow, np.sign(rate) * 0.5 * np.pi, turn)
+            turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * 0.5 * np.pi, turn)
         offset = np.where(abrupt, self._to, self._from + part * change)
         arrived = abrupt | (done >= self._extent - 1e-9) | (np.abs(offset - self._to) < _THERE)
         self._done[moves] = done[moves]
@@ -100,7 +101,7 @@ class LaneChangeAction(Action):
         world.sideways[e][moves] = np.where(abrupt, 0.0, across)[moves]
         # A speed that another action sets in this frame counts from the next, for one that stands too.
         world.pace[e][where] = world.speed[e][where]
-        world.turn[e][moves] = np.where(arrived, 0.0, np.sign(world.speed[e]) * turn)[moves]
+        world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
         return np.asarray(where & moves & arrived)
 
     def _lane(self, world: World) -> IntArray:

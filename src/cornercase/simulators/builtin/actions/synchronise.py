@@ -16,7 +16,7 @@ from cornercase.simulators.builtin.paths.positions import entity_index, read_pos
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.gaps import remaining
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
-from cornercase.simulators.builtin.world.whereabouts import speed_along_road
+from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, on_lane, speed_along_road
 
 # What an entity does on its way to its place: nothing yet; the first of two phases of constant acceleration, below or
 # above the mean speed; the last phase; waiting for the master to move; braking hard; standing until the last phase
@@ -89,6 +89,7 @@ class SynchronizeAction(Action):
             self._target, self._target_master = target, master
         for mine, new in ((self._target, target), (self._target_master, master)):
             mine.x[where], mine.y[where] = new.x[where], new.y[where]
+        self._target, self._target_master = _on_roads(world, self._target), _on_roads(world, self._target_master)
         for known in self._known:
             for places in known.values():
                 places[where] = np.nan
@@ -99,8 +100,8 @@ class SynchronizeAction(Action):
         assert self._target is not None
         assert self._target_master is not None
         e, m = self._entity, self._master
-        signed = remaining(world, m, self._target_master, self._known[1])
-        way, way_master = np.abs(remaining(world, e, self._target, self._known[0])), np.abs(signed)
+        signed = _way(world, m, self._target_master, self._known[1])
+        way, way_master = np.abs(_way(world, e, self._target, self._known[0])), np.abs(signed)
         done = (way < self._tolerance + _TINY) | (way_master < self._tolerance_master + _TINY)
         done |= (way > self._last) | (way_master > self._last_master)
         self._last[where], self._last_master[where] = way[where], way_master[where]
@@ -214,6 +215,20 @@ class SynchronizeAction(Action):
         settle(left, v0 + rate * dt)
         self._mode = np.where(acting, mode, self._mode)
         return np.asarray(result)
+
+
+def _on_roads(world: World, place: Pose) -> Pose:
+    """Return a place with where on the roads it is."""
+    if world.network is None:
+        return place
+    return Pose(place.x, place.y, place.heading, *world.network.locate(place.x, place.y))
+
+
+def _way(world: World, entity: int, target: Pose, known: dict[int, FloatArray]) -> FloatArray:
+    """Distance to a target along the entity's trajectory, else along its road's reference line, in m, shape (N,)."""
+    way = remaining(world, entity, target, known)
+    follows = on_lane(world, entity)
+    return np.where(follows, ahead_on_road(world, entity, target, way), way) if follows.any() else way
 
 
 def _first_phase(v0: FloatArray, v1: FloatArray, way: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:

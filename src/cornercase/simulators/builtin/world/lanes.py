@@ -63,7 +63,7 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         Where it is, if that is known; else it is looked up.
     """
     world.track[entity][where] = FREE
-    world.frozen[entity][where] = False
+    world.stranded[entity][where] = False
     if world.network is None:
         return
     if pose is None or pose.lane is None or pose.road is None:
@@ -130,7 +130,7 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
         dx, dy = world.x[entity][at] - x, world.y[entity][at] - y
         world.offset[entity][at] = dy * np.cos(heading) - dx * np.sin(heading)
         world.turn[entity][at] = 0.0
-        world.frozen[entity][at] = False
+        world.stranded[entity][at] = False
         world.route[entity][at] = one[4]
         done |= rows
     return done

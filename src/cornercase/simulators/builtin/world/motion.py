@@ -45,7 +45,7 @@ def move_entities(world: World, dt: float) -> None:
         if not free.any():
             continue
         # An entity stops at the end of its trajectory if there is no road on which to continue.
-        lost = free & world.frozen[e] & ~world.moved[e]
+        lost = free & world.stranded[e] & ~world.moved[e]
         world.speed[e][lost], way = 0.0, np.where(lost, 0.0, way)
         world.x[e] += np.where(free, way * np.cos(world.heading[e]), 0.0)
         world.y[e] += np.where(free, way * np.sin(world.heading[e]), 0.0)
@@ -64,17 +64,20 @@ def move_entities(world: World, dt: float) -> None:
     world.time += dt
     world.begun = True
     world.from_x, world.from_y, world.from_heading = world.x.copy(), world.y.copy(), world.heading.copy()
+    world.begun = True
     world.moved[:] = world.jumped[:] = False
     world.pace[:] = np.nan
     world.sideways[:] = 0.0
     if dt > 0:
         world.turn_rate = ((world.heading - before_heading + np.pi) % (2 * np.pi) - np.pi) / dt
+    # As in esmini, nobody stands or is off the road before the first frame that takes time.
+    now = world.time if dt > 0 else np.inf
     moving = np.abs(world.speed) > 1e-6
-    world.standing_since = np.where(moving, np.inf, np.minimum(world.standing_since, world.time))
+    world.standing_since = np.where(moving, np.inf, np.minimum(world.standing_since, now))
     if world.watches_roads:
         for e, since in enumerate(world.off_road_since):
             off = world.present[e] if world.network is None else world.present[e] & ~on_road(world, e)
-            since[:] = np.where(off, np.minimum(since, world.time), np.inf)
+            since[:] = np.where(off, np.minimum(since, now), np.inf)
 
 
 def velocity_ahead(world: World) -> tuple[FloatArray, FloatArray]:
@@ -151,4 +154,4 @@ def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) 
     world.distance[e][at] = distance
     x, y, heading = track.at(distance, offset, at)
     world.x[e][at], world.y[e][at] = x, y
-    world.heading[e][at] = np.where(world.frozen[e][at], world.heading[e][at], heading + world.turn[e][at])
+    world.heading[e][at] = heading + world.turn[e][at]

@@ -103,8 +103,8 @@ class World:
         Heading relative to the track, in rad.
     turn_rate : ndarray of float64, shape (E, N)
         rad/s.
-    frozen : ndarray of bool, shape (E, N)
-        Whether the heading stays as it is wherever the track leads.
+    stranded : ndarray of bool, shape (E, N)
+        Entities whose trajectory has ended where no road goes on.
     sideways : ndarray of float64, shape (E, N)
         What of the coming step's way goes across the track, in m.
     pace : ndarray of float64, shape (E, N)
@@ -161,6 +161,8 @@ class World:
         Whether the first frame, in which nothing moves, is over.
     last_step : float
         Length of the last time step in s.
+    begun : bool
+        Whether the first frame, which takes no time, is over.
     tracks : list of list of Track
         By entity, all that it has followed.
     track : ndarray of int64, shape (E, N)
@@ -188,7 +190,7 @@ class World:
         self.time = 0.0
         self.x, self.y, self.heading = (np.full(shape, np.nan) for _ in range(3))
         self.speed, self.acceleration, self.odometer = (np.zeros(shape) for _ in range(3))
-        self.standing_since = np.zeros(shape)
+        self.standing_since = np.full(shape, np.inf)
         self.present = np.zeros(shape, dtype=np.bool_)
         self.running = np.ones(scenarios, dtype=np.bool_)
         self.touching = np.zeros((len(entities), *shape), dtype=np.bool_)
@@ -207,7 +209,7 @@ class World:
         self.pace = np.full(shape, np.nan)
         self.from_x, self.from_y, self.from_heading = (np.full(shape, np.nan) for _ in range(3))
         self.gone, self.pull = (np.zeros(shape), np.zeros(shape)), (np.zeros(shape), np.zeros(shape))
-        self.frozen, self.moved, self.jumped = (np.zeros(shape, dtype=np.bool_) for _ in range(3))
+        self.stranded, self.moved, self.jumped = (np.zeros(shape, dtype=np.bool_) for _ in range(3))
         self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
         self.route = np.zeros(shape, dtype=np.int64)
         self.at_end_since = np.full(shape, np.inf)
