@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-VERSION = 2
+VERSION = 3
 """Grows when a seed no longer gives the same storyboard."""
 
 
@@ -285,13 +285,14 @@ maxAcceleration="6" maxDeceleration="8" maxAccelerationRate="4" maxDecelerationR
 
 def _trajectory(plan: _Plan, actor: str) -> str:
     lane, s = plan.random.choice(plan.road.lanes), plan.number(*plan.road.begin)
-    onward = 1.0 if lane < 0 else -1.0
+    # Against the road's s it begins so far on that all vertices, at most five steps, lie on the road.
+    s, onward = (s, 1.0) if lane < 0 else (s + 5 * 25.0, -1.0)
     timed, time, vertices = plan.chance(0.5), 0.0, ""
     for _ in range(plan.random.randint(3, 6)):
         position = f'<LanePosition roadId="1" laneId="{lane}" s="{s:.1f}" offset="{plan.number(-0.8, 0.8, 2)}"/>'
         vertices += f'<Vertex time="{time:.2f}"><Position>{position}</Position></Vertex>\n'
         step = plan.number(8, 25)
-        s, time = min(max(s + onward * step, 1.0), 400.0), time + plan.number(0.8, 2.5, 2)
+        s, time = s + onward * step, time + plan.number(0.8, 2.5, 2)
     timing = '<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>' if timed else "<None/>"
     return f"""<RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false"><Shape><Polyline>
 {vertices}</Polyline></Shape></Trajectory></TrajectoryRef><TimeReference>{timing}</TimeReference>

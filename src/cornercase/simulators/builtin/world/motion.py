@@ -62,7 +62,6 @@ def move_entities(world: World, dt: float) -> None:
         world.odometer += chord
         world.velocity = chord / dt
     world.time += dt
-    world.begun = True
     world.from_x, world.from_y, world.from_heading = world.x.copy(), world.y.copy(), world.heading.copy()
     world.begun = True
     world.moved[:] = world.jumped[:] = False

@@ -161,8 +161,6 @@ class World:
         Whether the first frame, in which nothing moves, is over.
     last_step : float
         Length of the last time step in s.
-    begun : bool
-        Whether the first frame, which takes no time, is over.
     tracks : list of list of Track
         By entity, all that it has followed.
     track : ndarray of int64, shape (E, N)
