@@ -148,6 +148,23 @@ def test_check_names_what_of_a_road_has_no_effect(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    ("text", "other", "said"),
+    [
+        ('junction="-1"', 'junction="-1" rule="lht"', "rule 'lht' of <road>"),
+        ('type="driving"', 'type="drving"', "type 'drving' of <lane>"),
+        ("<line/>", '<paramPoly3 pRange="arclength" aU="0" bU="1" cU="0" dU="0" aV="0" bV="0" cV="0" dV="0"/>',
+         "pRange 'arclength' of <paramPoly3>"),
+    ],
+)  # fmt: skip
+def test_a_word_that_an_attribute_cannot_have_is_refused(tmp_path, text, other, said):
+    path = write(tmp_path, road("1", 100.0, right=lane(-1)))
+    assert text in path.read_text()
+    path.write_text(path.read_text().replace(text, other))
+    with pytest.raises(InputError, match=f"{said} cannot be used; (did you mean|known are)"):
+        RoadNetwork.read(path)
+
+
 @pytest.mark.skipif(not REFERENCE.is_dir(), reason="needs the reference scenarios")
 def test_of_the_roads_of_others_all_is_used_or_named_and_nothing_unknown():
     for path in sorted(REFERENCE.glob("**/*.xodr")):

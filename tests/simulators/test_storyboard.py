@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import cornercase as cc
 from conftest import car, event, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
@@ -384,3 +385,17 @@ dynamicsDimension="time" value="5"/><LaneChangeTarget><AbsoluteTargetLane value=
     assert of_speed(recording, 1.05) > 0.0
     assert recording.x[0][round(1.05 / DT)] == pytest.approx(50.0)
     assert recording.x[0][round(1.1 / DT)] > 50.0
+
+
+@pytest.mark.parametrize("times", ["0", "-3"])
+def test_an_event_that_may_never_run_is_refused(tmp_path, times):
+    path = file(tmp_path, repeated("e", speed_action("5"), time_trigger("1"), times=times))
+    with pytest.raises(cc.InputError, match=rf"maximumExecutionCount .*is {times}; it has to be at least 1"):
+        run(path)
+
+
+def test_a_delay_below_0_costs_the_scenario(tmp_path):
+    path = file(tmp_path, event("e", speed_action("5"), time_trigger("1", delay="-2")))
+    (result,) = BuiltinSimulator(time_step=DT, duration=2.0).run([ConcreteScenario(path, {})])
+    assert isinstance(result, cc.SimulationError)
+    assert "delay of <Condition> is below 0" in str(result)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import cornercase as cc
 from conftest import car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
@@ -103,3 +104,15 @@ def test_back_at_its_start_a_trajectory_ends_there(tmp_path):
     ended = int(np.argmin(recording.x[0][turned:])) + turned
     assert recording.x[0][turned:].min() <= 60.0
     assert 60.0 in np.round(recording.x[0][turned : ended + 1], 9)
+
+
+@pytest.mark.parametrize(
+    ("shape", "timing", "why"),
+    [
+        (polyline(vertex(60, 0, 0), vertex(80, 5, 2)), TIMED, "no time says when a closed <Trajectory> is back"),
+        ('<Clothoid curvature="0" curvaturePrime="0" length="20"/>', "<None/>", "has to be a <Polyline> here"),
+    ],
+)
+def test_a_closed_trajectory_that_cannot_be_followed_is_refused(tmp_path, shape, timing, why):
+    with pytest.raises(cc.InputError, match=why):
+        run(tmp_path, follow(shape, timing=timing).replace('closed="false"', 'closed="true"'))

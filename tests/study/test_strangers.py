@@ -149,6 +149,21 @@ def claims(name, shape, body=b"", *, zeros=0):
     return stream.getvalue()
 
 
+def as_header(name, header, method=zipfile.ZIP_STORED):
+    """An archive of an array of which there is only a header."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        archive.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    return stream.getvalue()
+
+
+def corrupt(name):
+    """An archive that is packed in another way, and damaged."""
+    data = bytearray(as_header(name, b" " * 1000, zipfile.ZIP_LZMA))
+    data[len(data) // 4] ^= 0xFF
+    return bytes(data)
+
+
 COURSE = "UPDATE courses SET course = ? WHERE scenario = 1 AND metric = 'distance'"
 ARRAY = "UPDATE arrays SET data = ? WHERE name = 'labels'"
 RECORDING = "UPDATE scenarios SET recording = ? WHERE id = 1"
@@ -163,6 +178,12 @@ HOSTILE = {
     "a negative size": (COURSE, lambda: claims("course", "(-1, -8)", bytes(64))),
     "a header that is code": (COURSE, lambda: claims("course", "(__import__('os').mkdir('harm'),)")),
     "a course that grows": (COURSE, lambda: claims("course", f"({1100 << 17},)", zeros=1100)),
+    "a header without end": (RECORDING, lambda: as_header("time", b"{'descr': '<U3', 'shape': (1, ")),
+    "texts without letters": (
+        RECORDING,
+        lambda: as_header("kinds", b"{'descr': '<U0', 'fortran_order': False, 'shape': (1000000000000,), }"),
+    ),
+    "packed in another way": (RECORDING, lambda: corrupt("time")),
     "labels that grow": (ARRAY, lambda: claims("labels", f"({100 << 17},)", zeros=100)),
     "labels of others": (ARRAY, lambda: pack_arrays({"labels": np.arange(3)})),
     "parameters nested deep": ("UPDATE scenarios SET parameters = ?", lambda: "[" * 100_000),
@@ -192,6 +213,8 @@ def test_a_hostile_study_is_refused_in_one_sentence(sent, name):
         assert one.stderr.startswith("cornercase: ")
         assert len(one.stderr) < 1500
     assert not (sent.parent / "harm").exists()
+    if results[1].returncode:
+        assert not (sent.parent / "tables").exists()
 
 
 @pytest.mark.parametrize(

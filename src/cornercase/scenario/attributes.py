@@ -153,7 +153,9 @@ class Attributes:
             raise self._error(element, attribute, f"is '{text[:60]}', which has no finite value")
         return float(values[0])
 
-    def whole_number(self, element: etree._Element, attribute: str, default: int | None = None) -> int:
+    def whole_number(
+        self, element: etree._Element, attribute: str, default: int | None = None, least: int | None = None
+    ) -> int:
         """Read an attribute as one whole number.
 
         Parameters
@@ -162,6 +164,8 @@ class Attributes:
         attribute : str
         default : int, optional
             Where the attribute is missing; by default it must not be.
+        least : int, optional
+            Below which it cannot be used.
 
         Returns
         -------
@@ -170,13 +174,15 @@ class Attributes:
         Raises
         ------
         InputError
-            It is missing or no whole number.
+            It is missing, no whole number, or below the least.
         VariesError
             It is not the same for all scenarios.
         """
         value = self.one_number(element, attribute, default)
         if not abs(value) < _MOST or value != round(value):
             raise self._error(element, attribute, f"is {value:g}, which is not a whole number that can be used")
+        if least is not None and value < least:
+            raise self._error(element, attribute, f"is {value:g}; it has to be at least {least}")
         return round(value)
 
     def text(self, element: etree._Element, attribute: str, default: str | None = None) -> str:

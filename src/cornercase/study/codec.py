@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -19,8 +21,10 @@ from cornercase.recordings import Collision, Recording
 LARGEST: Final = 1 << 30
 _BROKEN: Final = (
     ValueError, TypeError, LookupError, OSError, EOFError, OverflowError, MemoryError, RecursionError, SyntaxError,
-    NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error,
+    NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError,
 )  # fmt: skip
+# How NumPy writes the members of an archive.
+_METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _FORMAT: Final[Any] = np.lib.format
 _BOX: Final = ("length", "width", "center_x")
 _ARRAYS: Final = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
@@ -67,6 +71,8 @@ def unpack_arrays(data: bytes, largest: int = LARGEST) -> dict[str, npt.NDArray[
             members = archive.infolist()
             if (size := sum(one.file_size for one in members)) > largest:
                 raise ValueError(f"{size} bytes where at most {largest} are read")
+            if any(one.compress_type not in _METHODS for one in members):
+                raise ValueError("a way of packing that NumPy does not use")
             return {one.filename.removesuffix(".npy"): _array(archive.read(one)) for one in members}
     except _BROKEN as error:
         raise InputError(f"The study holds arrays that cannot be read ({error}).") from error
@@ -82,6 +88,8 @@ def _array(member: bytes) -> npt.NDArray[Any]:
         shape, _, dtype = _FORMAT.read_array_header_2_0(stream)
     if dtype.hasobject:
         raise ValueError("an array of Python objects, which would have to run code")
+    if dtype.itemsize == 0 and math.prod(shape):
+        raise ValueError(f"an array of {shape} with nothing in it")
     if math.prod(shape) * dtype.itemsize != len(member) - stream.tell() or min(shape, default=0) < 0:
         raise ValueError(f"an array of {shape} in {len(member)} bytes")
     stream.seek(0)

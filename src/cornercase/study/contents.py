@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, suppress
 from html import escape
 from pathlib import Path
@@ -388,14 +389,17 @@ class StudyContents:
             The folder cannot be written, or the package that writes Parquet is not installed.
         """
         folder = Path(folder)
-        write_table(folder, self.table(), parquet)
-        write_scenarios(
-            folder,
-            (
-                (row.id, self.recording(row.id), {name: self.course(row.id, name) for name in self.meta.metrics})
-                for row in self.done()
-            ),
-        )
+        table = self.table()
+        # A damaged study leaves no part of an export behind: all is read before any is written.
+        for _ in self._recorded():
+            pass
+        write_table(folder, table, parquet)
+        write_scenarios(folder, self._recorded())
+
+    def _recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
+        """Give id, recording and courses of each scenario that is done."""
+        for row in self.done():
+            yield row.id, self.recording(row.id), {name: self.course(row.id, name) for name in self.meta.metrics}
 
     def _counts(self) -> dict[str, int]:
         """Count the scenarios in each state."""

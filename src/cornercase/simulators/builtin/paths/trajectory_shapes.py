@@ -78,8 +78,14 @@ def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: Po
             f"{scope.source}, line {element.sourceline}: a <Trajectory> is no <Polyline>, <Clothoid>,"
             " <ClothoidSpline> or <Nurbs>."
         )
+    closed = inner.flag(element, "closed", False)
     if kind.tag == "Polyline":
-        return _polyline(kind, inner, world, read, inner.flag(element, "closed", False))
+        return _polyline(kind, inner, world, read, closed)
+    if closed:
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: a closed <Trajectory> has to be a <Polyline> here; give closed"
+            " as false."
+        )
     return (_nurbs if kind.tag == "Nurbs" else _clothoids)(kind, inner, world, read)
 
 
@@ -94,6 +100,11 @@ def takes_time(holder: etree._Element, scope: Scope) -> bool:
     Returns
     -------
     bool
+
+    Raises
+    ------
+    InputError
+        They do, and the trajectory is closed: no time says when its first vertex is reached again.
     """
     element, inner = scope.referred(holder, "Trajectory")
     given = [
@@ -105,7 +116,13 @@ def takes_time(holder: etree._Element, scope: Scope) -> bool:
     if element.find("Shape/Polyline") is None and element.find("Shape/Nurbs") is None:
         # The times of clothoids are 0 where they are left out.
         given.append(np.zeros(scope.scenarios))
-    return any(bool((np.abs(one - given[0]) > _SAME_TIME).any()) for one in given)
+    differ = any(bool((np.abs(one - given[0]) > _SAME_TIME).any()) for one in given)
+    if differ and inner.flag(element, "closed", False):
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: no time says when a closed <Trajectory> is back at its first"
+            " vertex; give closed as false, and the first vertex once more at the end, with its time."
+        )
+    return differ
 
 
 def _polyline(element: etree._Element, scope: Scope, world: World, read: PositionReader, closed: bool) -> Shape:

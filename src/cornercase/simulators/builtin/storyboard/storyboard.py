@@ -148,7 +148,7 @@ class Storyboard:
                 events = [self._read_event(event, inner, actors, select) for event in maneuver.iterfind("Event")]
             with self._inside(name):
                 maneuvers.append(self._known(Group("maneuver", own, scope.scenarios, events)))
-        times = scope.whole_number(group, "maximumExecutionCount", 1)
+        times = scope.whole_number(group, "maximumExecutionCount", 1, least=1)
         return self._known(Group("maneuverGroup", name, scope.scenarios, maneuvers, times=times))
 
     def _read_event(self, event: etree._Element, scope: Scope, actors: list[int], select: bool) -> Event:
@@ -169,7 +169,7 @@ class Storyboard:
                     actions.append(running)
                     with self._inside(event.get("name", "")):
                         self._known(running)
-        times = scope.whole_number(event, "maximumExecutionCount", 1)
+        times = scope.whole_number(event, "maximumExecutionCount", 1, least=1)
         priority = scope.text(event, "priority", "parallel")
         return self._known(Event(event.get("name", ""), scope.scenarios, actions, trigger, times, priority))
 

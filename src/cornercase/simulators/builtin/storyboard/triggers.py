@@ -207,9 +207,9 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, ele
                     f"{scope.source}, line {item.sourceline}: conditionEdge '{edge}' is not none, rising, falling or"
                     " risingOrFalling."
                 )
-            conditions.append(
-                Condition(_read_test(item, scope, world, elements), edge, scope.number(item, "delay", 0.0))
-            )
+            delay = scope.number(item, "delay", 0.0)
+            scope.refuse(item, "delay", "is below 0", delay < 0.0)
+            conditions.append(Condition(_read_test(item, scope, world, elements), edge, delay))
         groups.append(conditions)
     return Trigger(groups)
 
