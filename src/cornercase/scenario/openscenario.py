@@ -126,7 +126,12 @@ class Scenario:
         return self._files.root(path)
 
     def add_files(self, files: XmlFiles) -> None:
-        """Count more files among those of the scenario, such as that of a parameter space."""
+        """Count more files among those of the scenario, such as that of a parameter space.
+
+        Parameters
+        ----------
+        files : XmlFiles
+        """
         self._files.update(files)
 
     def read_parts(self) -> list[tuple[Path, etree._Element]]:
