@@ -160,6 +160,14 @@ maxLateralAcc="1"/><LaneOffsetTarget><AbsoluteTargetLaneOffset value="0.5"/></La
 NEAR = (
     '<RelativeDistanceCondition entityRef="Ego" relativeDistanceType="{}" value="27" freespace="{}" rule="lessThan"/>'
 )
+REACHED = f'<ReachPositionCondition tolerance="1">{POSITION.replace("80", "40")}</ReachPositionCondition>'
+TURNED = REACHED.replace('"/></P', '"><Orientation type="relative" h="3.14"/></LanePosition></P')
+FLAGS = 'freespace="false" alongRoute="false"'
+
+
+def relative_speed(value, kind="delta"):
+    relative = f'RelativeTargetSpeed entityRef="Ego" speedTargetValueType="{kind}" continuous="false"'
+    return speed(target=value).replace("AbsoluteTargetSpeed", relative)
 
 
 @pytest.mark.parametrize(
@@ -193,6 +201,30 @@ NEAR = (
                                     'alongRoute="false" rule="lessThan"/>')},
             "<TimeHeadwayCondition>",
         ),
+        ({"condition": by_entity(REACHED, ("Other",))}, "<ReachPositionCondition>: ScenarioRunner measures from the"),
+        ({"condition": by_entity(TURNED, ("Other",))}, "<Orientation>: ScenarioRunner compares distances only"),
+        *(
+            ({"condition": by_entity(f'<{condition} rule="{rule}"/>')}, f"rule '{rule}' of <{condition.split()[0]}>")
+            for rule in ("equalTo", "notEqualTo")
+            for condition in (
+                'SpeedCondition value="8"',
+                'RelativeSpeedCondition entityRef="Other" value="0"',
+                'AccelerationCondition value="0"',
+                'RelativeDistanceCondition entityRef="Other" relativeDistanceType="cartesianDistance" value="25" '
+                'freespace="false"',
+            )
+        ),
+        (
+            {"condition": by_entity(f'<DistanceCondition value="35" {FLAGS} rule="equalTo">{POSITION}'
+                                    "</DistanceCondition>")},
+            "rule 'equalTo' of <DistanceCondition>",
+        ),
+        (
+            {"condition": by_entity(f'<TimeToCollisionCondition value="3" {FLAGS} rule="equalTo">'
+                                    '<TimeToCollisionConditionTarget><EntityRef entityRef="Other"/>'
+                                    "</TimeToCollisionConditionTarget></TimeToCollisionCondition>")},
+            "rule 'equalTo' of <TimeToCollisionCondition>",
+        ),
     ],
 )  # fmt: skip
 def test_what_it_does_otherwise_becomes_a_trajectory_with_times(write, tmp_path, given, why):
@@ -216,6 +248,59 @@ def test_what_it_does_otherwise_becomes_a_trajectory_with_times(write, tmp_path,
     np.testing.assert_allclose(after.x[:, shared], before.x[:, shared], atol=0.02)
     np.testing.assert_allclose(after.y[:, shared], before.y[:, shared], atol=0.02)
     np.testing.assert_allclose(after.speed[:, shared], before.speed[:, shared], atol=LIMITS[2])
+
+
+@pytest.mark.parametrize(
+    ("action", "tag"),
+    [
+        (speed(target=-3), "AbsoluteTargetSpeed"),
+        (speed(target=" -3 "), "AbsoluteTargetSpeed"),
+        (relative_speed(-10), "RelativeTargetSpeed"),
+        (relative_speed(-0.5, "factor"), "RelativeTargetSpeed"),
+    ],
+)
+def test_speeds_below_0_become_a_trajectory(write, tmp_path, action, tag):
+    path = write(action=action)
+    found = convert(path, tmp_path / "out" / "one.xosc", ego="Ego")
+    (note,) = (note for note in found.notes if note.startswith("Other moves along a trajectory"))
+    assert f"<{tag}>: ScenarioRunner stops at speeds below 0" in note
+    before, after = simulate(path), simulate(found.path)
+    assert before.speed.min() < 0.0
+    np.testing.assert_allclose(after.x, before.x, atol=0.02)
+    # At the instant in which it turns back, the trajectory has the amount of the speed only.
+    assert (np.abs(after.speed - before.speed) > LIMITS[2]).sum() <= 1
+
+
+def test_a_relative_speed_that_stays_above_0_is_kept(write, tmp_path):
+    found = convert(write(action=relative_speed(-2)), tmp_path / "one.xosc", ego="Ego")
+    assert not [note for note in found.notes if "trajectory" in note]
+
+
+def test_a_relative_speed_to_who_is_driven_is_kept_with_a_warning(write, tmp_path):
+    found = convert(write(action=relative_speed(-0.5), drivers=DRIVEN), tmp_path / "one.xosc", ego="Ego")
+    assert any(note.startswith("Other: <RelativeTargetSpeed>: ScenarioRunner stops if") for note in found.notes)
+    assert read_xml(found.path).find(".//RelativeTargetSpeed") is not None
+
+
+def test_an_event_without_a_condition_gets_one_that_is_always_true(write, tmp_path):
+    path = write()
+    path.write_text(re.sub(r"<StartTrigger>.*?</StartTrigger>(?=</Event>)", "<StartTrigger/>", path.read_text(),
+                           flags=re.DOTALL))  # fmt: skip
+    found = convert(path, tmp_path / "out" / "one.xosc", ego="Ego")
+    (event,) = (one for one in read_xml(found.path).iter("Event") if one.get("name") == "e")
+    (time,) = event.findall("StartTrigger/ConditionGroup/Condition//SimulationTimeCondition")
+    assert (time.get("rule"), time.get("value")) == ("greaterThan", "-1")
+    np.testing.assert_allclose(simulate(found.path).x, simulate(path).x, atol=1e-3)
+
+
+def test_numbers_are_written_without_blanks_around_them(write, tmp_path):
+    path = write(action=speed(target=" 8 "), condition=when(delay=" 0 "))
+    text = path.read_text()
+    path.write_text(text.replace('s="30"', 's="\t30 "'))
+    found = convert(path, tmp_path / "one.xosc", ego="Ego")
+    assert not [note for note in found.notes if "trajectory" in note]
+    values = [value for one in read_xml(found.path).iter("*") for value in one.attrib.values()]
+    assert [value for value in values if value != value.strip()] == []
 
 
 DRIVEN = """<ObjectController><Controller name="d"><ParameterDeclarations/><Properties><Property name="cornercase.driver"

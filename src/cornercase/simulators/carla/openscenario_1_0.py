@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from lxml import etree
 
 from cornercase._common.arguments import numbers_or_texts, path
@@ -19,7 +20,15 @@ from cornercase.simulators.carla.dialect import Agents, assign_controllers
 from cornercase.simulators.carla.foreign_code import refuse_code
 from cornercase.simulators.carla.lanes import heights, strays
 from cornercase.simulators.carla.plan import Plan, kept_ends, plan, refuse
-from cornercase.simulators.carla.storyboard import end_acts, end_at, leave_out, name_apart, set_beginning, take_over
+from cornercase.simulators.carla.storyboard import (
+    end_acts,
+    end_at,
+    leave_out,
+    name_apart,
+    set_beginning,
+    start_at_once,
+    take_over,
+)
 from cornercase.simulators.carla.trajectories import add_trajectories, sample
 
 _MINOR: Final = 0
@@ -39,6 +48,8 @@ _LATER: Final = {
 }
 _NAMED: Final = str.maketrans("", "", "${}")
 _RULES: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
+# Numbers and truth values of XML.
+_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
 _MOST_ENTITIES: Final = 500
 
 
@@ -229,6 +240,7 @@ def concrete_tree(scenario: Scenario, values: Mapping[str, Value]) -> etree._Ele
     # The file's own declarations are in the scope already, with the values that were given.
     for child in root:
         _resolve(child, scope)
+    _trim(root)
     return root
 
 
@@ -248,7 +260,10 @@ def _tree_1_0(
     recording = None if town else sample(scenario, values, run.time_step, run.duration)
     road = scenario.road_file(values)
     astray = {} if recording is None else strays(recording, road, scenario)
-    made = plan(root, sorted(driven), scenario.path, town, astray)
+    slowest = (
+        {} if recording is None else dict(zip(recording.names, np.fmin.reduce(recording.speed, axis=1), strict=True))
+    )
+    made = plan(root, sorted(driven), scenario.path, town, astray, slowest)
     notes = made.notes
     for name in made.sampled if not run.open_loop else ():
         if name in made.reacting:
@@ -276,6 +291,7 @@ def _tree_1_0(
             end = last - 0.5 * run.time_step
     end_at(root, end, kept)
     end_acts(root)
+    start_at_once(root)
     name_apart(root)
     _conditions(root, scenario.path, notes)
     _synchronised(root, scenario, notes)
@@ -360,6 +376,14 @@ def _resolve(element: etree._Element, scope: Scope) -> None:
             _resolve(within, own)
         else:
             _resolve(child, inner)
+
+
+def _trim(root: etree._Element) -> None:
+    """Take away the blanks around numbers, which XML allows and ScenarioRunner does not."""
+    for element in root.iter("*"):
+        for name, text in element.attrib.items():
+            if name != "name" and not str(name).endswith("Ref") and _NUMBER.fullmatch(str(text).strip()):
+                element.set(name, str(text).strip())
 
 
 def _entities(root: etree._Element, ego: str, made: Plan, notes: list[str]) -> None:

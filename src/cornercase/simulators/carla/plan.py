@@ -41,7 +41,12 @@ class Plan:
 
 
 def plan(
-    root: etree._Element, driven: Collection[str], source: Path, map_of_carla: str, astray: Mapping[str, str]
+    root: etree._Element,
+    driven: Collection[str],
+    source: Path,
+    map_of_carla: str,
+    astray: Mapping[str, str],
+    slowest: Mapping[str, float],
 ) -> Plan:
     """Decide how each entity is moved.
 
@@ -61,6 +66,8 @@ def plan(
         Name of the map; empty where there is a road file, without which there is no run to take trajectories from.
     astray : mapping of str to str
         Entities that ScenarioRunner's own controls would take elsewhere, and why.
+    slowest : mapping of str to float
+        Lowest speed of each entity in the builtin simulator, m/s; what is missing is taken to stop.
 
     Returns
     -------
@@ -82,7 +89,7 @@ def plan(
             continue
         near: list[str] = []
         for part in parts[name]:
-            for one in (*findings(part), *_between_the_lines(part, root)):
+            for one in (*findings(part), *_between_the_lines(part, root), *_backwards(part, driven, slowest)):
                 if one.row.status is Status.SAMPLED:
                     made.sampled.setdefault(name, []).append(_reason(one))
                 elif one.row.status is Status.APPROXIMATE:
@@ -221,13 +228,26 @@ def _between_the_lines(part: etree._Element, root: etree._Element) -> Iterator[F
     act = part.getparent() if part.tag == "ManeuverGroup" else None
     if act is not None and not _at_once(act) and any(True for _ in part.iter("SimulationTimeCondition")):
         yield _approximate(part, "ScenarioRunner counts the time from the start of the act")
-    for speed in part.iter("AbsoluteTargetSpeed"):
-        if speed.get("value", "0").startswith("-"):
-            yield _sampled(speed, "ScenarioRunner stops at speeds below 0")
     if part.tag == "StopTrigger":
         for group in part.iterfind("ConditionGroup"):
             if len(group) > 1:
                 yield _approximate(group, "one condition of a group is enough for ScenarioRunner to end an act")
+
+
+def _backwards(part: etree._Element, driven: Collection[str], slowest: Mapping[str, float]) -> Iterator[Finding]:
+    """Speeds below 0, at which ScenarioRunner stops."""
+    for speed in part.iter("AbsoluteTargetSpeed", "AbsoluteSpeed"):
+        if float(speed.get("value", "0")) < 0.0:
+            yield _sampled(speed, "ScenarioRunner stops at speeds below 0")
+    for speed in part.iter("RelativeTargetSpeed", "RelativeSpeedToMaster"):
+        action = next(speed.iterancestors("SynchronizeAction"), None)
+        other = speed.get("entityRef", "") if action is None else action.get("masterEntityRef", "")
+        value, least = float(speed.get("value", "0")), slowest.get(other, 0.0)
+        factor = speed.get("speedTargetValueType") == "factor"
+        if least < 0.0 or (value < 0.0 if factor else least + value < 0.0):
+            yield _sampled(speed, "ScenarioRunner stops at speeds below 0")
+        elif other in driven and value < 0.0:
+            yield _approximate(speed, "ScenarioRunner stops if it leads below 0")
 
 
 def _init(private: etree._Element) -> Iterator[Finding]:

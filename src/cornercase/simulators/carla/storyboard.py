@@ -198,6 +198,22 @@ def at_time(name: str, seconds: float) -> etree._Element:
     return group
 
 
+def start_at_once(root: etree._Element) -> None:
+    """Give events without a condition one that is always true, as ScenarioRunner never starts them otherwise.
+
+    Parameters
+    ----------
+    root : lxml element
+        Changed in place.
+    """
+    for event in root.iter("Event"):
+        trigger = event.find("StartTrigger")
+        if trigger is None:
+            trigger = etree.SubElement(event, "StartTrigger")
+        if len(trigger) == 0:
+            trigger.append(at_time("at once", -1.0))
+
+
 def end_at(root: etree._Element, seconds: float, keep: Collection[etree._Element]) -> None:
     """Let the storyboard end after a time, unless something else that is kept ends it before.
 
