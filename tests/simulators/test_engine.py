@@ -133,6 +133,18 @@ def test_synchronised_with_a_steady_state(tmp_path, steady, start):
     np.testing.assert_allclose(recording.speed[0][steadily], 10.0, atol=0.05)
 
 
+def test_who_waited_for_its_master_sets_off_with_an_even_acceleration(tmp_path):
+    # From 2 s on the master has 200 m at 20 m/s; the other has 150 m, and stands until then.
+    sync = event("e", synchronise('<FinalSpeed><AbsoluteSpeed value="10"/></FinalSpeed>'), time_trigger("0"))
+    starts = story_of(event("go", speed_action("20"), time_trigger("2")), "Lead").replace('"s"', '"t"', 1)
+    init = moving("400", "0", lane="1") + moving("100", "0", "Lead")
+    path = scenario_file(tmp_path, init=init, story=story_of(sync) + starts, entities=car("Ego") + car("Lead"))
+    recording = run(path, 12.0)
+    assert not recording.speed[0][recording.time < 2].any()
+    assert np.abs(np.diff(recording.speed[0])).max() < 10 * DT
+    assert recording.x[0][np.argmin(np.abs(recording.time - 12.0))] == pytest.approx(250.0, abs=1.0)
+
+
 def trajectory(shape, reference="<None/>", mode="position", closed="false"):
     return f"""<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="{closed}">
 <Shape>{shape}</Shape></Trajectory></TrajectoryRef><TimeReference>{reference}</TimeReference><TrajectoryFollowingMode

@@ -177,13 +177,13 @@ class SynchronizeAction(Action):
         result[stands & (mode != _WAITING)] = 0.0
         mode[stands] = _WAITING
         left &= ~stands
-        # An entity that stood and waited enters the last phase with the next step.
+        # An entity that waited begins anew; with a steady state, as in esmini, the last phase follows with the next step.
         released = left & (mode == _WAITING)
-        mode[released] = np.where(v0 > 0, _NEW, _LAST)[released]
-        settle(released & (v0 <= 0), 0.0)
+        mode[released] = np.where((v0 > 0) | (steady_way <= 0), _NEW, _LAST)[released]
+        settle(released & (mode == _LAST), 0.0)
         braking = mode == _BRAKING
         stopped = braking & (v0 - _HARDEST * dt < 0)
-        mode[stopped & left] = _WAITING
+        mode[stopped & left] = _NEW
         settle(braking, np.maximum(v0 - _HARDEST * dt, 0.0))
         standing = (mode == _STANDING) & left
         mode[standing & (time < 2.0 * way / safe)] = _LAST
