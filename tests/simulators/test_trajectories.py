@@ -75,6 +75,15 @@ def test_times_begin_with_that_of_the_first_vertex(tmp_path):
     assert at(absolute, 6.0)[0] == pytest.approx(70.0)
 
 
+def test_who_begins_on_the_last_leg_is_first_seen_with_a_speed_that_falls_towards_its_end(tmp_path):
+    action = follow(polyline(vertex(60, -2, 0), vertex(80, -2, 10)), timing=TIMED, more='initialDistanceOffset="5"')
+    init = f'<Private entityRef="Ego">{teleport("50")}{speed_action("10")}</Private>'
+    path = scenario_file(tmp_path, init=init, story=story_of(event("e", action, time_trigger("0"))))
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=1.0), [ConcreteScenario(path)])
+    assert recording.speed[0][0] == pytest.approx(2.0 * (1.0 - 5.0 / 20.0))
+    np.testing.assert_allclose(recording.speed[0][1:], 2.0)
+
+
 def test_given_headings_turn_near_corners_or_over_legs(tmp_path):
     line = polyline(vertex(60, -2, 0, 0.0), vertex(80, -2, 0, 0.4), vertex(100, -2, 0, 0.4))
     near = run(tmp_path, follow(line))

@@ -200,7 +200,8 @@ def _motion(legs: FloatArray, spans: FloatArray, begin: FloatArray | None) -> tu
     lasts = spans > _TINY
     mean = np.where(lasts, legs / np.where(lasts, spans, 1.0), 0.0)
     if begin is None:
-        return np.concatenate([mean, mean[:, -1:]], axis=1), np.zeros((len(legs), legs.shape[1] + 1))
+        # As in esmini, who begins on the last leg has a speed that falls towards its end, until the first step.
+        return np.concatenate([mean, np.zeros_like(mean[:, -1:])], axis=1), np.zeros((len(legs), legs.shape[1] + 1))
     speeds, rates = [begin], []
     for k in range(legs.shape[1]):
         span = np.where(lasts[:, k], spans[:, k], 1.0)
