@@ -77,6 +77,14 @@ def test_an_entity_on_a_reversed_lane_drives_against_the_s_of_its_road(tmp_path)
     assert recording.x[0][-1] == pytest.approx(30.0, abs=1.5)
 
 
+def test_the_speed_is_that_along_the_road_where_a_lane_runs_aslant(tmp_path):
+    wider = lane(-1, inside='<width sOffset="0" a="4" b="0.5" c="0" d="0"/>')
+    recording = run(tmp_path, placed("1", 10.0, 10.0), road("1", 100.0, right=wider), duration=5.0)
+    np.testing.assert_allclose(recording.heading[0], -np.arctan(0.25), atol=1e-6)
+    np.testing.assert_allclose(recording.x[0], 10.0 + 10.0 * recording.time, atol=0.02)
+    np.testing.assert_allclose(recording.y[0], -2.0 - 0.25 * recording.x[0], atol=1e-3)
+
+
 def condition(body: str) -> str:
     return f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>
 <TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition>{body}
@@ -215,3 +223,31 @@ freespace="false" continuous="true" coordinateSystem="road">{limits}</Longitudin
     )
     np.testing.assert_allclose(recording.speed[0], 10.0)
     np.testing.assert_allclose(np.diff(recording.x[0][1:]), 1.0)
+
+
+def test_a_target_beyond_the_end_of_its_road_is_that_end(tmp_path):
+    target = '<Position><LanePosition roadId="1" laneId="-1" s="900"/></Position>'
+    test = f'<DistanceCondition value="30" freespace="false" rule="lessThan">{target}</DistanceCondition>'
+    story = story_of(event("e", speed_action("0"), condition(test)))
+    recording = run(tmp_path, placed("1", 10.0, 10.0), road("1", 100.0), story=story)
+    assert recording.x[0][-1] == pytest.approx(70.0, abs=1.5)
+
+
+@pytest.mark.parametrize(("lane_id", "holds"), [("-1", True), ("1", False)])
+def test_lanes_of_a_road_that_runs_the_other_way_count_by_where_they_lead(tmp_path, lane_id, holds):
+    # Both roads end where they meet, so that the lane that leads on from -1 is 1.
+    ways = [
+        road(
+            name, 200.0, at=at, links=linked("successor", other, "end"), right=lane(-1, after=1), left=lane(1, after=-1)
+        )
+        for name, other, at in (("1", "2", (0.0, 0.0, 0.0)), ("2", "1", (400.0, 0.0, np.pi)))
+    ]
+    test = (
+        '<RelativeClearanceCondition freeSpace="false" oppositeLanes="false" distanceForward="100"'
+        ' distanceBackward="30"><RelativeLaneRange from="0" to="0"/></RelativeClearanceCondition>'
+    )
+    story = story_of(event("e", speed_action("0"), condition(test)))
+    other = placed("2", 160.0, 0.0, "Other").replace('laneId="-1"', f'laneId="{lane_id}"')
+    init = placed("1", 150.0, 1.0) + other
+    recording = run(tmp_path, init, *ways, entities=car("Ego") + car("Other"), story=story, duration=2.0)
+    assert (recording.speed[0][-1] == 0.0) == holds

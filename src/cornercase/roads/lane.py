@@ -195,3 +195,8 @@ def evaluate_polynomials(polynomials: tuple[Polynomial, ...], s: FloatArray) -> 
     k = np.clip(np.searchsorted(table[:, 0], s, "right") - 1, 0, len(table) - 1)
     d = s - table[k, 0]
     return np.asarray(table[k, 1] + d * (table[k, 2] + d * (table[k, 3] + d * table[k, 4])))
+
+
+def differentiated(polynomials: tuple[Polynomial, ...]) -> tuple[Polynomial, ...]:
+    """First derivatives of cubics that follow each other."""
+    return tuple((start, b, 2.0 * c, 3.0 * d, 0.0) for start, _, b, c, d in polynomials)

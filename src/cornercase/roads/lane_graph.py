@@ -140,7 +140,7 @@ class LaneGraph:
         n = len(s)
         return LanePath.of_points(
             x[order], y[order], s[order], np.full(n, here.road), np.full(n, here.lane), np.full(n, here.along),
-            np.full(n, passed),
+            np.full(n, passed), 1.0 / np.cos(one.slant(here.section, here.lane, s))[order],
         )  # fmt: skip
 
     def exits(self, here: Stretch) -> list[Stretch]:

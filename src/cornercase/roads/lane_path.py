@@ -33,6 +33,8 @@ class LanePath:
         Whether the path runs along the road's s.
     passed : ndarray of int64, shape (P,)
         How many of the roads that it was asked to pass lie behind.
+    stretch : ndarray of float64, shape (P,)
+        How much longer the lane is than a line along its road: above 1 where it runs aslant.
     first, last : int
         Samples between which the lane lies that the path was asked for.
     ends, begins : bool
@@ -49,6 +51,7 @@ class LanePath:
     lane: IntArray
     along: BoolArray
     passed: IntArray
+    stretch: FloatArray
     first: int = 0
     last: int = -1
     ends: bool = True
@@ -64,6 +67,7 @@ class LanePath:
         lane: IntArray,
         along: BoolArray,
         passed: IntArray,
+        stretch: FloatArray,
     ) -> LanePath:
         """Make a path through points that are close together.
 
@@ -76,13 +80,16 @@ class LanePath:
             Whether the path runs along the road's s.
         passed : ndarray of int64, shape (Q,)
             How many of the roads that it was asked to pass lie behind.
+        stretch : ndarray of float64, shape (Q,)
+            How much longer the lane is there than a line along its road.
 
         Returns
         -------
         LanePath
         """
         keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
-        x, y, s, road, lane, along, passed = (array[keep] for array in (x, y, s, road, lane, along, passed))
+        arrays = (x, y, s, road, lane, along, passed, stretch)
+        x, y, s, road, lane, along, passed, stretch = (array[keep] for array in arrays)
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
         distance = np.linspace(0.0, travelled[-1], max(3, int(np.ceil(travelled[-1] / STEP)) + 1))
         nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
@@ -100,6 +107,7 @@ class LanePath:
             lane[nearest],
             along[nearest],
             passed[nearest],
+            stretch[nearest],
         )
 
     def at(self, distance: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -134,7 +142,7 @@ class LanePath:
 
 def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
     """Path along several pieces, each of which starts where the one before ends; `asked` is the piece asked for."""
-    names = ("x", "y", "s", "road", "lane", "along", "passed")
+    names = ("x", "y", "s", "road", "lane", "along", "passed", "stretch")
     arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in names]
     path = LanePath.of_points(*arrays)
     # Where pieces do not quite meet, the way between them counts too.

@@ -11,10 +11,21 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.roads.lane import Polynomial, Section, evaluate_polynomials, read_polynomials, read_sections
+from cornercase.roads.lane import (
+    Polynomial,
+    Section,
+    differentiated,
+    evaluate_polynomials,
+    read_polynomials,
+    read_sections,
+)
 from cornercase.roads.reference_line import Geometry, read_geometry, read_number
 
 _LONGEST_ROAD: Final = 1e5
+# m; over so much of the road to both sides its curvature is measured.
+_AROUND: Final = 0.01
+# A lane runs at most so steeply across its road, as a slope.
+_STEEPEST: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -94,6 +105,19 @@ class Road:
         inner, outer = self._edges(section, lane, s)
         return np.asarray(np.abs(outer - inner))
 
+    def slant(self, section: int, lane: int, s: FloatArray) -> FloatArray:
+        """Angle in rad from the direction of the reference line to that of a lane's centre in a section, shape (N,)."""
+        inner, outer = self._edges(section, lane, s, rate=True)
+        slope = 0.5 * (inner + outer)
+        if not slope.any():
+            return slope
+        around = np.clip(np.stack([s - _AROUND, s + _AROUND]), 0.0, self.length)
+        turn = np.diff([self.reference(one)[2] for one in around], axis=0)[0]
+        curvature = ((turn + np.pi) % (2 * np.pi) - np.pi) / np.maximum(around[1] - around[0], _AROUND)
+        # On the inside of a bend a lane is shorter than the reference line.
+        ahead = np.maximum(1.0 - curvature * self.center(section, lane, s), 0.1)
+        return np.asarray(np.arctan(np.clip(slope / ahead, -_STEEPEST, _STEEPEST)))
+
     def margins(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lateral coordinates t of the road's right and left edge, each (N,)."""
         right, left = np.zeros(len(s)), np.zeros(len(s))
@@ -110,19 +134,20 @@ class Road:
         reverse = np.array([lane in lanes and lanes[lane].reverse for _, lanes in self.sections])
         return usual ^ reverse[self.section_at(s)]
 
-    def _edges(self, section: int, lane: int, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _edges(self, section: int, lane: int, s: FloatArray, rate: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Lateral coordinates t of a lane's edges in a section, or their `rate` by s, each (N,)."""
         start, lanes = self.sections[section]
         sign = 1 if lane > 0 else -1
-        zero = evaluate_polynomials(self.offsets, s)
+        zero = evaluate_polynomials(differentiated(self.offsets) if rate else self.offsets, s)
         inner = outer = zero
         last = 0
         for number in sorted(n for n in (abs(other) for other in lanes if other * sign > 0) if n <= abs(lane)):
             inner, last = outer, number
             one = lanes[sign * number]
-            if one.borders:
-                outer = zero + evaluate_polynomials(one.borders, s - start)
-            else:
-                outer = inner + sign * np.maximum(evaluate_polynomials(one.widths, s - start), 0.0)
+            lines = one.borders or one.widths
+            value = evaluate_polynomials(lines, s - start)
+            change = evaluate_polynomials(differentiated(lines), s - start) if rate else value
+            outer = zero + change if one.borders else inner + sign * np.where(value > 0.0, change, 0.0)
         # A lane that does not exist is as wide as nothing.
         return (inner, outer) if last == abs(lane) else (outer, outer)
 

@@ -244,15 +244,23 @@ def _lateral(world: World, pose: Pose) -> FloatArray:
 def _on_road(world: World, road: IntArray, s: FloatArray, t: FloatArray, turn: FloatArray, relative: bool) -> Pose:
     assert world.network is not None
     x, y, heading = (np.full(len(s), np.nan) for _ in range(3))
+    s, beyond = _on_the_road(world, road, s)
     for one in np.unique(road):
-        rows = (road == one) & (s >= -_EDGE) & (s <= world.network.lengths[one] + _EDGE)
+        rows = (road == one) & np.isfinite(s)
         x[rows], y[rows], heading[rows] = world.network.road_world(int(one), s[rows], t[rows])
     heading = heading + turn if relative else np.where(np.isnan(heading), np.nan, turn)
     lane, offset = np.zeros(len(s), dtype=np.int64), np.zeros(len(s))
     for one in np.unique(road):
         rows = np.flatnonzero((road == one) & np.isfinite(x))
         lane[rows], offset[rows] = world.network.lane_at(int(one), s[rows], t[rows])
-    return Pose(x, y, heading, road, lane, s, offset)
+    return Pose(x, y, heading, road, lane, s, offset, beyond)
+
+
+def _on_the_road(world: World, road: IntArray, s: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Coordinates s, or the ends of the roads for what lies beyond them, and whether it does so, each (N,)."""
+    assert world.network is not None
+    lengths = world.network.lengths[road]
+    return np.clip(s, 0.0, lengths), (s < -_EDGE) | (s > lengths + _EDGE)
 
 
 def _route_position(element: etree._Element, scope: Scope, world: World) -> Position:
@@ -416,15 +424,14 @@ def _on_lane(
 ) -> Pose:
     assert world.network is not None
     x, y, heading = (np.full(len(s), np.nan) for _ in range(3))
+    s, beyond = _on_the_road(world, road, s)
     for one_road, one_lane in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
-        rows = (road == one_road) & (lane == one_lane)
-        inside = rows & (s >= -_EDGE) & (s <= world.network.lengths[one_road] + _EDGE)
-        inside &= world.network.has_lane_at(one_road, one_lane, s)
+        inside = (road == one_road) & (lane == one_lane) & world.network.has_lane_at(one_road, one_lane, s)
         if inside.any():
-            at = np.clip(s[inside], 0.0, world.network.lengths[one_road])
-            x[inside], y[inside], heading[inside] = world.network.world(one_road, one_lane, at, offset[inside])
+            place = world.network.world(one_road, one_lane, s[inside], offset[inside])
+            x[inside], y[inside], heading[inside] = place
     heading = heading + turn if relative else np.where(np.isnan(heading), np.nan, turn)
-    return Pose(x, y, heading, road, lane, s, offset)
+    return Pose(x, y, heading, road, lane, s, offset, beyond)
 
 
 def _orientation(element: etree._Element, scope: Scope) -> tuple[FloatArray, bool]:

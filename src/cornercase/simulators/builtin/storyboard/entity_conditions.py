@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from cornercase.simulators.builtin.world.whereabouts import (
     lane_of,
     lanes_between,
     road_heading,
+    runs_against,
 )
 
 EntityTest = Callable[[World, int], BoolArray]
@@ -254,8 +256,11 @@ def _relative_clearance(element: etree._Element, scope: Scope, world: World) -> 
             if free:
                 ahead, behind = longitudinal_reach(world, e, other)
                 way = np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
-            apart = lanes_between(world, own, pose)
-            same = np.sign(own.lane) == np.sign(pose.lane)
+            # On a road that runs the other way, the lanes of the own side have the other sign.
+            turned = runs_against(world, e, pose)
+            lane = np.where(turned, -own.lane, own.lane)
+            apart = lanes_between(world, replace(own, lane=lane), pose) * np.where(turned, -1, 1)
+            same = np.sign(lane) == np.sign(pose.lane)
             inside = (way >= -backward) & (way <= forward) & (apart >= first) & (apart <= last)
             occupied |= inside & (same | opposite) & world.present[other]
         return np.asarray(~occupied & has_lane_between(world, own, first, last, opposite))

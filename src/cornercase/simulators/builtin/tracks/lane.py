@@ -38,6 +38,7 @@ class LaneTrack(Track):
     def __init__(self, path: LanePath) -> None:
         self.path = path
         self.length = float(path.distance[-1])
+        self._aslant = bool((path.stretch > 1.0).any())
         self._tree: cKDTree | None = None
         begin, end = float(path.distance[path.first]), float(path.distance[path.last])
         # Where the path is cut at an end, it is left between its own lane and that end.
@@ -66,6 +67,13 @@ class LaneTrack(Track):
 
     def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         return self.path.at(distance, np.zeros_like(distance))[3]
+
+    def stretch(self, distance: FloatArray) -> FloatArray | float:
+        """How much longer the lane is than a line along its road, at distances along the track."""
+        if not self._aslant:
+            return 1.0
+        sample = np.searchsorted(self.path.distance, distance, "right") - 1
+        return self.path.stretch[np.clip(sample, 0, self.path.x.size - 1)]
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         if self._tree is None:

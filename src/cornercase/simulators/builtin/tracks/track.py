@@ -27,6 +27,8 @@ class Pose:
     lane : ndarray of int64, shape (N,), optional
     s, offset : ndarray of float64, shape (N,), optional
         Along the road, and to the left of the lane's centre as seen along the road, in m.
+    beyond : ndarray of bool, shape (N,), optional
+        Where the file names a place beyond the end of its road, which is then that end.
     """
 
     x: FloatArray
@@ -36,6 +38,7 @@ class Pose:
     lane: IntArray | None = None
     s: FloatArray | None = None
     offset: FloatArray | None = None
+    beyond: BoolArray | None = None
 
 
 class Track(ABC):

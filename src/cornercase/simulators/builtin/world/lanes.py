@@ -32,10 +32,9 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     where : ndarray of bool, shape (N,)
         Scenarios.
     """
-    world.fail(
-        where & ~np.isfinite(pose.x + pose.y + pose.heading),
-        f"{world.names[entity]} is placed off the map",
-    )
+    lost = ~np.isfinite(pose.x + pose.y + pose.heading)
+    lost = lost if pose.beyond is None else lost | pose.beyond
+    world.fail(where & lost, f"{world.names[entity]} is placed off the map")
     where = where & world.running
     for state, value in ((world.x, pose.x), (world.y, pose.y), (world.heading, pose.heading)):
         state[entity][where] = value[where]

@@ -141,6 +141,9 @@ def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) 
     if isinstance(track, LaneTrack) and offset.any():
         # On the inside of a bend, the way along the line is longer than the way that is driven.
         way = way / np.maximum(1.0 - track.curvature(world.distance[e][at], at) * offset, 0.1)
+    if isinstance(track, LaneTrack):
+        # The speed is that along the road: where the lane runs aslant, what goes across comes on top, as in esmini.
+        way = way * track.stretch(world.distance[e][at])
     distance = world.distance[e][at] + way
     if isinstance(track, LaneTrack):
         over = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & (way < 0.0))

@@ -216,6 +216,39 @@ def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
     return np.asarray(apart * np.where(np.cos(one.heading - road_heading(world, one)) > -1e-6, 1, -1))
 
 
+def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
+    """Whether the road of a pose runs against the one that an entity is on, along the entity's lane, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    pose : Pose
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        False where the lane does not lead there.
+    """
+    assert pose.road is not None
+    result = np.zeros(world.scenarios, dtype=np.bool_)
+    for k, track in enumerate(world.tracks[entity]):
+        rows = np.flatnonzero((world.track[entity] == k) & world.present[entity])
+        if not (rows.size and isinstance(track, LaneTrack)):
+            continue
+        path = track.path
+        sample = np.searchsorted(path.distance, world.distance[entity][rows], "right") - 1
+        sample = np.clip(sample, 0, path.x.size - 1)
+        for road in np.unique(pose.road[rows]):
+            there = np.flatnonzero(path.road == road)
+            mine = pose.road[rows] == road
+            if there.size:
+                near = there[np.clip(np.searchsorted(there, sample[mine]), 0, there.size - 1)]
+                result[rows[mine]] = path.along[near] != path.along[sample[mine]]
+    return result
+
+
 def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
     """Whether a drivable lane lies within a range of lanes from a pose, shape (N,).
 
