@@ -177,7 +177,7 @@ class SynchronizeAction(Action):
         result[stands & (mode != _WAITING)] = 0.0
         mode[stands] = _WAITING
         left &= ~stands
-        # An entity that waited begins anew; with a steady state, as in esmini, the last phase follows with the next step.
+        # An entity that waited begins anew; with a steady state the last phase comes next, as in esmini.
         released = left & (mode == _WAITING)
         mode[released] = np.where((v0 > 0) | (steady_way <= 0), _NEW, _LAST)[released]
         settle(released & (mode == _LAST), 0.0)
