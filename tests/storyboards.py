@@ -40,6 +40,12 @@ ROADS = {
 
 SHAPES = ("linear", "cubic", "sinusoidal", "step")
 RULES = ("greaterThan", "lessThan", "greaterOrEqual", "lessOrEqual")
+_ANSWERING = tuple(
+    f"<{kind}Condition"
+    for kind in (
+        "TimeHeadway", "TimeToCollision", "StandStill", "EndOfRoad", "Offroad", "Collision", "ReachPosition",
+    )
+)  # fmt: skip
 
 
 def write_roads(folder: Path) -> None:
@@ -122,10 +128,12 @@ def storyboard(random: Random) -> str:
             plan.elements += [("action", f"a{g}{m}{e}0") for e in range(events)]
     groups = "".join(_group(plan, g, maneuvers) for g, maneuvers in enumerate(shape))
     stop = _group_of([_time(plan, "stop", plan.number(6, 18), "greaterThan")])
-    if plan.chance(0.15):
-        stop += _group_of([_condition(plan, "stop1")])
-    begin = _group_of([_time(plan, "act", plan.number(0, 2) if plan.chance(0.3) else 0.0, "greaterOrEqual")])
+    if plan.chance(0.15) and "TimeToCollision" not in (early := _condition(plan, "stop1")):
+        stop += _group_of([early])
     end = f"<StopTrigger>{_group_of([_condition(plan, 'actstop')])}</StopTrigger>" if plan.chance(0.1) else ""
+    # In the first frame, esmini measures a time to collision to an entity as if that stood; the standard does not.
+    earliest = 0.1 if "TimeToCollision" in groups + end else 0.0
+    begin = _group_of([_time(plan, "act", plan.number(0.1, 2) if plan.chance(0.3) else earliest, "greaterOrEqual")])
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <OpenSCENARIO><FileHeader revMajor="1" revMinor="3" date="2026-01-01T00:00:00" description="random storyboard" author="cornercase"/>
 <CatalogLocations/><RoadNetwork><LogicFile filepath="{kind}.xodr"/></RoadNetwork>
@@ -172,7 +180,8 @@ def _group(plan: _Plan, g: int, maneuvers: list[int]) -> str:
         f'<Maneuver name="m{g}{m}">{"".join(_event(plan, f"{g}{m}{e}", actor) for e in range(events))}</Maneuver>\n'
         for m, events in enumerate(maneuvers)
     )
-    return f"""<ManeuverGroup name="g{g}" maximumExecutionCount="{2 if plan.chance(0.1) else 1}">
+    times = 2 if plan.chance(0.1) and not _over_distance(inner) else 1
+    return f"""<ManeuverGroup name="g{g}" maximumExecutionCount="{times}">
 <Actors selectTriggeringEntities="false"><EntityRef entityRef="{actor}"/></Actors>
 {inner}</ManeuverGroup>
 """
@@ -187,11 +196,17 @@ def _event(plan: _Plan, number: str, actor: str) -> str:
         _group_of([_condition(plan, f"c{number}{k}{j}") for j in range(2 if plan.chance(0.25) else 1)])
         for k in range(2 if plan.chance(0.15) else 1)
     )
-    times = plan.random.choice([1, 1, 1, 2, 3])
+    times = 1 if _over_distance(actions) else plan.random.choice([1, 1, 1, 2, 3])
     priority = plan.one(("override", "parallel", "skip"))
     return f"""<Event name="e{number}" priority="{priority}" maximumExecutionCount="{times}">
 {actions}<StartTrigger>{groups}</StartTrigger></Event>
 """
+
+
+def _over_distance(actions: str) -> bool:
+    """Whether a speed changes over a distance: run again, esmini takes the time that it took for the distance."""
+    begun = '<SpeedActionDynamics dynamicsShape="{}" dynamicsDimension="distance"'
+    return any(begun.format(shape) in actions for shape in SHAPES)
 
 
 def _action(plan: _Plan, actor: str) -> str:
@@ -332,9 +347,10 @@ def _condition(plan: _Plan, name: str) -> str:
         return _wrapped(plan, name, f"<ByValueCondition>{inner}</ByValueCondition>")
     if kind == "state":
         element, ref = plan.random.choice(plan.elements)
-        states = ("completeState", "runningState", "startTransition", "endTransition", "standbyState", "skipTransition")
+        # Of the standard's transitions, esmini has none to skip.
+        states = ("completeState", "runningState", "startTransition", "endTransition", "standbyState")
         inner = f"""<StoryboardElementStateCondition storyboardElementType="{element}" storyboardElementRef="{ref}"
-state="{plan.random.choices(states, (30, 25, 20, 20, 3, 2))[0]}"/>"""
+state="{plan.random.choices(states, (30, 25, 20, 22, 3))[0]}"/>"""
         return _wrapped(plan, name, f"<ByValueCondition>{inner}</ByValueCondition>")
     first = plan.one(plan.entities)
     triggering = [first] + ([plan.other(first)] if plan.chance(0.25) else [])
@@ -342,10 +358,13 @@ state="{plan.random.choices(states, (30, 25, 20, 20, 3, 2))[0]}"/>"""
     # An entity is not compared with itself.
     rest = [entity for entity in plan.entities if entity not in triggering]
     inner = _of_entity(plan, plan.one(rest) if rest else plan.other(first))
+    # The standard lets `all` hold where all fulfil a condition; in esmini, one entity can answer for the next in these.
+    answering = inner.startswith(_ANSWERING) and len(triggering) > 1
+    rule = "any" if answering else plan.one(("any", "all"))
     return _wrapped(
         plan,
         name,
-        f"""<ByEntityCondition><TriggeringEntities triggeringEntitiesRule="{plan.one(("any", "all"))}">{refs}</TriggeringEntities>
+        f"""<ByEntityCondition><TriggeringEntities triggeringEntitiesRule="{rule}">{refs}</TriggeringEntities>
 <EntityCondition>{inner}</EntityCondition></ByEntityCondition>""",
     )
 

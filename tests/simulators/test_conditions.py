@@ -92,3 +92,12 @@ def test_a_road_has_ended_since_the_row_in_which_the_entity_is_at_its_end(tmp_pa
     recording = run(path)
     assert recording.x[0][round(0.25 / DT)] == pytest.approx(500.0)
     assert recording.x[0][round(0.3 / DT)] == pytest.approx(50.0)
+
+
+def test_who_stands_from_the_start_stands_since_the_first_step(tmp_path):
+    # At 0.3 s it has stood for 0.25 s, and the next row shows what that starts.
+    stands = of_entity('<StandStillCondition duration="0.22"/>')
+    path = scenario_file(tmp_path, init=placed(speed="0"), story=story_of(event("e", teleport("100"), stands)))
+    recording = run(path)
+    assert recording.x[0][round(0.3 / DT)] == pytest.approx(50.0)
+    assert recording.x[0][round(0.35 / DT)] == pytest.approx(100.0)
