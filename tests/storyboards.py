@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-VERSION = 3
+VERSION = 4
 """Grows when a seed no longer gives the same storyboard."""
 
 

@@ -151,7 +151,7 @@ def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) 
         # An entity that tries to drive beyond the end stops with the second step, as in esmini.
         late = world.at_end_since[e][at] < world.time - 0.5 * world.last_step
         world.speed[e][at[over & late & np.isnan(world.pace[e][at])]] = 0.0
-        arrived = world.time + world.last_step
+        arrived = world.time + world.last_step if world.last_step > 0.0 else np.inf
         world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], arrived), np.inf)
     world.distance[e][at] = distance
     x, y, heading = track.at(distance, offset, at)
