@@ -201,5 +201,7 @@ def test_the_files_that_are_named_exist(page):
         code
         for code in inline_code_of(page)
         if re.fullmatch(r"(src|tests|docs|benchmarks|[a-z_]+)/[\w/]*(\.py|\.pyi|\.md)?", code)
+        # Elements of road files are called by those above them.
+        and (page.name != "opendrive.md" or "." in code)
     ]
     assert [code for code in files if "NAME" not in code and not any((place / code).exists() for place in places)] == []

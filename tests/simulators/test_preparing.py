@@ -16,7 +16,7 @@ from conftest import EXAMPLES, same_recording
 from cornercase._common.errors import InputError
 from cornercase.cli import app
 from cornercase.roads import RoadNetwork
-from cornercase.scenario import ConcreteScenario, LogicalScenario
+from cornercase.scenario import ConcreteScenario, LogicalScenario, xml
 from cornercase.simulators import BuiltinSimulator, WorkerSimulator
 
 
@@ -29,10 +29,10 @@ def folder(tmp_path) -> Path:
 def reads(monkeypatch) -> Counter[str]:
     """How often each file was read, each document parsed, and a network made of one."""
     counted: Counter[str] = Counter()
-    read, parse, begin = Path.read_bytes, etree.fromstring, RoadNetwork.__init__
+    read, parse, begin = xml.read_file, etree.fromstring, RoadNetwork.__init__
 
-    def read_bytes(path):
-        counted[f"read {path.name}"] += 1
+    def read_file(path):
+        counted[f"read {Path(path).name}"] += 1
         return read(path)
 
     def fromstring(data, *arguments):
@@ -43,7 +43,7 @@ def reads(monkeypatch) -> Counter[str]:
         counted["network"] += 1
         begin(network, *arguments)
 
-    monkeypatch.setattr(Path, "read_bytes", read_bytes)
+    monkeypatch.setattr(xml, "read_file", read_file)
     monkeypatch.setattr(etree, "fromstring", fromstring)
     monkeypatch.setattr(RoadNetwork, "__init__", make)
     return counted
