@@ -13,10 +13,11 @@ from lxml import etree
 from typer.testing import CliRunner
 
 from conftest import EXAMPLES, same_recording
+from cornercase._common import files
 from cornercase._common.errors import InputError
 from cornercase.cli import app
 from cornercase.roads import RoadNetwork
-from cornercase.scenario import ConcreteScenario, LogicalScenario, xml
+from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.simulators import BuiltinSimulator, WorkerSimulator
 
 
@@ -29,7 +30,7 @@ def folder(tmp_path) -> Path:
 def reads(monkeypatch) -> Counter[str]:
     """How often each file was read, each document parsed, and a network made of one."""
     counted: Counter[str] = Counter()
-    read, parse, begin = xml.read_file, etree.fromstring, RoadNetwork.__init__
+    read, parse, begin = files.read_file, etree.fromstring, RoadNetwork.__init__
 
     def read_file(path):
         counted[f"read {Path(path).name}"] += 1
@@ -43,7 +44,7 @@ def reads(monkeypatch) -> Counter[str]:
         counted["network"] += 1
         begin(network, *arguments)
 
-    monkeypatch.setattr(xml, "read_file", read_file)
+    monkeypatch.setattr("cornercase.scenario.xml.read_file", read_file)
     monkeypatch.setattr(etree, "fromstring", fromstring)
     monkeypatch.setattr(RoadNetwork, "__init__", make)
     return counted
