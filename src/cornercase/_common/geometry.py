@@ -1,4 +1,4 @@
-"""Oriented boxes in the plane, vectorised over any leading axes."""
+"""Angles and oriented boxes in the plane, vectorised over any leading axes."""
 
 from __future__ import annotations
 
@@ -17,6 +17,22 @@ _STEADY = 1e-12
 
 _SIGNS_ALONG = np.array([1.0, 1.0, -1.0, -1.0])
 _SIGNS_ACROSS = np.array([-1.0, 1.0, 1.0, -1.0])
+
+
+def within_half_turn(angle: npt.ArrayLike) -> FloatArray:
+    """Angles as they are between directions: whole turns apart, and from -π up to π.
+
+    Parameters
+    ----------
+    angle : array_like of float, shape (...)
+        rad.
+
+    Returns
+    -------
+    ndarray of float64, shape (...)
+        rad.
+    """
+    return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi)
 
 
 def box_corners(

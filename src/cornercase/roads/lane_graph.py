@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from cornercase._common.geometry import within_half_turn
 from cornercase.roads.lane_path import STEP, LanePath
 from cornercase.roads.road import Link, Road
 from cornercase.roads.road_graph import GAP, Connection, RoadGraph
@@ -258,4 +259,4 @@ class LaneGraph:
         far = one.length if option.along else 0.0
         before = self._roads[here.road].reference(np.array([self._end(here)]))[2][0] + (0.0 if here.along else np.pi)
         after = one.reference(np.array([far]))[2][0] + (0.0 if option.along else np.pi)
-        return float(abs((after - before + np.pi) % (2 * np.pi) - np.pi))
+        return float(abs(within_half_turn(after - before)))

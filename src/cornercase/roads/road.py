@@ -10,6 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.lane import (
     Polynomial,
@@ -113,7 +114,7 @@ class Road:
             return slope
         around = np.clip(np.stack([s - _AROUND, s + _AROUND]), 0.0, self.length)
         turn = np.diff([self.reference(one)[2] for one in around], axis=0)[0]
-        curvature = ((turn + np.pi) % (2 * np.pi) - np.pi) / np.maximum(around[1] - around[0], _AROUND)
+        curvature = within_half_turn(turn) / np.maximum(around[1] - around[0], _AROUND)
         # On the inside of a bend a lane is shorter than the reference line.
         ahead = np.maximum(1.0 - curvature * self.center(section, lane, s), 0.1)
         return np.asarray(np.arctan(np.clip(slope / ahead, -_STEEPEST, _STEEPEST)))

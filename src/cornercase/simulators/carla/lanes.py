@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.roads import RoadNetwork
@@ -78,7 +79,7 @@ def _leaves_lanes(network: RoadNetwork, x: FloatArray, y: FloatArray, heading: F
 
 def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
     """Angles between directions, in rad."""
-    return np.asarray(np.abs(np.remainder(one - other + np.pi, 2.0 * np.pi) - np.pi))
+    return np.abs(within_half_turn(one - other))
 
 
 def heights(recording: Recording, road: Path | None, scenario: Scenario) -> FloatArray:

@@ -15,6 +15,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from cornercase._common.errors import SimulationError
+from cornercase._common.geometry import within_half_turn
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.motion import pull_entity
@@ -259,7 +260,7 @@ class SumoCoupling:
             e,
             np.array([x - behind * math.cos(heading)]),
             np.array([y - behind * math.sin(heading)]),
-            np.array([(heading + math.pi) % (2 * math.pi) - math.pi]),
+            np.array([within_half_turn(heading)]),
             np.array([sumo.vehicle.getSpeed(name)]),
         )
 

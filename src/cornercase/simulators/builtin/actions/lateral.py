@@ -23,7 +23,7 @@ from cornercase.simulators.builtin.paths.transitions import (
 from cornercase.simulators.builtin.world.gaps import offset_from
 from cornercase.simulators.builtin.world.lanes import change_lane
 from cornercase.simulators.builtin.world.state import LATERAL, World
-from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
+from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
 # m/s²; esmini's figure for a lane offset without one.
 _GENTLE: Final = 0.5
@@ -64,7 +64,7 @@ class LaneChangeAction(Action):
         done = change_lane(world, e, lane, where)
         world.fail(where & ~done, f"{world.names[e]} is to change to a lane that is not there")
         pose = lane_of(world, e)
-        forward = np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, 1.0, -1.0)
+        forward = np.where(looks_along(world, pose), 1.0, -1.0)
         self._from[where] = world.offset[e][where]
         self._to[where] = (forward * self._target_offset)[where]
         self._extent[where] = self._transition.extent(self._from, self._to)[where]
@@ -109,7 +109,7 @@ class LaneChangeAction(Action):
             return np.full(world.scenarios, self._value)
         pose = lane_of(world, self._reference)
         assert pose.lane is not None
-        forward = np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, 1, -1)
+        forward = np.where(looks_along(world, pose), 1, -1)
         return shifted_lane(pose.lane, self._value * forward)
 
 
@@ -144,7 +144,7 @@ class LaneOffsetAction(Action):
             target = self._value
         elif self._reference is None:
             pose = lane_of(world, e)
-            target = np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, self._value, -self._value)
+            target = np.where(looks_along(world, pose), self._value, -self._value)
         else:
             # Its left is the left of the entity that it refers to.
             apart = world.heading[self._reference] - (world.heading[e] - world.turn[e])

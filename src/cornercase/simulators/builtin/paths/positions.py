@@ -17,7 +17,7 @@ from cornercase.simulators.builtin.paths.trajectory_shapes import Position, read
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.lanes import lane_track
 from cornercase.simulators.builtin.world.state import World
-from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
+from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along, road_heading
 
 # A place this little beyond the end of a road, in m, is at the end.
 _EDGE: Final = 0.1
@@ -158,7 +158,7 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
     def resolve(world: World) -> Pose:
         base = lane_of(world, entity)
         # With dsLane, both distances count as the entity drives; with ds, along the road's s and by its lane numbers.
-        ahead = np.cos(base.heading - road_heading(world, base)) > -1e-6
+        ahead = looks_along(world, base)
         forward = np.where(ahead | (not along_lane), 1, -1)
         base = _moved(world, base, forward * ds)
         assert base.lane is not None

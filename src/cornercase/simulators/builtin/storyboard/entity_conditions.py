@@ -10,6 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.distances import Gap, read_gap
@@ -81,7 +82,7 @@ def _reach_position(element: etree._Element, scope: Scope, world: World) -> Enti
     def reached(world: World, e: int) -> BoolArray:
         pose = position(world)
         near = np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance
-        turn = (pose.heading - world.heading[e] + np.pi) % (2 * np.pi) - np.pi
+        turn = within_half_turn(pose.heading - world.heading[e])
         return np.asarray(near & (np.abs(turn) < _ALIGNED) if oriented else near)
 
     return reached
@@ -290,7 +291,7 @@ def _angle(element: etree._Element, scope: Scope, world: World) -> EntityTest:
                     for r, k, s in zip(pose.road, pose.lane, pose.s, strict=True)
                 ]
                 now = now - np.where(against, np.pi, 0.0)
-        apart = np.abs((now - angle + np.pi) % (2 * np.pi) - np.pi)
+        apart = np.abs(within_half_turn(now - angle))
         return np.asarray(apart < tolerance + TOLERANCE)
 
     return holds

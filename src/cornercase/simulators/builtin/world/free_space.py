@@ -10,7 +10,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.state import World
-from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
+from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
 # Each pass makes the error in s smaller by the curvature times the distance beside the reference line.
 _PASSES: Final = 6
@@ -88,7 +88,7 @@ def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, o
 
 def _direction(world: World, pose: Pose) -> FloatArray:
     """1 where the heading of a pose is along s, else -1, shape (N,)."""
-    return np.where(np.cos(pose.heading - road_heading(world, pose)) > -1e-6, 1.0, -1.0)
+    return np.where(looks_along(world, pose), 1.0, -1.0)
 
 
 def _on_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:

@@ -10,7 +10,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.state import World
-from cornercase.simulators.builtin.world.whereabouts import lane_of, road_heading
+from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
 # Beyond this distance from a track, in m, a target is not on it.
 _ASTRAY: Final = 20.0
@@ -62,7 +62,7 @@ def along_roads(world: World, entity: int, target: Pose) -> FloatArray:
     if world.network is not None and own is not None and own.road is not None and own.s is not None:
         assert target.road is not None
         assert target.s is not None
-        ahead = np.cos(own.heading - road_heading(world, own)) > -1e-6
+        ahead = looks_along(world, own)
         result[rows] = world.network.way(own.road[rows], own.s[rows], ahead[rows], target.road[rows], target.s[rows])
     return result
 

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Pose, Track
@@ -86,7 +87,7 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         follow_track(world, entity, track, distance, rows)
         world.offset[entity][rows] = pose.offset[rows] if one[3] else -pose.offset[rows]
         _, _, ahead = track.at(distance[rows], np.zeros(int(rows.sum())), np.flatnonzero(rows))
-        turn = (pose.heading[rows] - ahead + np.pi) % (2 * np.pi) - np.pi
+        turn = within_half_turn(pose.heading[rows] - ahead)
         # Lanes are sampled, so their headings are not exact: so small a difference is none.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
 

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Track
@@ -27,7 +28,7 @@ def move_entities(world: World, dt: float) -> None:
     dt : float
         s; with 0 entities are only put on their tracks.
     """
-    before_heading, world.last_step = world.from_heading, dt
+    world.last_step = dt
     hold_trailers(world)
     for e in range(len(world.entities)):
         rows = world.running & world.present[e]
@@ -67,8 +68,6 @@ def move_entities(world: World, dt: float) -> None:
     world.moved[:] = world.jumped[:] = False
     world.pace[:] = np.nan
     world.sideways[:] = 0.0
-    if dt > 0:
-        world.turn_rate = ((world.heading - before_heading + np.pi) % (2 * np.pi) - np.pi) / dt
     # As in esmini, nobody stands or is off the road before the first frame that takes time.
     now = world.time if dt > 0 else np.inf
     moving = np.abs(world.speed) > 1e-6
@@ -133,7 +132,7 @@ def pull_entity(
             on_x, on_y, ahead = track.at(along, np.zeros(len(at)), at)
             world.distance[entity][at] = along
             world.offset[entity][at] = (y[at] - on_y) * np.cos(ahead) - (x[at] - on_x) * np.sin(ahead)
-            world.turn[entity][at] = (heading[at] - ahead + np.pi) % (2 * np.pi) - np.pi
+            world.turn[entity][at] = within_half_turn(heading[at] - ahead)
 
 
 def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:

@@ -101,8 +101,6 @@ class World:
         Place along the entity's track, and to the left of it, in m.
     turn : ndarray of float64, shape (E, N)
         Heading relative to the track, in rad.
-    turn_rate : ndarray of float64, shape (E, N)
-        rad/s.
     stranded : ndarray of bool, shape (E, N)
         Entities whose trajectory has ended where no road goes on.
     sideways : ndarray of float64, shape (E, N)
@@ -203,7 +201,7 @@ class World:
         self.visible = np.ones(shape, dtype=np.bool_)
         self.tracks: list[list[Track]] = [[] for _ in entities]
         self.track = np.full(shape, FREE)
-        self.turn, self.turn_rate, self.sideways, self.velocity = (np.zeros(shape) for _ in range(4))
+        self.turn, self.sideways, self.velocity = (np.zeros(shape) for _ in range(3))
         self.pace = np.full(shape, np.nan)
         self.from_x, self.from_y, self.from_heading = (np.full(shape, np.nan) for _ in range(3))
         self.gone, self.pull = (np.zeros(shape), np.zeros(shape)), (np.zeros(shape), np.zeros(shape))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world.state import World
 
@@ -57,7 +58,7 @@ def pull_trailers(world: World) -> None:
         y = world.y[e] + tow.hitch * np.sin(world.heading[e])
         heading = np.arctan2(y - world.y[t], x - world.x[t])
         # No full turn from one step to the next.
-        turn = (heading - world.heading[t] + np.pi) % (2 * np.pi) - np.pi
+        turn = within_half_turn(heading - world.heading[t])
         pulled = world.present[t] & world.running
         for state, value in (
             (world.heading, world.heading[t] + turn),

@@ -117,6 +117,21 @@ def road_heading(world: World, pose: Pose) -> FloatArray:
     return heading
 
 
+def looks_along(world: World, pose: Pose) -> BoolArray:
+    """Whether a pose looks along its road's s rather than against it; straight across counts as along.
+
+    Parameters
+    ----------
+    world : World
+    pose : Pose
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
+    return np.asarray(np.cos(pose.heading - road_heading(world, pose)) > -1e-6)
+
+
 def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
     """Speed along the road that an entity is on, without sign, in m/s, shape (N,).
 
@@ -171,25 +186,8 @@ def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray
     own = lane_of(world, entity)
     assert own.road is not None
     assert own.s is not None
-    forward = np.where(np.cos(own.heading - road_heading(world, own)) > -1e-6, 1.0, -1.0)
+    forward = np.where(looks_along(world, own), 1.0, -1.0)
     return np.where(own.road == target.road, forward * (target.s - own.s), otherwise)
-
-
-def lateral_speed(world: World, entity: int) -> FloatArray:
-    """Speed across the entity's track in m/s, shape (N,); positive to the left.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m/s.
-    """
-    return np.asarray(world.speed[entity] * np.sin(world.turn[entity]))
 
 
 def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
@@ -213,7 +211,7 @@ def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
     apart = two.lane - one.lane
     crossing = np.sign(one.lane) != np.sign(two.lane)
     apart = apart - np.where(crossing, np.sign(apart), 0)
-    return np.asarray(apart * np.where(np.cos(one.heading - road_heading(world, one)) > -1e-6, 1, -1))
+    return np.asarray(apart * np.where(looks_along(world, one), 1, -1))
 
 
 def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
