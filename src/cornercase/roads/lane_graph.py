@@ -126,10 +126,7 @@ class LaneGraph:
 
     def span(self, here: Stretch) -> tuple[float, float]:
         """Coordinates s between which a stretch lies, in m, the lower one first."""
-        one = self._roads[here.road]
-        start = max(one.sections[here.section][0], 0.0)
-        end = one.sections[here.section + 1][0] if here.section + 1 < len(one.sections) else one.length
-        return start, max(end, start)
+        return self._roads[here.road].section_span(here.section)
 
     def piece(self, here: Stretch, passed: int = 0) -> LanePath:
         """Centre line of a stretch, in the direction of travel, with as many goals behind."""

@@ -110,6 +110,10 @@ class LanePath:
             stretch[nearest],
         )
 
+    def sample_at(self, distance: FloatArray) -> IntArray:
+        """Index of the last sample that does not lie beyond each distance along the path, shape (N,)."""
+        return np.clip(np.searchsorted(self.distance, distance, "right") - 1, 0, self.x.size - 1)
+
     def at(self, distance: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Find places on the path or beside it.
 

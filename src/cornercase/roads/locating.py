@@ -159,9 +159,7 @@ class Locator:
         lanes = [
             (r, k, start, end, number)
             for r, one in enumerate(self._roads)
-            for k, ((start, held), end) in enumerate(
-                zip(one.sections, [*(start for start, _ in one.sections[1:]), one.length], strict=True)
-            )
+            for k, ((start, held), end) in enumerate(zip(one.sections, one.seams[1:].tolist(), strict=True))
             for number in held
         ]
         apart = max(_SAMPLED, sum(max(end - start, 0.0) for _, _, start, end, _ in lanes) / _MOST_SAMPLES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -91,10 +92,19 @@ class Road:
             t[section == k] = self.center(int(k), lane, s[section == k])
         return self.at(s, t + offset)
 
+    @cached_property
+    def seams(self) -> FloatArray:
+        """Where lane sections start, and where the last one ends, in m along s, shape (sections + 1,)."""
+        return np.array([*(start for start, _ in self.sections), self.length])
+
+    def section_span(self, section: int) -> tuple[float, float]:
+        """Where a lane section starts and ends, in m along s."""
+        start, end = self.seams[section : section + 2].tolist()
+        return max(start, 0.0), max(end, start, 0.0)
+
     def section_at(self, s: FloatArray) -> IntArray:
         """Index of the lane section at each s, shape (N,)."""
-        starts = np.array([start for start, _ in self.sections])
-        return np.clip(np.searchsorted(starts, s, "right") - 1, 0, len(starts) - 1)
+        return np.clip(np.searchsorted(self.seams[:-1], s, "right") - 1, 0, len(self.sections) - 1)
 
     def center(self, section: int, lane: int, s: FloatArray) -> FloatArray:
         """Lateral coordinate t of a lane's centre in a section, shape (N,)."""

@@ -57,28 +57,23 @@ class RoadGraph:
         """Length in m of the roads before a goal, from the begin of a lane section; infinite where none leads there."""
         if road == goal:
             return 0.0
-        start, end = self._span(road, section)
+        start, end = self._roads[road].section_span(section)
         return end - start + min((way for way, _, _ in self._ways_to(road, section, along, goal)), default=float("inf"))
 
     def _way(self, road: int, section: int, along: bool, s: FloatArray, goal: int, goal_s: FloatArray) -> FloatArray:
-        start, end = self._span(road, section)
+        start, end = self._roads[road].section_span(section)
         rest, best = end - s if along else s - start, np.full(len(s), np.inf)
         for way, begin, onward in self._ways_to(road, section, along, goal):
             beyond = (goal_s - begin) * (1 if onward else -1)
             best = np.where(beyond >= 0.0, np.minimum(best, rest + way + beyond), best)
         return best
 
-    def _span(self, road: int, section: int) -> tuple[float, float]:
-        one = self._roads[road]
-        ends = [*(start for start, _ in one.sections[1:]), one.length]
-        return max(one.sections[section][0], 0.0), ends[section]
-
     def _ways_to(self, road: int, section: int, along: bool, goal: int) -> list[tuple[float, float, bool]]:
         """Ways from the end of a lane section onto a road: m, where they come onto it, and whether along its s."""
         key = road, section, along, goal
         if key in self._entries:
             return self._entries[key]
-        s = self._span(road, section)[1 if along else 0]
+        s = self._roads[road].section_span(section)[1 if along else 0]
         found, done, queue = list[tuple[float, float, bool]](), set[tuple[int, bool]](), [(0.0, road, along, s)]
         while queue:
             way, road, along, s = heappop(queue)

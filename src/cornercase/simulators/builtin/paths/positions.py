@@ -203,7 +203,7 @@ def _moved(world: World, base: Pose, ds: FloatArray) -> Pose:
         track = lane_track(world, int(road[i]), int(lane[i]), float(base.s[i]), bool(ds[i] >= 0.0), route)
         if track is not None:
             distance = track.distance_of(base.s[i : i + 1]) + abs(ds[i])
-            k = int(np.clip(np.searchsorted(track.path.distance, distance[0], "right") - 1, 0, track.path.s.size - 1))
+            k = int(track.path.sample_at(distance)[0])
             road[i], lane[i], s[i] = track.path.road[k], track.path.lane[k], track.path.s[k]
     return Pose(base.x, base.y, base.heading, road, lane, s, base.offset)
 
@@ -312,10 +312,10 @@ def _along_route(
     for key in np.unique(keys, axis=1).T:
         rows = (keys == key[:, None]).all(axis=0)
         *passed, lane, k = (int(one) for one in key)
-        begins = [start for start, _ in network.roads[passed[0]].sections] + [float(network.lengths[passed[0]])]
+        start, end = network.roads[passed[0]].section_span(k)
         # From where the section is entered, so that all who begin in it take the same walk.
-        forward = network.runs_along(passed[0], lane, 0.5 * (max(begins[k], 0.0) + begins[k + 1]))
-        edge = max(begins[k], 0.0) if forward else begins[k + 1] - 1e-9
+        forward = network.runs_along(passed[0], lane, 0.5 * (start + end))
+        edge = start if forward else end - 1e-9
         extra = (first.s[rows] - edge) * (1.0 if forward else -1.0)
         walk = [(passed[0], lane, edge), *((one, 0, 0.0) for one in passed[1:])]
         road[rows], s[rows], along[rows] = network.along_route(walk, way[rows] + extra)

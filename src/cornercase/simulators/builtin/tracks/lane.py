@@ -72,8 +72,7 @@ class LaneTrack(Track):
         """How much longer the lane is than a line along its road, at distances along the track."""
         if not self._aslant:
             return 1.0
-        sample = np.searchsorted(self.path.distance, distance, "right") - 1
-        return self.path.stretch[np.clip(sample, 0, self.path.x.size - 1)]
+        return self.path.stretch[self.path.sample_at(distance)]
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         if self._tree is None:
@@ -104,7 +103,7 @@ class LaneTrack(Track):
         assert pose.lane is not None
         assert pose.s is not None
         assert pose.offset is not None
-        sample = np.clip(np.searchsorted(self.path.distance, distance, "right") - 1, 0, self.path.x.size - 1)
+        sample = self.path.sample_at(distance)
         road, lane, s, t = pose.road.copy(), pose.lane.copy(), pose.s.copy(), pose.offset.copy()
         road[rows], lane[rows] = self.path.road[sample], self.path.lane[sample]
         beyond = distance - self.path.distance[sample]

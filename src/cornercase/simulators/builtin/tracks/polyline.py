@@ -76,7 +76,7 @@ class Polyline(Trajectory):
         return self._time
 
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        distance = np.mod(distance, self._length[rows]) if self._closed else distance
+        distance = self._round(distance, rows)
         along, leg, part = self._leg(distance, rows, 0.0)
         x0, y0 = self.x[rows, leg], self.y[rows, leg]
         x = x0 + part * (self.x[rows, leg + 1] - x0)
@@ -102,15 +102,19 @@ class Polyline(Trajectory):
         return np.asarray(distance[each, best] + part[each, best] * np.diff(distance)[each, best])
 
     def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:
-        distance = np.mod(distance, self._length[rows]) if self._closed else distance
+        distance = self._round(distance, rows)
         _, leg, _ = self._leg(distance, rows)
         # On a leg the vertex at its beginning counts.
         vertex = np.where(distance > self._length[rows] - _TINY, self.heading.shape[1] - 1, leg)
         return np.asarray(~np.isnan(self.heading[rows, vertex]))
 
     def direction(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        distance = np.mod(distance, self._length[rows]) if self._closed else distance
+        distance = self._round(distance, rows)
         return np.asarray(self._direction[rows, self._leg(distance, rows)[1]])
+
+    def _round(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        """Distances within one round of a closed line."""
+        return np.mod(distance, self._length[rows]) if self._closed else distance
 
     def distance_at(self, time: FloatArray) -> FloatArray:
         assert self._time is not None

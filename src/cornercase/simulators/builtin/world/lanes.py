@@ -154,14 +154,14 @@ def go_on(world: World, entity: int, number: int) -> None:
     near = (distance < track.span[0]) | (distance > track.span[1])
     at = np.flatnonzero(world.running & (world.track[entity] == number) & near)
     routes, path = _route_ahead(world, entity, near & world.running), track.path
-    sample = np.clip(np.searchsorted(path.distance, distance[at], "right") - 1, 0, path.x.size - 1)
+    sample = path.sample_at(distance[at])
     s = path.s[sample] + np.where(path.along[sample], 1.0, -1.0) * (distance[at] - path.distance[sample])
     keys = np.stack([path.road[sample], path.lane[sample], path.along[sample], routes[at]])
     for one in np.unique(keys, axis=1).T if at.size else ():
         road, lane, along, route = int(one[0]), int(one[1]), bool(one[2]), int(one[3])
         # Where two lanes meet the sample may belong to either: then it is a matter of the next step.
-        starts = np.array([*(start for start, _ in world.network.roads[road].sections), world.network.lengths[road]])
-        rows = (keys == one[:, None]).all(axis=0) & (np.abs(s[:, None] - starts) > _SEAM).all(axis=1) & (s > _SEAM)
+        seams = world.network.roads[road].seams
+        rows = (keys == one[:, None]).all(axis=0) & (np.abs(s[:, None] - seams) > _SEAM).all(axis=1) & (s > _SEAM)
         for section in np.unique(world.network.roads[road].section_at(s[rows])):
             here = rows & (world.network.roads[road].section_at(s) == section)
             new = lane_track(world, road, lane, float(s[here][0]), along, route)
@@ -179,8 +179,7 @@ def _route_ahead(world: World, entity: int, where: BoolArray) -> IntArray:
         at = np.flatnonzero(where & (world.track[entity] == k) & (world.route[entity] > 0))
         if not (at.size and isinstance(track, LaneTrack)):
             continue
-        sample = np.searchsorted(track.path.distance, world.distance[entity][at], "right") - 1
-        passed = track.path.passed[np.clip(sample, 0, track.path.x.size - 1)]
+        passed = track.path.passed[track.path.sample_at(world.distance[entity][at])]
         for route, count in sorted({*zip(world.route[entity][at].tolist(), passed.tolist(), strict=True)}):
             ahead = world.routes[route][count:]
             if ahead not in world.routes:

@@ -236,8 +236,7 @@ def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
         if not (rows.size and isinstance(track, LaneTrack)):
             continue
         path = track.path
-        sample = np.searchsorted(path.distance, world.distance[entity][rows], "right") - 1
-        sample = np.clip(sample, 0, path.x.size - 1)
+        sample = path.sample_at(world.distance[entity][rows])
         for road in np.unique(pose.road[rows]):
             there = np.flatnonzero(path.road == road)
             mine = pose.road[rows] == road
