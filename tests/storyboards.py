@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-VERSION = 4
+VERSION = 5
 """Grows when a seed no longer gives the same storyboard."""
 
 
@@ -391,7 +391,8 @@ def _of_entity(plan: _Plan, other: str) -> str:
         position = f"<Position>{_lane_position(plan)}</Position>"
         return f'<ReachPositionCondition tolerance="{plan.number(2, 8)}">{position}</ReachPositionCondition>'
     if kind == 5:
-        return f'<TraveledDistanceCondition value="{plan.number(5, 120)}"/>'
+        # No sum of even steps: rounding would decide in which of two frames that is reached.
+        return f'<TraveledDistanceCondition value="{plan.number(5, 120) + 0.003:.3f}"/>'
     if kind == 6:
         return f'<SpeedCondition value="{plan.number(2, 20)}" {rule}/>'
     if kind == 7:

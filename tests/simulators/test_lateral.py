@@ -85,3 +85,47 @@ def test_a_lane_of_no_type_is_beside_the_road(tmp_path, kind, off):
     road.write_text(road.read_text().replace("</right>", lane))
     (recording,) = ran(BuiltinSimulator(time_step=DT, duration=3.0), [ConcreteScenario(path)])
     assert (recording.time[-1] < 1.0) == off
+
+
+def lane_offset(value, shape="cubic", most="3"):
+    return f"""<PrivateAction><LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics
+dynamicsShape="{shape}" maxLateralAcc="{most}"/><LaneOffsetTarget><AbsoluteTargetLaneOffset value="{value}"/>
+</LaneOffsetTarget></LaneOffsetAction></LateralAction></PrivateAction>"""
+
+
+def lane_change(lane, time="2", shape="linear"):
+    return f"""<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="{shape}"
+dynamicsDimension="time" value="{time}"/><LaneChangeTarget><AbsoluteTargetLane value="{lane}"/></LaneChangeTarget>
+</LaneChangeAction></LateralAction></PrivateAction>"""
+
+
+def alone(folder, *events, s="50", speed="10", duration=8.0):
+    path = scenario_file(folder, init=private("Ego", teleport(s), speed_action(speed)), story=story_of("".join(events)))
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=duration), [ConcreteScenario(path)])
+    return recording
+
+
+def test_who_stands_and_shifts_goes_on_with_the_speed_of_the_first_shift(tmp_path):
+    recording = alone(tmp_path, event("e", lane_offset("1"), time_trigger("1")), speed="0")
+    first = int(np.argmax(np.abs(np.diff(recording.y[0])) > 0.0)) + 1
+    gone = np.abs(recording.y[0][first] - recording.y[0][first - 1]) / DT
+    assert recording.speed[0][first - 1] == 0.0
+    assert recording.speed[0][first:] == pytest.approx(gone)
+    assert recording.y[0][-1] == pytest.approx(-1.0)
+    assert recording.x[0][-1] == pytest.approx(50.0 + gone * DT * (recording.time.size - first - 1))
+
+
+def test_who_shifts_at_the_end_of_the_road_stops_once_it_is_over(tmp_path):
+    recording = alone(tmp_path, event("e", lane_offset("1", most="1"), time_trigger("1")), s="480")
+    shifting = np.abs(np.diff(recording.y[0])) > 1e-6
+    last = recording.time[1:][shifting][-1]
+    assert recording.x[0][-1] == pytest.approx(500.0)
+    assert (recording.speed[0][recording.time < last + 0.5 * DT] == 10.0).all()
+    assert (recording.speed[0][recording.time > last + 1.5 * DT] == 0.0).all()
+
+
+@pytest.mark.parametrize(("cut", "end"), [("1.5", -1.5), ("2.5", 2.5)])
+def test_a_lane_change_that_is_cut_leaves_the_entity_in_the_lane_where_it_is(tmp_path, cut, end):
+    change = event("change", lane_change("1"), time_trigger("1"))
+    recording = alone(tmp_path, change, event("cut", lane_offset("0.5"), time_trigger(cut)))
+    assert recording.y[0][-1] == pytest.approx(end)

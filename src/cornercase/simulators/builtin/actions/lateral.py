@@ -21,7 +21,7 @@ from cornercase.simulators.builtin.paths.transitions import (
     time_by_acceleration,
 )
 from cornercase.simulators.builtin.world.gaps import offset_from
-from cornercase.simulators.builtin.world.lanes import change_lane
+from cornercase.simulators.builtin.world.lanes import attach_to_lane, change_lane
 from cornercase.simulators.builtin.world.state import LATERAL, World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
@@ -103,6 +103,10 @@ class LaneChangeAction(Action):
         world.pace[e][where] = world.speed[e][where]
         world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
         return np.asarray(where & moves & arrived)
+
+    def leave(self, world: World, where: BoolArray) -> None:
+        """Leave the entity in the lane that it is in by now, or in that of the change where it follows a route."""
+        attach_to_lane(world, self._entity, where & (world.route[self._entity] == 0))
 
     def _lane(self, world: World) -> IntArray:
         if self._reference is None:

@@ -17,6 +17,8 @@ from cornercase.simulators.builtin.world.whereabouts import on_road
 
 # An entity this close to the end of a road, in m, is at the end.
 _ON_END: Final = 1e-3
+# Slower than this, in m/s, it stands.
+_STILL: Final = 1e-6
 
 
 def move_entities(world: World, dt: float) -> None:
@@ -62,15 +64,18 @@ def move_entities(world: World, dt: float) -> None:
         world.pull = ((world.gone[0] - before[0]) / dt, (world.gone[1] - before[1]) / dt)
         world.odometer += chord
         world.velocity = chord / dt
+        # Who stands and is only moved sideways has from then on the speed of that, as in esmini.
+        drifts = (np.abs(world.speed) < _STILL) & ~(world.decided | world.moved | world.driven) & world.running
+        world.speed = np.where(drifts, world.velocity, world.speed)
     world.time += dt
     world.from_x, world.from_y, world.from_heading = world.x.copy(), world.y.copy(), world.heading.copy()
     world.begun = True
-    world.moved[:] = world.jumped[:] = False
+    world.moved[:] = world.jumped[:] = world.decided[:] = False
     world.pace[:] = np.nan
     world.sideways[:] = 0.0
     # As in esmini, nobody stands or is off the road before the first frame that takes time.
     now = world.time if dt > 0 else np.inf
-    moving = np.abs(world.speed) > 1e-6
+    moving = np.abs(world.speed) > _STILL
     world.standing_since = np.where(moving, np.inf, np.minimum(world.standing_since, now))
     if world.watches_roads:
         for e, since in enumerate(world.off_road_since):
@@ -147,9 +152,10 @@ def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) 
     if isinstance(track, LaneTrack):
         over = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & (way < 0.0))
         distance = np.clip(distance, 0.0, track.length)
-        # An entity that tries to drive beyond the end stops with the second step, as in esmini.
-        late = world.at_end_since[e][at] < world.time - 0.5 * world.last_step
-        world.speed[e][at[over & late & np.isnan(world.pace[e][at])]] = 0.0
+        # An entity at the end stops once the last step has moved it neither on nor sideways, as in esmini.
+        still = np.hypot(world.gone[0][e][at], world.gone[1][e][at]) < _STILL
+        stops = at[over & still & np.isfinite(world.at_end_since[e][at]) & np.isnan(world.pace[e][at])]
+        world.speed[e][stops], world.decided[e][stops] = 0.0, True
         arrived = world.time + world.last_step if world.last_step > 0.0 else np.inf
         world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], arrived), np.inf)
     world.distance[e][at] = distance

@@ -111,6 +111,8 @@ class World:
         What the last step covered, in m/s.
     moved : ndarray of bool, shape (E, N)
         Entities whose place at the end of the step an action has decided already.
+    decided : ndarray of bool, shape (E, N)
+        Entities whose speed in the coming step is set, if to that which they have.
     route : ndarray of int64, shape (E, N)
         Route that the entity was given, as index into `routes`.
     last_road : ndarray of int64, shape (E, N)
@@ -205,7 +207,7 @@ class World:
         self.pace = np.full(shape, np.nan)
         self.from_x, self.from_y, self.from_heading = (np.full(shape, np.nan) for _ in range(3))
         self.gone, self.pull = (np.zeros(shape), np.zeros(shape)), (np.zeros(shape), np.zeros(shape))
-        self.stranded, self.moved, self.jumped = (np.zeros(shape, dtype=np.bool_) for _ in range(3))
+        self.stranded, self.moved, self.decided, self.jumped = (np.zeros(shape, dtype=np.bool_) for _ in range(4))
         self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
         self.route = np.zeros(shape, dtype=np.int64)
         self.at_end_since = np.full(shape, np.inf)
@@ -232,6 +234,7 @@ class World:
         self.target_speed[entity][where] = speed[where]
         own = where & ~self.driven[entity]
         self.speed[entity][own] = speed[own]
+        self.decided[entity] |= where
 
     def control(self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None) -> None:
         """Assign a driver (-1 for none) or activate control along the way; None leaves it as it is."""
