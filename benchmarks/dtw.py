@@ -1,11 +1,12 @@
 """Speed of the DTW distance matrix beside aeon, dtaidistance and tslearn: same series, same definition.
 
-python benchmarks/dtw.py [--quick | --paper | --disk] [--threads N] [--json FILE]
+python benchmarks/dtw.py [--quick | --paper | --disk] [--device cpu|cuda] [--threads N] [--json FILE]
 
 The definition is the squared local cost, which all four know; the Euclidean one, which cornercase uses for
 scenarios, is shown for itself. A cell is one entry of the table of one pair; the best of the rounds counts.
 
---paper measures the matrices of 300 and 3,375 scenarios of 400 instants, each in a process of its own.
+--paper measures the matrices of 300 and 3,375 scenarios of 400 instants, each in a process of its own. What
+starts compilers and the GPU, a first call on three series, does not count.
 --disk writes the matrix of 20,000 courses of 200 instants to a file, is killed in the middle, and goes on.
 """
 
@@ -142,33 +143,45 @@ def own_process(*arguments: str) -> dict[str, Any]:
     return dict(json.loads(run.stdout.splitlines()[-1]))
 
 
-def one_matrix(n: int, length: int, dims: int, dtype: str, threads: int, out: str | None) -> dict[str, Any]:
-    """Compute one matrix of random walks with the Euclidean cost; seconds, and most memory that the process had."""
+def one_matrix(
+    n: int, length: int, dims: int, dtype: str, threads: int, device: str, out: str | None
+) -> dict[str, Any]:
+    """Compute one matrix of random walks with the Euclidean cost; seconds, memory, and difference to the definition."""
     rng = np.random.default_rng(0)
     series = [np.cumsum(rng.normal(size=(length, dims)), axis=0) for _ in range(n)]
-    distance_matrix(series[:3], dtype=dtype)
+    options: dict[str, Any] = {"dtype": dtype, "n_jobs": threads, "device": device}
+    distance_matrix(series[:3], **options)
     begin = time.perf_counter()
-    distance_matrix(series, dtype=dtype, n_jobs=threads, out=out, resume=out is not None)
+    found = distance_matrix(series, **options, out=out, resume=out is not None)
     seconds = time.perf_counter() - begin
+    pairs = rng.choice(n, size=(CHECKED_PAIRS, 2), replace=False)
+    exact = np.array([defined(series[i], series[j], squared=False) for i, j in pairs])
+    difference = np.max(np.abs(found[pairs.min(axis=1), pairs.max(axis=1)] / exact - 1.0))
     return {
         "n": n,
         "length": length,
         "dims": dims,
         "dtype": dtype,
+        "device": device,
         "seconds": seconds,
+        "largest_relative_difference": float(difference),
         "gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
     }
 
 
-def paper(threads: int) -> list[dict[str, Any]]:
+def paper(threads: int, device: str) -> list[dict[str, Any]]:
     rows = []
-    print(f"{'scenarios':>9} {'instants':>8} {'k':>2} {'arithmetic':>10} {'s':>9} {'GB':>6}")
+    print(f"{'scenarios':>9} {'instants':>8} {'k':>2} {'arithmetic':>10} {'s':>9} {'GB':>6} {'largest difference':>19}")
     for n in (300, 3375):
         for dims in (2, 1):
             for dtype in ("float64", "float32"):
-                row = own_process("--one", f"{n},400,{dims},{dtype}", "--threads", str(threads))
-                rows.append(row)
-                print(f"{n:9} {400:8} {dims:2} {dtype:>10} {row['seconds']:9.2f} {row['gigabytes']:6.2f}", flush=True)
+                asked = ("--one", f"{n},400,{dims},{dtype}", "--threads", str(threads), "--device", device)
+                rows.append(row := own_process(*asked))
+                print(
+                    f"{n:9} {400:8} {dims:2} {dtype:>10} {row['seconds']:9.2f} {row['gigabytes']:6.2f} "
+                    f"{row['largest_relative_difference']:19.1e}",
+                    flush=True,
+                )
     return rows
 
 
@@ -212,6 +225,7 @@ def main() -> None:
     parser.add_argument("--paper", action="store_true", help="the paper's sizes")
     parser.add_argument("--disk", action="store_true", help="a matrix on disk, killed and resumed")
     parser.add_argument("--series", type=int, default=20_000, help="number of series for --disk")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="of --paper")
     parser.add_argument("--one", metavar="N,T,K,DTYPE", help=argparse.SUPPRESS)
     parser.add_argument("--out", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -219,10 +233,16 @@ def main() -> None:
 
     if options.one:
         n, length, dims, dtype = options.one.split(",")
-        print(json.dumps(one_matrix(int(n), int(length), int(dims), dtype, options.threads, options.out)))
+        print(
+            json.dumps(one_matrix(int(n), int(length), int(dims), dtype, options.threads, options.device, options.out))
+        )
         return
     if options.paper or options.disk:
-        rows = paper(options.threads) if options.paper else killed_and_resumed(options.threads, options.series)
+        rows = (
+            paper(options.threads, options.device)
+            if options.paper
+            else killed_and_resumed(options.threads, options.series)
+        )
         write(options, rows, [])
         return
 
