@@ -85,6 +85,26 @@ def test_the_speed_is_that_along_the_road_where_a_lane_runs_aslant(tmp_path):
     np.testing.assert_allclose(recording.y[0], -2.0 - 0.25 * recording.x[0], atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("begin", "turned", "across"),
+    [
+        (("1", 90.75), False, 0.25 + 0.75 * 1.04),
+        # Out of the bend a step is shorter there: by what 11 of them leave of it.
+        (("2", 10.75), True, 1.0 / 1.04 + (10.75 - 11.0 / 1.04) * 0.04),
+    ],
+)
+def test_a_step_is_as_long_along_the_reference_line_as_the_bend_at_its_begin_makes_it(tmp_path, begin, turned, across):
+    # To the right of a bend to the left, a lane is longer than the reference line by 2 m times the curvature.
+    ahead = placed(begin[0], begin[1], 10.0, turned=turned)
+    onto, back = linked("successor", "2", "start"), linked("predecessor", "1", "end")
+    bend = road("2", 100.0, at=(100.0, 0.0, 0.0), links=back, shape='<arc curvature="0.02"/>')
+    recording = run(tmp_path, ahead, road("1", 100.0, links=onto), bend, duration=3.0)
+    steps = np.hypot(np.diff(recording.x[0]), np.diff(recording.y[0]))
+    expected = np.ones(len(steps))
+    expected[11 if turned else 9] = across
+    np.testing.assert_allclose(steps, expected, atol=1e-4)
+
+
 def condition(body: str) -> str:
     return f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>
 <TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition>{body}

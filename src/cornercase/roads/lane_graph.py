@@ -133,12 +133,16 @@ class LaneGraph:
         one = self._roads[here.road]
         start, end = self.span(here)
         s = np.linspace(start, end, max(2, int(np.ceil((end - start) / STEP)) + 1))
-        x, y, _ = one.at(s, one.center(here.section, here.lane, s))
-        order = slice(None) if here.along else slice(None, None, -1)
+        center = one.center(here.section, here.lane, s)
+        x, y, _ = one.at(s, center)
+        at, bend = one.bends(start, end, STEP)
+        order, left = (slice(None), 1.0) if here.along else (slice(None, None, -1), -1.0)
+        begin = start if here.along else end
         n = len(s)
         return LanePath.of_points(
             x[order], y[order], s[order], np.full(n, here.road), np.full(n, here.lane), np.full(n, here.along),
-            np.full(n, passed), 1.0 / np.cos(one.slant(here.section, here.lane, s))[order],
+            np.full(n, passed), np.abs(s - begin)[order], left * center[order],
+            np.abs(at - begin)[order], left * bend[order],
         )  # fmt: skip
 
     def exits(self, here: Stretch) -> list[Stretch]:

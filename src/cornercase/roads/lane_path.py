@@ -33,8 +33,13 @@ class LanePath:
         Whether the path runs along the road's s.
     passed : ndarray of int64, shape (P,)
         How many of the roads that it was asked to pass lie behind.
-    stretch : ndarray of float64, shape (P,)
-        How much longer the lane is than a line along its road: above 1 where it runs aslant.
+    reference : ndarray of float64, shape (P,)
+        Way along the reference lines of the roads, in m.
+    center : ndarray of float64, shape (P,)
+        How far the path lies to the left of the reference line, as it runs, in m.
+    bend_at, bend : ndarray of float64, shape (K,)
+        Ways along the reference lines in m, and their curvature there in 1/m, positive to the left: linear in between,
+        and with a jump where a way comes twice.
     first, last : int
         Samples between which the lane lies that the path was asked for.
     ends, begins : bool
@@ -51,7 +56,10 @@ class LanePath:
     lane: IntArray
     along: BoolArray
     passed: IntArray
-    stretch: FloatArray
+    reference: FloatArray
+    center: FloatArray
+    bend_at: FloatArray
+    bend: FloatArray
     first: int = 0
     last: int = -1
     ends: bool = True
@@ -67,7 +75,10 @@ class LanePath:
         lane: IntArray,
         along: BoolArray,
         passed: IntArray,
-        stretch: FloatArray,
+        reference: FloatArray,
+        center: FloatArray,
+        bend_at: FloatArray,
+        bend: FloatArray,
     ) -> LanePath:
         """Make a path through points that are close together.
 
@@ -80,34 +91,42 @@ class LanePath:
             Whether the path runs along the road's s.
         passed : ndarray of int64, shape (Q,)
             How many of the roads that it was asked to pass lie behind.
-        stretch : ndarray of float64, shape (Q,)
-            How much longer the lane is there than a line along its road.
+        reference : ndarray of float64, shape (Q,)
+            Way along the reference lines, in m.
+        center : ndarray of float64, shape (Q,)
+            How far they lie to the left of the reference line, in m.
+        bend_at, bend : ndarray of float64, shape (K,)
+            Ways along the reference lines in m, and their curvature there in 1/m.
 
         Returns
         -------
         LanePath
         """
         keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
-        arrays = (x, y, s, road, lane, along, passed, stretch)
-        x, y, s, road, lane, along, passed, stretch = (array[keep] for array in arrays)
+        arrays = (x, y, s, road, lane, along, passed, reference, center)
+        x, y, s, road, lane, along, passed, reference, center = (array[keep] for array in arrays)
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
         distance = np.linspace(0.0, travelled[-1], max(3, int(np.ceil(travelled[-1] / STEP)) + 1))
         nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
         x, y = np.interp(distance, travelled, x), np.interp(distance, travelled, y)
         heading = np.unwrap(np.arctan2(np.gradient(y, distance), np.gradient(x, distance)))
         sign = np.where(along[nearest], 1.0, -1.0)
+        way = np.interp(distance, travelled, reference)
         return cls(
             distance,
             x,
             y,
             heading,
             np.gradient(heading, distance),
-            s[nearest] + sign * (distance - travelled[nearest]),
+            s[nearest] + sign * (way - reference[nearest]),
             road[nearest],
             lane[nearest],
             along[nearest],
             passed[nearest],
-            stretch[nearest],
+            way,
+            np.interp(distance, travelled, center),
+            bend_at,
+            bend,
         )
 
     def sample_at(self, distance: FloatArray) -> IntArray:
@@ -146,7 +165,12 @@ class LanePath:
 
 def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
     """Path along several pieces, each of which starts where the one before ends; `asked` is the piece asked for."""
-    names = ("x", "y", "s", "road", "lane", "along", "passed", "stretch")
+    before = np.cumsum([0.0, *(piece.reference[-1] for piece in pieces[:-1])])
+    pieces = [
+        replace(piece, reference=way + piece.reference, bend_at=way + piece.bend_at)
+        for way, piece in zip(before, pieces, strict=True)
+    ]
+    names = ("x", "y", "s", "road", "lane", "along", "passed", "reference", "center", "bend_at", "bend")
     arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in names]
     path = LanePath.of_points(*arrays)
     # Where pieces do not quite meet, the way between them counts too.

@@ -10,10 +10,13 @@ from lxml import etree
 from scipy.special import fresnel
 
 from cornercase._common.errors import InputError
+from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import FloatArray
 
 # Below this bend, in rad, a spiral is not told from an arc; Fresnel's integrals lose digits there.
 _STRAIGHT: Final = 1e-7
+# m; over so much of a polynomial to both sides its curvature is measured.
+_AROUND: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,15 @@ class Geometry:
         u, v, turn = self._local(along)
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         return self.x + cos * u - sin * v, self.y + sin * u + cos * v, self.heading + turn
+
+    def bend(self, along: FloatArray) -> FloatArray:
+        """Return its curvature in 1/m, positive to the left, at distances from the start, each (N,)."""
+        if self.kind in ("line", "arc", "spiral"):
+            first, last = (self.numbers or (0.0,))[0], (self.numbers or (0.0,))[-1]
+            return first + along / self.length * (last - first)
+        around = np.clip(np.stack([along - _AROUND, along + _AROUND]), 0.0, self.length)
+        turn = np.diff([self._local(one)[2] for one in around], axis=0)[0]
+        return np.asarray(within_half_turn(turn) / np.maximum(around[1] - around[0], _AROUND))
 
     def _local(self, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         if self.kind == "line":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -11,7 +11,6 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.lane import (
     Polynomial,
@@ -24,8 +23,6 @@ from cornercase.roads.lane import (
 from cornercase.roads.reference_line import Geometry, read_geometry, read_number
 
 _LONGEST_ROAD: Final = 1e5
-# m; over so much of the road to both sides its curvature is measured.
-_AROUND: Final = 0.01
 # A lane runs at most so steeply across its road, as a slope.
 _STEEPEST: Final = 10.0
 
@@ -70,13 +67,41 @@ class Road:
 
     def reference(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return x, y and heading of the reference line, each (N,)."""
+        x, y, heading = (np.empty(len(s)) for _ in range(3))
+        for geometry, rows in self._pieces(s):
+            x[rows], y[rows], heading[rows] = geometry.at(s[rows] - geometry.s)
+        return x, y, heading
+
+    def bend(self, s: FloatArray) -> FloatArray:
+        """Curvature of the reference line in 1/m, positive to the left, shape (N,)."""
+        bend = np.empty(len(s))
+        for geometry, rows in self._pieces(s):
+            bend[rows] = geometry.bend(s[rows] - geometry.s)
+        return bend
+
+    def bends(self, start: float, end: float, step: float) -> tuple[FloatArray, FloatArray]:
+        """Coordinates s from `start` to `end`, and the curvature there; linear in between, with jumps, each (K,).
+
+        Where it is a polynomial, coordinates are at most `step` apart, all in m.
+        """
+        at, bend = [np.zeros(0)], [np.zeros(0)]
+        for k, geometry in enumerate(self.geometries):
+            last = k + 1 == len(self.geometries)
+            begin = start if k == 0 else max(start, geometry.s)
+            until = end if last else min(end, self.geometries[k + 1].s)
+            if begin > until:
+                continue
+            fine = 1 if geometry.kind in ("line", "arc", "spiral") else int(np.ceil((until - begin) / step))
+            at.append(np.linspace(begin, until, max(fine, 1) + 1))
+            bend.append(geometry.bend(at[-1] - geometry.s))
+        return np.concatenate(at), np.concatenate(bend)
+
+    def _pieces(self, s: FloatArray) -> Iterator[tuple[Geometry, BoolArray]]:
+        """Pieces of the reference line, and which of the coordinates lie on each."""
         starts = np.array([g.s for g in self.geometries])
         piece = np.clip(np.searchsorted(starts, s, "right") - 1, 0, len(starts) - 1)
-        x, y, heading = (np.empty(len(s)) for _ in range(3))
         for k in np.unique(piece):
-            rows = piece == k
-            x[rows], y[rows], heading[rows] = self.geometries[k].at(s[rows] - starts[k])
-        return x, y, heading
+            yield self.geometries[k], piece == k
 
     def at(self, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return x, y and heading of points beside the reference line, each (N,)."""
@@ -122,11 +147,8 @@ class Road:
         slope = 0.5 * (inner + outer)
         if not slope.any():
             return slope
-        around = np.clip(np.stack([s - _AROUND, s + _AROUND]), 0.0, self.length)
-        turn = np.diff([self.reference(one)[2] for one in around], axis=0)[0]
-        curvature = within_half_turn(turn) / np.maximum(around[1] - around[0], _AROUND)
         # On the inside of a bend a lane is shorter than the reference line.
-        ahead = np.maximum(1.0 - curvature * self.center(section, lane, s), 0.1)
+        ahead = np.maximum(1.0 - self.bend(s) * self.center(section, lane, s), 0.1)
         return np.asarray(np.arctan(np.clip(slope / ahead, -_STEEPEST, _STEEPEST)))
 
     def margins(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:

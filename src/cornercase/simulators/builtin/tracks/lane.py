@@ -18,6 +18,8 @@ _PASSES: Final = 16
 _SAME: Final = 0.3
 # Points lie no further out than this, in m.
 _ANYWHERE: Final = 1e12
+# Where a lane is shorter than a tenth of the reference line, an entity moves along the lane alone.
+_SHRUNK: Final = 0.1
 # So far before the place where a path is cut, in m, an entity goes over to one that leads on.
 _AHEAD: Final = 1000.0
 _BACK: Final = 250.0
@@ -38,7 +40,6 @@ class LaneTrack(Track):
     def __init__(self, path: LanePath) -> None:
         self.path = path
         self.length = float(path.distance[-1])
-        self._aslant = bool((path.stretch > 1.0).any())
         self._tree: cKDTree | None = None
         begin, end = float(path.distance[path.first]), float(path.distance[path.last])
         # Where the path is cut at an end, it is left between its own lane and that end.
@@ -68,11 +69,20 @@ class LaneTrack(Track):
     def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         return self.path.at(distance, np.zeros_like(distance))[3]
 
-    def stretch(self, distance: FloatArray) -> FloatArray | float:
-        """How much longer the lane is than a line along its road, at distances along the track."""
-        if not self._aslant:
-            return 1.0
-        return self.path.stretch[self.path.sample_at(distance)]
+    def advance(self, distance: FloatArray, offset: FloatArray, way: FloatArray) -> FloatArray:
+        """Distance along the track after a step, each (R,) in m.
+
+        As in esmini, a step is a step along the reference line of the road, which lengthens or shortens it as the bend
+        at its begin does: where the bend changes, and where the lane runs aslant, the way that is driven is another.
+        """
+        path = self.path
+        along = np.interp(distance, path.distance, path.reference)
+        left = np.interp(distance, path.distance, path.center) + offset
+        shrunk = 1.0 - np.interp(along, path.bend_at, path.bend) * left
+        # Near the center of a bend, where the reference line does not lead on, the lane itself does.
+        near = shrunk < _SHRUNK
+        ahead = np.interp(along + way / np.where(near, 1.0, shrunk), path.reference, path.distance)
+        return np.where(near, np.clip(distance + way, 0.0, self.length), ahead)
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         if self._tree is None:

@@ -142,16 +142,12 @@ def pull_entity(
 
 def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:
     offset = world.offset[e][at]
-    if isinstance(track, LaneTrack) and offset.any():
-        # On the inside of a bend, the way along the line is longer than the way that is driven.
-        way = way / np.maximum(1.0 - track.curvature(world.distance[e][at], at) * offset, 0.1)
-    if isinstance(track, LaneTrack):
-        # The speed is that along the road: where the lane runs aslant, what goes across comes on top, as in esmini.
-        way = way * track.stretch(world.distance[e][at])
-    distance = world.distance[e][at] + way
-    if isinstance(track, LaneTrack):
+    distance = world.distance[e][at]
+    if not isinstance(track, LaneTrack):
+        distance = distance + way
+    else:
+        distance = track.advance(distance, offset, way)
         over = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & (way < 0.0))
-        distance = np.clip(distance, 0.0, track.length)
         # An entity at the end stops once the last step has moved it neither on nor sideways, as in esmini.
         still = np.hypot(world.gone[0][e][at], world.gone[1][e][at]) < _STILL
         stops = at[over & still & np.isfinite(world.at_end_since[e][at]) & np.isnan(world.pace[e][at])]
