@@ -127,6 +127,10 @@ def storyboard(random: Random) -> str:
             plan.elements += [("event", f"e{g}{m}{e}") for e in range(events)]
             plan.elements += [("action", f"a{g}{m}{e}0") for e in range(events)]
     groups = "".join(_group(plan, g, maneuvers) for g, maneuvers in enumerate(shape))
+    if '<LaneChangeActionDynamics dynamicsShape="linear"' in groups:
+        # Where a linear lane change ends, the acceleration points straight across the heading: whether esmini counts
+        # it as negative then is a matter of rounding.
+        groups = groups.replace("<AccelerationCondition ", '<AccelerationCondition direction="longitudinal" ')
     stop = _group_of([_time(plan, "stop", plan.number(6, 18), "greaterThan")])
     if plan.chance(0.15) and "TimeToCollision" not in (early := _condition(plan, "stop1")):
         stop += _group_of([early])

@@ -129,3 +129,18 @@ def test_a_lane_change_that_is_cut_leaves_the_entity_in_the_lane_where_it_is(tmp
     change = event("change", lane_change("1"), time_trigger("1"))
     recording = alone(tmp_path, change, event("cut", lane_offset("0.5"), time_trigger(cut)))
     assert recording.y[0][-1] == pytest.approx(end)
+
+
+def test_an_offset_into_the_next_lane_leaves_an_entity_on_its_own(tmp_path):
+    # The other one drives beside its lane -1, within lane 1; the lane to which one changes is still its own.
+    change = """<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="linear"
+dynamicsDimension="time" value="1"/><LaneChangeTarget><RelativeTargetLane entityRef="Other" value="0"/></LaneChangeTarget>
+</LaneChangeAction></LateralAction></PrivateAction>"""
+    init = private("Ego", teleport("50", "1"), speed_action("10"))
+    init += private("Other", teleport("150", "-1"), speed_action("10"))
+    story = story_of(event("aside", lane_offset("3.5"), time_trigger("1")), "Other")
+    story += story_of(event("change", change, time_trigger("6"))).replace('"s"', '"s2"')
+    path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Other"))
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
+    assert recording.y[1][-1] == pytest.approx(1.5)
+    assert recording.y[0][-1] == pytest.approx(-2.0)

@@ -69,6 +69,8 @@ class LaneChangeAction(Action):
         self._to[where] = (forward * self._target_offset)[where]
         self._extent[where] = self._transition.extent(self._from, self._to)[where]
         self._done[where] = 0.0
+        # With a route it counts as on its new lane from the start.
+        world.changes_lanes[e][where] = (world.route[e] == 0)[where]
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
@@ -102,10 +104,12 @@ class LaneChangeAction(Action):
         # A speed that another action sets in this frame counts from the next, for one that stands too.
         world.pace[e][where] = world.speed[e][where]
         world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
+        world.changes_lanes[e][moves & arrived] = False
         return np.asarray(where & moves & arrived)
 
     def leave(self, world: World, where: BoolArray) -> None:
         """Leave the entity in the lane that it is in by now, or in that of the change where it follows a route."""
+        world.changes_lanes[self._entity][where] = False
         attach_to_lane(world, self._entity, where & (world.route[self._entity] == 0))
 
     def _lane(self, world: World) -> IntArray:

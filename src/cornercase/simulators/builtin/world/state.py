@@ -99,6 +99,8 @@ class World:
         Which entities' boxes overlap, as of the last row.
     distance, offset : ndarray of float64, shape (E, N)
         Place along the entity's track, and to the left of it, in m.
+    changes_lanes : ndarray of bool, shape (E, N)
+        Entities on their way from lane to lane, whose `offset` is that from the new one.
     turn : ndarray of float64, shape (E, N)
         Heading relative to the track, in rad.
     stranded : ndarray of bool, shape (E, N)
@@ -193,6 +195,7 @@ class World:
         self.running = np.ones(scenarios, dtype=np.bool_)
         self.touching = np.zeros((len(entities), *shape), dtype=np.bool_)
         self.distance, self.offset = np.zeros(shape), np.zeros(shape)
+        self.changes_lanes = np.zeros(shape, dtype=np.bool_)
         self.target_speed = np.full(shape, np.inf)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
         self.signal_controllers: dict[str, SignalController] = {}

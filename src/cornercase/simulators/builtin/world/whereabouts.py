@@ -11,7 +11,7 @@ from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.state import World
 
-# Further than this from the middle of the lane that it follows, in m, an entity's lane is looked up by its place.
+# Further than this from the middle of its new lane, in m, the lane of an entity that changes lanes is looked up.
 _BESIDE: Final = 1.0
 
 
@@ -56,8 +56,8 @@ def lane_of(world: World, entity: int) -> Pose:
     pose = Pose(pose.x, pose.y, pose.heading, *place)
     for k, track in enumerate(world.tracks[entity]):
         if isinstance(track, LaneTrack):
-            # Far from the middle, the entity may be on another lane.
-            near = np.abs(world.offset[entity]) < _BESIDE
+            # As in esmini, only who changes lanes comes to another lane, however far an offset leads aside.
+            near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < _BESIDE)
             rows = np.flatnonzero((world.track[entity] == k) & near & world.present[entity])
             if rows.size:
                 pose = track.lane_pose(pose, rows, world.distance[entity][rows], world.offset[entity][rows])
