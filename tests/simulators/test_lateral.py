@@ -144,3 +144,16 @@ dynamicsDimension="time" value="1"/><LaneChangeTarget><RelativeTargetLane entity
     (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
     assert recording.y[1][-1] == pytest.approx(1.5)
     assert recording.y[0][-1] == pytest.approx(-2.0)
+
+
+def test_an_offset_that_is_there_but_for_rounding_takes_no_time(tmp_path):
+    def ends(offset):
+        done = """<ConditionGroup><Condition name="done" delay="0" conditionEdge="none"><ByValueCondition>
+<StoryboardElementStateCondition storyboardElementType="event" storyboardElementRef="e" state="completeState"/>
+</ByValueCondition></Condition></ConditionGroup>"""
+        story = story_of(event("e", lane_offset(offset), time_trigger("1")))
+        path = scenario_file(tmp_path, init=private("Ego", teleport("50"), speed_action("10")), story=story, stop=done)
+        (recording,) = ran(BuiltinSimulator(time_step=DT, duration=20.0), [ConcreteScenario(path)])
+        return recording.time[-1]
+
+    assert ends("0.0000001") == ends("0")

@@ -28,7 +28,7 @@ from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 # m/s²; esmini's figure for a lane offset without one.
 _GENTLE: Final = 0.5
 
-# Tolerances in m within which an offset, and a distance, is reached.
+# Tolerances in m or s within which an offset, and a distance, is reached.
 _THERE: Final = 1e-6
 _REACHED: Final = 0.01
 
@@ -166,8 +166,9 @@ class LaneOffsetAction(Action):
         e, change = self._entity, self._to - self._from
         duration = np.where(self._duration > 0, self._duration, 1.0)
         part = np.where(self._duration > 0, self._elapsed / duration, 1.0)
-        arrived = part >= 1.0 - 1e-9
-        offset = np.where(arrived, self._to, self._from + shaped(self._shape, part) * change)
+        offset = self._from + shaped(self._shape, part) * change
+        arrived = (self._elapsed > self._duration - _THERE) | (np.abs(offset - self._to) < _THERE)
+        offset = np.where(arrived, self._to, offset)
         slope = change / duration * steepness(self._shape, part)
         world.offset[e][where] = offset[where]
         speed = world.speed[e]
