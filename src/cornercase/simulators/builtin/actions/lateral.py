@@ -175,7 +175,7 @@ class LaneOffsetAction(Action):
         turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
         world.turn[e][where] = np.where(arrived, 0.0, turn)[where]
         self._elapsed[where] += dt
-        return where & arrived
+        return np.asarray(where & arrived)
 
 
 class LateralDistanceAction(Action):
