@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-VERSION = 5
+VERSION = 6
 """Grows when a seed no longer gives the same storyboard."""
 
 
@@ -358,10 +358,11 @@ state="{plan.random.choices(states, (30, 25, 20, 22, 3))[0]}"/>"""
         return _wrapped(plan, name, f"<ByValueCondition>{inner}</ByValueCondition>")
     first = plan.one(plan.entities)
     triggering = [first] + ([plan.other(first)] if plan.chance(0.25) else [])
-    refs = "".join(f'<EntityRef entityRef="{entity}"/>' for entity in triggering)
-    # An entity is not compared with itself.
     rest = [entity for entity in plan.entities if entity not in triggering]
     inner = _of_entity(plan, plan.one(rest) if rest else plan.other(first))
+    # An entity is not compared with itself.
+    triggering = [entity for entity in triggering if f'entityRef="{entity}"' not in inner]
+    refs = "".join(f'<EntityRef entityRef="{entity}"/>' for entity in triggering)
     # The standard lets `all` hold where all fulfil a condition; in esmini, one entity can answer for the next in these.
     answering = inner.startswith(_ANSWERING) and len(triggering) > 1
     rule = "any" if answering else plan.one(("any", "all"))

@@ -58,6 +58,22 @@ def test_a_lane_change_takes_its_time_and_costs_way_ahead(tmp_path, shape):
     np.testing.assert_allclose(recording.heading[0][-1], 0.0, atol=1e-9)
 
 
+def test_actions_after_a_lane_change_see_its_entity_where_it_has_come_to(tmp_path):
+    # The distance is 20 m while the other one has not yet moved, which goes 0.5 m in a step.
+    change = lane_change('<AbsoluteTargetLane value="1"/>', "linear", "30")
+    events = event("change", change, time_trigger("1")) + event("keep", KEPT, time_trigger("1"))
+    init = moving("70") + moving("100", "10", "Lead")
+    path = scenario_file(tmp_path, init=init, story=story_of(events), entities=car("Ego") + car("Lead"))
+    recording = run(path, 15.0)
+    assert recording.x[1][-1] - recording.x[0][-1] == pytest.approx(20.5, abs=0.05)
+
+
+def test_a_lane_change_at_the_end_of_the_road_stays_there(tmp_path):
+    change = lane_change('<AbsoluteTargetLane value="1"/>', "step", "0")
+    recording = run(one_event(tmp_path, change, init=moving("500", "0")), 2.0)
+    assert recording.x[0] == pytest.approx(np.full(recording.x[0].size, 500.0))
+
+
 def test_a_lane_change_over_a_distance_ends_after_it(tmp_path):
     target = '<AbsoluteTargetLane value="1"/>'
     recording = run(one_event(tmp_path, lane_change(target, "linear", "20", "distance")))
@@ -79,12 +95,14 @@ dynamicsShape="sinusoidal" maxLateralAcc="0.5"/><LaneOffsetTarget><AbsoluteTarge
     assert recording.y[0][-1] == pytest.approx(-1.0)
 
 
-def test_a_kept_distance_is_reached_without_overshoot(tmp_path):
-    action = """<PrivateAction><LongitudinalAction><LongitudinalDistanceAction entityRef="Lead" freespace="false"
+KEPT = """<PrivateAction><LongitudinalAction><LongitudinalDistanceAction entityRef="Lead" freespace="false"
 continuous="true" distance="20" coordinateSystem="entity" displacement="trailingReferencedEntity"><DynamicConstraints
 maxAcceleration="3" maxDeceleration="3" maxSpeed="30"/></LongitudinalDistanceAction></LongitudinalAction></PrivateAction>"""
+
+
+def test_a_kept_distance_is_reached_without_overshoot(tmp_path):
     init = moving() + moving("100", "10", "Lead")
-    recording = run(one_event(tmp_path, action, init=init, entities=car("Ego") + car("Lead")), 25.0)
+    recording = run(one_event(tmp_path, KEPT, init=init, entities=car("Ego") + car("Lead")), 25.0)
     gap = recording.x[1] - recording.x[0]
     assert gap[-1] == pytest.approx(20.0, abs=0.05)
     assert gap.min() > 19.9
@@ -111,6 +129,22 @@ def test_a_smooth_speed_profile_keeps_to_its_jerk(tmp_path, entries):
     jerk = np.diff(recording.speed[0], 2) / DT**2
     assert np.abs(jerk).max() <= 2.0 + 1e-6
     assert recording.speed[0][-1] == pytest.approx(entries[-1][0])
+
+
+def test_a_smooth_speed_profile_goes_along_lines_where_its_jerk_has_no_room(tmp_path):
+    # From 4 m/s² to -4 m/s² the jerk takes 4 s, twice as long as there is.
+    recording = run(one_event(tmp_path, profile([(14, 1), (10, 1)], "follow")), 8.0)
+    assert recording.speed[0][-1] == pytest.approx(10.0)
+    assert recording.speed[0].max() == pytest.approx(14.0, abs=0.3)
+
+
+def test_a_speed_profile_to_the_present_speed_ends_at_once(tmp_path):
+    ended = """<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByValueCondition>
+<StoryboardElementStateCondition storyboardElementType="event" storyboardElementRef="e" state="completeState"/>
+</ByValueCondition></Condition></ConditionGroup>"""
+    events = event("e", profile([(10, 5)], "position"), time_trigger("1")) + event("next", speed_action("20"), ended)
+    recording = run(scenario_file(tmp_path, init=moving(), story=story_of(events)), 3.0)
+    assert recording.speed[0][-1] == 20.0
 
 
 def synchronise(final):

@@ -136,7 +136,7 @@ def test_an_offset_into_the_next_lane_leaves_an_entity_on_its_own(tmp_path):
     change = """<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="linear"
 dynamicsDimension="time" value="1"/><LaneChangeTarget><RelativeTargetLane entityRef="Other" value="0"/></LaneChangeTarget>
 </LaneChangeAction></LateralAction></PrivateAction>"""
-    init = private("Ego", teleport("50", "1"), speed_action("10"))
+    init = private("Ego", teleport("150", "1"), speed_action("10"))
     init += private("Other", teleport("150", "-1"), speed_action("10"))
     story = story_of(event("aside", lane_offset("3.5"), time_trigger("1")), "Other")
     story += story_of(event("change", change, time_trigger("6"))).replace('"s"', '"s2"')

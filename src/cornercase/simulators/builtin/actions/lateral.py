@@ -22,6 +22,7 @@ from cornercase.simulators.builtin.paths.transitions import (
 )
 from cornercase.simulators.builtin.world.gaps import offset_from
 from cornercase.simulators.builtin.world.lanes import attach_to_lane, change_lane
+from cornercase.simulators.builtin.world.motion import move_at_once
 from cornercase.simulators.builtin.world.state import LATERAL, World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
@@ -74,7 +75,7 @@ class LaneChangeAction(Action):
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
-        way = np.abs(world.speed[e]) * dt
+        way = ahead = np.abs(world.speed[e]) * dt
         moves = where & (np.abs(world.speed[e]) > 1e-6)
         abrupt = self._extent <= 1e-6
         extent = np.where(abrupt, 1.0, self._extent)
@@ -84,7 +85,7 @@ class LaneChangeAction(Action):
             done = self._done + ahead
             part = self._transition.at(done / extent)
             # As in esmini, the heading is that of driving forwards even where the entity drives backwards.
-            turn, across = np.arctan(rate), way * np.abs(rate) / np.sqrt(1.0 + rate**2)
+            turn = np.arctan(rate)
         else:
             across = np.minimum(dt * np.abs(rate), way)
             # An entity that is too slow for the change moves only sideways, at constant speed.
@@ -92,19 +93,20 @@ class LaneChangeAction(Action):
             with np.errstate(divide="ignore", invalid="ignore"):
                 done = self._done + np.where(slow, way * extent / np.abs(change), dt)
             part = np.where(slow, np.clip(done / extent, 0.0, 1.0), self._transition.at(done / extent))
-            turn = np.arctan2(np.sign(rate) * across, np.sqrt(np.maximum(way**2 - across**2, 0.0)))
+            ahead = np.sqrt(np.maximum(way**2 - across**2, 0.0))
+            turn = np.arctan2(np.sign(rate) * across, ahead)
             turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * 0.5 * np.pi, turn)
         offset = np.where(abrupt, self._to, self._from + part * change)
         arrived = abrupt | (done >= self._extent - 1e-9) | (np.abs(offset - self._to) < _THERE)
         self._done[moves] = done[moves]
-        # It moves even where it was just put somewhere.
-        world.moved[e][moves] = False
         world.offset[e][moves] = offset[moves]
-        world.sideways[e][moves] = np.where(abrupt, 0.0, across)[moves]
-        # A speed that another action sets in this frame counts from the next, for one that stands too.
-        world.pace[e][where] = world.speed[e][where]
         world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
         world.changes_lanes[e][moves & arrived] = False
+        # It moves even where it was just put somewhere; a speed that another action sets in this frame counts from
+        # the next, for one that stands too.
+        world.pace[e][where] = world.speed[e][where]
+        world.moved[e][where] = True
+        move_at_once(world, e, moves, np.sign(world.speed[e]) * np.where(abrupt, way, ahead))
         return np.asarray(where & moves & arrived)
 
     def leave(self, world: World, where: BoolArray) -> None:

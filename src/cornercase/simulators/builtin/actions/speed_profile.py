@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import Scope, VariesError
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.paths.positions import entity_index
+from cornercase.simulators.builtin.world.motion import acceleration_ahead
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
+
+# Speeds, times and accelerations that differ by less, in m/s, s and m/s², are the same.
+_TINY: Final = 1e-6
+
+# A profile that has not come to its end so long after it, in s, keeps the speed that it has come to; esmini's figure.
+_PATIENCE: Final = 10.0
 
 
 class Limits(NamedTuple):
-    """Bounds on acceleration and jerk, upwards and downwards, each (N,) and not negative."""
+    """Bounds on speed, and on acceleration and jerk upwards and downwards, each (N,) and not negative."""
 
+    fastest: FloatArray
     up: FloatArray
     down: FloatArray
     jerk_up: FloatArray
@@ -37,7 +45,8 @@ class SpeedProfileAction(Action):
     """Takes an entity through speeds at given times.
 
     Followed by ``position``, the acceleration is constant between them; by ``follow``, it changes with the jerk that
-    is allowed, so that several speeds are only come near to.
+    is allowed, so that several speeds are only come near to. Where the limits leave no room for that, the rest of the
+    profile is followed by ``position``, and so is all of it when the action runs again.
     """
 
     domains = (LONGITUDINAL,)
@@ -46,41 +55,40 @@ class SpeedProfileAction(Action):
         self._entity = entity
         self._reference = None if element.get("entityRef") is None else entity_index(element, scope, world)
         constraints = element.find("DynamicConstraints")
-        names = ("maxAcceleration", "maxDeceleration", "maxAccelerationRate", "maxDecelerationRate")
-        n = scope.scenarios
-        bounds = [
-            np.full(n, np.inf) if constraints is None else scope.number(constraints, name, np.inf) for name in names
-        ]
-        own = world.entities[entity]
-        self._limits = Limits(
-            np.minimum(bounds[0], own.max_acceleration), np.minimum(bounds[1], own.max_deceleration), *bounds[2:]
-        )
+        names = ("maxSpeed", "maxAcceleration", "maxDeceleration", "maxAccelerationRate", "maxDecelerationRate")
+        n, own = scope.scenarios, world.entities[entity]
+        unlimited = np.full(n, np.inf)
+        given = [unlimited if constraints is None else scope.number(constraints, name, np.inf) for name in names]
+        of_vehicle = (own.max_speed, own.max_acceleration, own.max_deceleration, np.inf, np.inf)
+        self._limits = Limits(*(np.minimum(bound, one) for bound, one in zip(given, of_vehicle, strict=True)))
         follow = scope.text(element, "followingMode", "position") == "follow"
-        self._smooth = follow and bool(np.isfinite(bounds[2]).all() and np.isfinite(bounds[3]).all())
+        self._smooth = np.isfinite(given[3]) & np.isfinite(given[4]) & follow
         entries = list(element.iterfind("SpeedProfileEntry"))
         if not entries:
             raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedProfileAction> has no entries.")
         self._speeds = [scope.number(one, "speed") for one in entries]
         self._spans = [scope.number(one, "time", -1.0) for one in entries]
-        if len(np.unique(np.abs(self._spans[0]) < 1e-6)) > 1:
+        if len(np.unique(np.abs(self._spans[0]) < _TINY)) > 1:
             raise VariesError(scope.origins(entries[0].get("time", "")))
-        self._phases: list[Phase] = []
         self._mine = np.full(n, -1)
         self._profiles: list[list[Phase]] = []
 
     def start(self, world: World, where: BoolArray) -> None:
         e = self._entity
         base = world.speed[self._reference] if self._reference is not None else np.zeros(world.scenarios)
-        lines = self._lines(world, base)
-        rate = world.acceleration[e].copy()
-        if not self._smooth:
-            profile = lines
-        elif len(lines) == 2:
-            profile = _one_target(lines[0], lines[1], rate, self._limits)
-        else:
-            profile = _smoothed(lines, rate, self._limits)
-        self._profiles.append(profile)
-        self._mine[where] = len(self._profiles) - 1
+        rate = acceleration_ahead(world)[e]
+        for smooth in (False, True):
+            rows = where & (self._smooth == smooth)
+            if not rows.any():
+                continue
+            profile, kept = self._lines(world, base, smooth), rows
+            if smooth and len(profile) == 2:
+                profile, kept = _one_target(profile[0], profile[1], rate, self._limits)
+            elif smooth:
+                profile, kept = _smoothed(profile, rate, self._limits)
+            self._profiles.append(profile)
+            self._mine[rows] = len(self._profiles) - 1
+            self._smooth[rows & ~kept] = False
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
@@ -88,73 +96,129 @@ class SpeedProfileAction(Action):
         for k, profile in enumerate(self._profiles):
             rows = where & (self._mine == k)
             if rows.any():
-                speed, ended = _at(profile, world.time + dt)
-                wanted[rows], over[rows] = speed[rows], ended[rows]
+                speed, passed = _at(profile, world.time + dt)
+                rows &= world.time + dt < profile[-1].time + _PATIENCE
+                wanted[rows] = speed[rows]
+                # With the speed of the last target, and all targets before it passed, it is over.
+                there = np.abs(speed - profile[-1].speed) < _TINY
+                over[rows] = (there & (passed >= len(self._speeds) - 1))[rows]
         world.set_speed(e, where, wanted)
         return where & over
 
-    def _lines(self, world: World, base: FloatArray) -> list[Phase]:
+    def _lines(self, world: World, base: FloatArray, smooth: bool) -> list[Phase]:
         """Phases of constant acceleration from target to target, and a last one that keeps the speed."""
         now, time = world.speed[self._entity].copy(), np.full(world.scenarios, world.time)
         targets = list(zip(self._speeds, self._spans, strict=True))
         still = np.zeros(world.scenarios)
-        if (np.abs(self._spans[0]) < 1e-6).all():
+        if (np.abs(self._spans[0]) < _TINY).all():
             first, _ = targets.pop(0)
             # A smooth profile begins at the present speed.
-            now = now if self._smooth else base + first
+            now = now if smooth else base + first
         lines = []
         for speed, span in targets:
             change = base + speed - now
             limit = np.where(change < 0, self._limits.down, self._limits.up)
             fastest = np.where(np.isfinite(limit), np.abs(change) / np.maximum(limit, 1e-9), 0.0)
-            needed = np.where(span < -1e-6, fastest, np.maximum(span, fastest))
+            needed = np.where(span < -_TINY, fastest, np.maximum(span, fastest))
             lines.append(Phase(time, now, np.where(needed > 0, change / np.where(needed > 0, needed, 1.0), 0.0), still))
             time, now = time + needed, now + change
         return [*lines, Phase(time, now, still, still)]
 
 
-def _at(profile: list[Phase], time: float) -> tuple[FloatArray, BoolArray]:
-    """Speed at a time, and whether the profile has ended, each (N,)."""
+def _at(profile: list[Phase], time: float) -> tuple[FloatArray, IntArray]:
+    """Speed at a time, and how many phases have passed by then, each (N,)."""
     speed = profile[0].speed
-    for phase in profile:
-        since = np.maximum(time - phase.time, 0.0)
-        value = phase.speed + phase.rate * since + 0.5 * phase.jerk * since**2
-        speed = np.where(time > phase.time - 1e-6, value, speed)
-    return speed, np.asarray(time > profile[-1].time - 1e-6)
+    passed, reached = np.zeros(speed.shape, dtype=np.int64), np.ones(speed.shape, dtype=np.bool_)
+    for number, phase in enumerate(profile):
+        # A phase that would begin earlier than the one before it begins with that.
+        reached &= time > phase.time - _TINY
+        since = time - phase.time
+        speed = np.where(reached, phase.speed + phase.rate * since + 0.5 * phase.jerk * since**2, speed)
+        passed = np.where(reached, number, passed)
+    return speed, passed
 
 
 def _jerk(change: FloatArray, limits: Limits) -> FloatArray:
     return np.where(change < 0, -limits.jerk_down, limits.jerk_up)
 
 
-def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> list[Phase]:
-    """Turn the corners between lines of constant acceleration into arcs of constant jerk that touch both."""
-    first = lines[0]
+def _allowed(phase: Phase, limits: Limits) -> BoolArray:
+    """Where a phase begins within the limits on speed and acceleration, shape (N,)."""
+    slow = np.abs(phase.speed) <= limits.fastest + _TINY
+    return np.asarray(slow & (phase.rate <= limits.up + _TINY) & (phase.rate >= -limits.down - _TINY))
+
+
+def _either(where: BoolArray, one: Phase, other: Phase) -> Phase:
+    """Phase that is one in the scenarios of a mask, and the other elsewhere."""
+    return Phase(*(np.where(where, a, b) for a, b in zip(one, other, strict=True)))
+
+
+def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
+    """Turn the corners between lines of constant acceleration into arcs of constant jerk that touch both.
+
+    Where an arc would begin before the last one has ended, or a limit is exceeded, the lines are kept from there on.
+
+    Parameters
+    ----------
+    lines : list of Phase
+    rate : ndarray of float64, shape (N,)
+        Acceleration in m/s² at the start.
+    limits : Limits
+
+    Returns
+    -------
+    phases : list of Phase
+    kept : ndarray of bool, shape (N,)
+        Where all of it is smooth.
+    """
+    first, still = lines[0], np.zeros_like(rate)
     jerk = _jerk(first.rate - rate, limits)
-    span = (first.rate - rate) / jerk
-    speed = first.speed + rate * span + 0.5 * jerk * span**2
-    now = Phase(first.time + span, speed, first.rate, np.zeros_like(speed))
-    phases = [Phase(first.time, first.speed, rate, jerk), now]
+    # A profile that begins level does so at once.
+    span = np.where(np.abs(first.rate) > _TINY, (first.rate - rate) / jerk, 0.0)
+    arc = Phase(first.time, first.speed, rate, jerk)
+    now = Phase(first.time + span, first.speed + rate * span + 0.5 * jerk * span**2, first.rate, still)
+    kept = (_allowed(arc, limits) | (span == 0.0)) & _allowed(now, limits)
+    plain = Phase(now.time, first.speed + first.rate * span, first.rate, still)
+    now = _either(kept, now, plain)
+    phases = [arc, now]
+    # Lines as speed = rate * time + level.
+    level = now.speed - now.rate * now.time
     for line in lines[1:]:
         change = line.rate - now.rate
-        jerk = _jerk(change, limits)
-        bends = np.abs(change) > 1e-9
-        # With the lines as speed = rate * time + level, the arc begins where it touches both.
-        level, new = now.speed - now.rate * now.time, line.speed - line.rate * line.time
+        jerk, bends = _jerk(change, limits), np.abs(change) > _TINY
+        # The arc begins where it touches both lines.
+        new = line.speed - line.rate * line.time
         with np.errstate(divide="ignore", invalid="ignore"):
-            begin = (change**2 - 2.0 * jerk * (level - new)) / (-2.0 * jerk * change)
-        begin = np.where(bends, np.maximum(begin, now.time), now.time)
-        speed = now.speed + now.rate * (begin - now.time)
-        phases.append(Phase(begin, speed, now.rate, np.where(bends, jerk, 0.0)))
+            begin = np.where(bends, (change**2 - 2.0 * jerk * (level - new)) / (-2.0 * jerk * change), now.time)
+        kept &= begin >= now.time
         span = np.where(bends, change / jerk, 0.0)
-        speed = speed + now.rate * span + 0.5 * jerk * span**2
-        now = Phase(begin + span, speed, line.rate, np.zeros_like(speed))
-        phases.append(now)
-    return phases
+        arc = Phase(begin, now.speed + now.rate * (begin - now.time), now.rate, np.where(bends, jerk, 0.0))
+        after = Phase(begin + span, arc.speed + now.rate * span + 0.5 * jerk * span**2, line.rate, still)
+        phases += [_either(kept, arc, now), _either(kept, after, line)]
+        now, level = phases[-1], new
+        kept &= _allowed(arc, limits) & _allowed(after, limits)
+    return phases, kept
 
 
-def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> list[Phase]:
-    """Reach one speed at a time, or as soon as it can be, with an acceleration that begins at `rate` and ends at 0."""
+def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
+    """Reach one speed at a time, or as soon as it can be, with an acceleration that begins at `rate` and ends at 0.
+
+    Parameters
+    ----------
+    line : Phase
+        Constant acceleration to the target.
+    end : Phase
+        The target.
+    rate : ndarray of float64, shape (N,)
+        Acceleration in m/s² at the start.
+    limits : Limits
+
+    Returns
+    -------
+    phases : list of Phase
+    kept : ndarray of bool, shape (N,)
+        Where all of it is within the limits.
+    """
     j0 = _jerk(line.rate - rate, limits)
     j1 = np.where(line.rate < 0, limits.jerk_up, -limits.jerk_down)
     change, span = end.speed - line.speed, end.time - line.time
@@ -164,7 +228,8 @@ def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> li
     root = b**2 - 4.0 * a * c
     with np.errstate(divide="ignore", invalid="ignore"):
         # Of the two solutions, the peak nearer to 0 leaves time between the two phases of jerk.
-        peak = np.where(root >= 0.0, -2.0 * c / (b + np.sqrt(np.maximum(root, 0.0))), 0.0)
+        whole = np.sqrt(np.maximum(root, 0.0))
+        peak = np.where(a == 0.0, -c / b, np.where(b > 0.0, -2.0 * c / (b + whole), 0.5 * (whole - b) / a))
         # If there is no such time, the acceleration falls as soon as it has risen.
         sharp = np.sign(j0) * np.sqrt(np.maximum((change + 0.5 * rate**2 / j0) / (0.5 / j0 - 0.5 / j1), 0.0))
     peak = np.where(root >= 0.0, peak, sharp)
@@ -172,14 +237,15 @@ def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> li
     rise, fall = (peak - rate) / j0, -peak / j1
     done = (peak**2 - rate**2) / (2.0 * j0) - peak**2 / (2.0 * j1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        even = np.where(np.abs(peak) > 1e-9, np.maximum((change - done) / peak, 0.0), 0.0)
+        even = np.where(np.abs(peak) > 1e-9, (change - done) / peak, 0.0)
     t1 = line.time + rise
     v1 = line.speed + rate * rise + 0.5 * j0 * rise**2
     t2, v2 = t1 + even, v1 + peak * even
     still = np.zeros_like(peak)
-    return [
+    phases = [
         Phase(line.time, line.speed, rate, j0),
         Phase(t1, v1, peak, still),
         Phase(t2, v2, peak, j1),
         Phase(t2 + fall, end.speed, still, still),
     ]
+    return phases, np.logical_and.reduce([_allowed(phase, limits) for phase in phases])

@@ -98,7 +98,8 @@ class LaneTrack(Track):
             ahead = good & (distance >= after[:, None] - 1.0)
             good = np.where(ahead.any(axis=1)[:, None], ahead, good)
         first = np.where(good, distance, np.inf).min(axis=1)
-        here = good & (distance < first[:, None] + 1.0)
+        # At an end of the track, all the nearest samples may lie on one side.
+        here = good & (distance < first[:, None] + _PASSES * self.path.distance[1])
         best = np.where(here, gap, np.inf).argmin(axis=1)
         sample = samples[np.arange(len(x)), best]
         # Between samples, which are close together, the point is projected on the tangent.

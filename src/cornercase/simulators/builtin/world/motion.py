@@ -97,6 +97,20 @@ def velocity_ahead(world: World) -> tuple[FloatArray, FloatArray]:
     return world.speed * np.cos(world.heading), world.speed * np.sin(world.heading)
 
 
+def acceleration_ahead(world: World) -> FloatArray:
+    """Acceleration along the heading in the last step, in m/s², shape (E, N).
+
+    Parameters
+    ----------
+    world : World
+
+    Returns
+    -------
+    ndarray of float64, shape (E, N)
+    """
+    return np.asarray(world.pull[0] * np.cos(world.heading) + world.pull[1] * np.sin(world.heading))
+
+
 def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
     """Move an entity to its place on its track at once, before the step ends.
 
@@ -112,6 +126,26 @@ def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
         at = np.flatnonzero(where & (world.track[entity] == k))
         if at.size:
             _advance(world, entity, track, at, np.zeros(at.size))
+
+
+def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
+    """Move an entity along its track, and to its offset beside it, so that later actions of the frame see it.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+    way : ndarray of float64, shape (N,)
+        m; negative backwards.
+    """
+    world.moved[entity] |= where
+    for k, track in enumerate(world.tracks[entity]):
+        at = np.flatnonzero(where & world.running & (world.track[entity] == k))
+        if at.size:
+            _advance(world, entity, track, at, way[at])
 
 
 def pull_entity(
