@@ -138,7 +138,12 @@ def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lan
     found = {}
     for element in section.iterfind(f"{side}/lane"):
         widths = read_polynomials(element.iterfind("width"), "sOffset", where)
-        found[lane_number(element, where)] = Lane(
+        number = lane_number(element, where)
+        if number in found:
+            raise InputError(f"{where}: a <laneSection> has two lanes {number}; keep one of them.")
+        if number == 0 or (number > 0) != (side == "left"):
+            raise InputError(f"{where}: the lane {number} stands in <{side}>; lanes on the left have numbers above 0.")
+        found[number] = Lane(
             element.get("type", "none"),
             widths,
             () if widths else read_polynomials(element.iterfind("border"), "sOffset", where),

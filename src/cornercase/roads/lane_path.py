@@ -11,6 +11,8 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 STEP: Final = 0.1
+# A path that would need more samples has them further apart.
+_MOST_SAMPLES: Final = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,8 @@ class LanePath:
         arrays = (x, y, s, road, lane, along, passed, reference, center)
         x, y, s, road, lane, along, passed, reference, center = (array[keep] for array in arrays)
         travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-        distance = np.linspace(0.0, travelled[-1], max(3, int(np.ceil(travelled[-1] / STEP)) + 1))
+        samples = min(int(np.ceil(travelled[-1] / STEP)) + 1, _MOST_SAMPLES)
+        distance = np.linspace(0.0, travelled[-1], max(3, samples))
         nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
         x, y = np.interp(distance, travelled, x), np.interp(distance, travelled, y)
         heading = np.unwrap(np.arctan2(np.gradient(y, distance), np.gradient(x, distance)))

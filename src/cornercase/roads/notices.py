@@ -10,11 +10,15 @@ from lxml import etree
 
 from cornercase._common.ledger import Notice, local_name
 from cornercase._common.recorded_xml import children
+from cornercase.roads.lane import evaluate_polynomials
 from cornercase.roads.ledger import LEDGER
 from cornercase.roads.opendrive import RoadNetwork
+from cornercase.roads.road import Road
 
 # A road that climbs or banks by more than this is named.
 _HILLY: Final = 0.02
+# m; a road that lacks more of its geometry than this is named, or a lane that is so much narrower than nothing.
+_MISSING: Final = 0.1
 # Lanes of these types are for some kinds of vehicles.
 _RESERVED: Final = ("bus", "taxi", "HOV", "tram", "rail")
 
@@ -45,11 +49,41 @@ def name_without_effect(
                 [one for one in root.iter() if local_name(one) == "lane" and one.attrib.get("type") in _RESERVED]),
     ]  # fmt: skip
     if network is not None:
+        found += _contradictions(root, file, network)
         roads = {str(one.attrib.get("id")): one for one in children(root) if local_name(one) == "road"}
         for one, other, apart in network.gaps():
             why = f"they lie {apart:.3g} m apart, so that no way leads from one to the other"
             found.append(_notice(f"link between the roads {one} and {other}", why, file, [roads[one], roads[other]]))
     return (*(notice for notice in found if notice.lines), *LEDGER.notices(root, file, read))
+
+
+def _contradictions(root: etree._Element, file: Path, network: RoadNetwork) -> list[Notice]:
+    """Name roads that are longer than their geometry, and lanes without a width."""
+    elements = {str(one.attrib.get("id")): one for one in children(root) if local_name(one) == "road"}
+    short, narrow = [], []
+    for road in network.roads:
+        first, last = road.geometries[0], road.geometries[-1]
+        if max(first.s, road.length - last.s - last.length) > _MISSING:
+            short.append(elements[road.name])
+        if any(_narrowest(road, k) < -_MISSING for k in range(len(road.sections))):
+            narrow.append(elements[road.name])
+    return [
+        _notice(
+            "length of roads that have less geometry",
+            "their first and last <geometry> go on in their shape",
+            file,
+            short,
+        ),
+        _notice("width of lanes below 0", "a lane is as wide as nothing there", file, narrow),
+    ]
+
+
+def _narrowest(road: Road, section: int) -> float:
+    """Smallest width of the lanes of a section by its cubics, in m."""
+    start, lanes = road.sections[section]
+    end = road.sections[section + 1][0] if section + 1 < len(road.sections) else road.length
+    s = np.linspace(0.0, max(end - start, 0.0), 20)
+    return min((float(evaluate_polynomials(lane.widths, s).min()) for lane in lanes.values()), default=0.0)
 
 
 def _notice(what: str, why: str, file: Path, where: list[etree._Element]) -> Notice:

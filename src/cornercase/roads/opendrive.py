@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +20,7 @@ from cornercase.roads.ledger import LEDGER
 from cornercase.roads.locating import Locator, Place
 from cornercase.roads.reference_line import read_number
 from cornercase.roads.road import Road, read_road
+from cornercase.roads.soundness import require_sound
 from cornercase.scenario import read_xml
 
 _LONGEST_PATH: Final = 5000.0
@@ -88,9 +90,7 @@ class RoadNetwork:
             raise InputError(f"{path}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
         LEDGER.refuse(root, path)
         cuts = _places_of_links(root, path)
-        roads = tuple(
-            read_road(e, f"{path}, road {e.get('id')}", cuts.get(e.get("id", ""), ())) for e in root.iterfind("road")
-        )
+        roads = tuple(_sound_road(e, path, cuts) for e in root.iterfind("road"))
         if not roads:
             raise InputError(f"{path}: has no <road>.")
         names = [road.name for road in roads]
@@ -431,6 +431,16 @@ class RoadNetwork:
     @cached_property
     def _paths(self) -> dict[Any, LanePath]:
         return {}
+
+
+def _sound_road(element: etree._Element, path: Path, cuts: Mapping[str, Sequence[float]]) -> Road:
+    name = element.get("id", "")
+    where = f"{path}, road {name}"
+    if not name:
+        raise InputError(f"{path}, line {element.sourceline}: a <road> has no id; give it one.")
+    road = read_road(element, where, cuts.get(name, ()))
+    require_sound(road, where)
+    return road
 
 
 def _places_of_links(root: etree._Element, path: Path) -> dict[str, list[float]]:

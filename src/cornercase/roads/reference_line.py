@@ -11,6 +11,7 @@ from scipy.special import fresnel
 
 from cornercase._common.errors import InputError
 from cornercase._common.geometry import within_half_turn
+from cornercase._common.ledger import local_name
 from cornercase._common.typing import FloatArray
 
 # Below this bend, in rad, a spiral is not told from an arc; Fresnel's integrals lose digits there.
@@ -137,11 +138,32 @@ def _derivative(coefficients: tuple[float, ...] | list[float]) -> list[float]:
 
 
 def read_number(element: etree._Element, name: str, where: str) -> float:
-    """Read a finite number, or say which attribute is none."""
+    """Read a finite number of an attribute.
+
+    Parameters
+    ----------
+    element : lxml element
+    name : str
+        Of the attribute.
+    where : str
+        File and road, for messages.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    InputError
+        It is missing, or none.
+    """
+    text = element.get(name)
+    if text is None:
+        raise InputError(f"{where}: <{local_name(element)}> has no {name}; give it one.")
     try:
-        number = float(element.get(name, ""))
+        number = float(text)
     except ValueError:
         number = float("nan")
     if not np.isfinite(number):
-        raise InputError(f"{where}: {name} of <{element.tag}> is '{element.get(name)}', not a finite number.")
+        raise InputError(f"{where}: {name} of <{local_name(element)}> is '{text}', not a finite number.")
     return number

@@ -10,7 +10,7 @@ import numpy as np
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
-from cornercase.roads import RoadNetwork
+from cornercase.roads import RoadNetwork, read_number
 from cornercase.scenario import Scenario
 
 # m from the middle of a lane, and rad from its direction, that still count as following it.
@@ -102,7 +102,8 @@ def heights(recording: Recording, road: Path | None, scenario: Scenario) -> Floa
     root = scenario.xml(road)
     profiles = {
         one.get("id", ""): [
-            [float(of.get(key, "0")) for key in "sabcd"] for of in one.iterfind("{*}elevationProfile/{*}elevation")
+            [read_number(of, key, f"{road}, road {one.get('id')}") for key in "sabcd"]
+            for of in one.iterfind("{*}elevationProfile/{*}elevation")
         ]
         for one in root.iterfind("{*}road")
     }

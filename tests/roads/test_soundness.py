@@ -1,0 +1,86 @@
+"""Roads that contradict themselves: refused in a sentence, or named."""
+
+from __future__ import annotations
+
+import pytest
+
+from conftest import ROAD, car, scenario_file, speed_action, teleport
+from cornercase import check, convert
+from cornercase._common.errors import InputError
+from cornercase.roads import RoadNetwork, lane_path, name_without_effect
+from cornercase.scenario import read_xml
+
+WIDTH = '<width sOffset="0" a="4" b="0" c="0" d="0"/>'
+CUBIC = '<paramPoly3 pRange="arcLength" aU="0" bU="{b}" cU="0" dU="{d}" aV="0" bV="0" cV="0" dV="0"/>'
+
+
+def written(folder, old, new):
+    assert old in ROAD
+    path = folder / "road.xodr"
+    path.write_text(ROAD.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('road id="1" ', 'road ', "line 1: a <road> has no id"),
+        ('laneSection s="0"', 'laneSection s="100"', "its first <laneSection> begins at s = 100 m; let it begin at 0"),
+        ('laneSection s="0"', 'laneSection s="600"', "its first <laneSection> begins at s = 600 m"),
+        ("</planView>", '<geometry s="20" x="300" y="50" hdg="0" length="480"><line/></geometry></planView>',
+         "the <geometry> at s = 20 m begins 284 m from where the one before is there"),
+        (' x="0"', ' x="1e308"', "lies more than 100000 km from the origin"),
+        (' x="0"', "", "<geometry> has no x"),
+        ("<line/>", '<arc curvature="1e300"/>', "curvature of 1e[+]300 1/m; at most 10 1/m"),
+        ("<line/>", '<spiral curvStart="-1e200" curvEnd="1e200"/>', "lies more than|curvature of"),
+        ('hdg="0" length="500"><line/>', f'hdg="0" length="1e-308">{CUBIC.format(b=1, d=1).replace("arcLength", "normalized")}',
+         "lies more than"),
+        ("<line/>", CUBIC.format(b=1, d=0.01), "is a <paramPoly3> that is 1.25e[+]06 m long, and its length is 500 m"),
+        ("<line/>", CUBIC.format(b=0.1, d=0), "is a <paramPoly3> that is 50 m long"),
+        (WIDTH, WIDTH.replace('b="0"', 'b="1e6"'), "the lane 1 at s = 0 m reaches 5e[+]08 m out; at most 10000 m"),
+        (WIDTH, WIDTH.replace('d="0"', 'd="1e308"'), "the lane 1 at s = 0 m reaches inf m out"),
+        ("<laneSection", '<laneOffset s="0" a="1e9" b="0" c="0" d="0"/><laneSection', "<laneOffset> reaches 1e[+]09 m"),
+        ("</right>", f'<lane id="-1" type="driving">{WIDTH}</lane></right>', "has two lanes -1; keep one"),
+        ('lane id="1"', 'lane id="-1"', "the lane -1 stands in <left>"),
+        ('lane id="-1"', 'lane id="0"', "the lane 0 stands in <right>"),
+    ],
+)  # fmt: skip
+def test_a_road_that_contradicts_itself_is_refused(tmp_path, old, new, words):
+    with pytest.raises(InputError, match=words) as refused:
+        RoadNetwork.read(written(tmp_path, old, new))
+    assert str(refused.value).startswith(str(tmp_path / "road.xodr"))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ('hdg="0" length="500"', 'hdg="0" length="100"', "length of roads that have less geometry"),
+        ('geometry s="0"', 'geometry s="100"', "length of roads that have less geometry"),
+        (WIDTH, WIDTH.replace('a="4"', 'a="-4"'), "width of lanes below 0"),
+    ],
+)
+def test_what_is_missing_of_a_road_is_named(tmp_path, old, new, what):
+    path = written(tmp_path, old, new)
+    root = read_xml(path)
+    network = RoadNetwork.of_xml(root, path)
+    assert [one.what for one in name_without_effect(root, path, network, read=False)] == [(what,)]
+
+
+def test_a_lane_that_swings_to_and_fro_is_sampled_more_coarsely(tmp_path, monkeypatch):
+    monkeypatch.setattr(lane_path, "_MOST_SAMPLES", 1000)
+    path = RoadNetwork.read(written(tmp_path, "<line/>", "<line/>")).path_of_lane(0, -1, 0.0, True)
+    assert path is not None
+    assert len(path.x) == 1000
+    assert path.distance[-1] == pytest.approx(500.0)
+
+
+def test_an_elevation_that_is_no_number_is_refused_where_it_is_needed(tmp_path):
+    entities, init = car("Ego"), f'<Private entityRef="Ego">{teleport("10")}{speed_action("10")}</Private>'
+    path = scenario_file(tmp_path, init=init, entities=entities)
+    climb = '<elevationProfile><elevation s="0" a="0" b="road" c="0" d="0"/></elevationProfile><lanes>'
+    (tmp_path / "road.xodr").write_text(ROAD.replace("<lanes>", climb))
+    assert check(path).trouble == ()
+    with pytest.raises(InputError, match="road 1: b of <elevation> is 'road', not a finite number"):
+        convert(path, tmp_path / "out.xosc", ego="Ego")
+    assert not (tmp_path / "out.xosc").exists()
