@@ -224,6 +224,62 @@ def test_batches_are_cut_by_what_they_hold_and_give_the_same(tmp_path, monkeypat
     assert [outcome(one) for one in results(path, *values)] == whole
 
 
+def following(shape: str) -> str:
+    return f"""<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false"><ParameterDeclarations/>
+<Shape>{shape}</Shape></Trajectory></TrajectoryRef><TimeReference><None/></TimeReference>
+<TrajectoryFollowingMode followingMode="follow"/></FollowTrajectoryAction></RoutingAction></PrivateAction>"""
+
+
+def test_the_vertices_of_trajectories_count_for_what_a_batch_holds(tmp_path):
+    def needed(vertices: int) -> int:
+        shape = "".join(
+            f'<Vertex time="{k}"><Position><WorldPosition x="{k}" y="0"/></Position></Vertex>' for k in range(vertices)
+        )
+        path = scenario_file(tmp_path, init=private(teleport("0"), following(f"<Polyline>{shape}</Polyline>")))
+        return PreparedScenario(Scenario.read(path)).bytes_for(22, False)
+
+    # About a dozen arrays, and twice that while they are made.
+    assert needed(3002) - needed(2) >= 3000 * 8 * 24
+    # So does the storyboard.
+    few, many = (
+        PreparedScenario(Scenario.read(scenario_file(tmp_path, init=private(teleport("0")), story=story_of(
+            "".join(event(f"e{k}", speed_action("1"), time_trigger("1")) for k in range(count)))))).bytes_for(22, False)
+        for count in (1, 1001)
+    )  # fmt: skip
+    assert many - few >= 1000 * 200
+
+
+def test_a_catalog_trajectory_counts_as_the_longest_of_all(tmp_path):
+    vertices = "".join(
+        f'<Vertex time="{k}"><Position><WorldPosition x="{k}" y="0"/></Position></Vertex>' for k in range(1000)
+    )
+    (tmp_path / "catalog.xosc").write_text(
+        f"""<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a" description="d"/>
+<Catalog name="C"><Trajectory name="T" closed="false"><ParameterDeclarations/><Shape><Polyline>{vertices}</Polyline></Shape>
+</Trajectory></Catalog></OpenSCENARIO>"""
+    )
+    before, _, rest = following("").partition("<Trajectory ")
+    follow = f'{before}<CatalogReference catalogName="C" entryName="T"/></TrajectoryRef>{rest.partition("</TrajectoryRef>")[2]}'
+    path = scenario_file(tmp_path, init=private(teleport("0"), follow))
+    path.write_text(
+        path.read_text().replace(
+            "<CatalogLocations/>",
+            '<CatalogLocations><TrajectoryCatalog><Directory path="."/></TrajectoryCatalog></CatalogLocations>',
+        )
+    )
+    assert PreparedScenario(Scenario.read(path)).bytes_for(22, False) >= 1000 * 8 * 24
+
+
+def test_a_nurbs_has_no_more_samples_than_can_be_held():
+    for controls, reach in ((4, 1e9), (2000, 1e6)):
+        x = np.linspace(0.0, reach, controls)[None]
+        knots = np.concatenate([[0.0, 0.0], np.arange(controls - 1.0), np.full(2, controls - 2.0)])
+        found = nurbs_points(x, 0.0 * x, 0.0 * x, np.ones(controls), knots, 3)
+        assert found[0].shape[1] <= 40_000
+        assert found[0].shape[1] * controls <= 20_000_000
+        assert found[0][0, -1] == pytest.approx(reach)
+
+
 @pytest.mark.parametrize(
     ("time_step", "duration", "rows"), [(0.05, 1.0, 21), (0.3, 1.0, 4), (0.1, 0.3, 4), (0.05, 0.05, 2)]
 )

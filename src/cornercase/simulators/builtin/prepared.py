@@ -8,13 +8,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final
 
+from lxml import etree
+
 from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
 from cornercase.scenario import Declaration, Scenario, Scope, Value, read_declarations, unusable_value, value_text
 
-# What the samples of one trajectory take, and those of it that a driver gets, in bytes for each scenario.
+# What the samples of one trajectory take, its vertices, a curve of a kilometre, and what of it a driver gets, in bytes
+# for each scenario.
 _TRAJECTORY: Final = 64_000
+_VERTEX: Final = 250
+_NURBS: Final = 2_000_000
 _DRIVEN_TRAJECTORY: Final = 250_000
+# What elements of a storyboard take.
+_ELEMENTS: Final = {"Condition": 60, "Action": 150, "Event": 150}
 
 
 class UnusableError(InputError):
@@ -122,16 +129,27 @@ class PreparedScenario:
 
     def bytes_for(self, instants: int, driven: bool) -> int:
         """About how much memory one scenario takes while it runs, and until its recording is made."""
-        entities, trajectories = self._counts
-        one = _TRAJECTORY + (_DRIVEN_TRAJECTORY if driven else 0)
+        entities, trajectories, elements = self._held
+        one = _DRIVEN_TRAJECTORY * len(trajectories) if driven else 0
         # Five quantities of each entity at each instant, and its state.
-        return 8 * entities * (5 * instants + 100 + entities) + trajectories * one
+        return 8 * entities * (5 * instants + 100 + entities) + sum(trajectories) + one + elements
 
     @cached_property
-    def _counts(self) -> tuple[int, int]:
-        """Numbers of entities and of trajectories that are followed."""
-        tags = Counter(element.tag for element in self.scenario.root.iter())
-        return tags["ScenarioObject"], tags["FollowTrajectoryAction"]
+    def _held(self) -> tuple[int, tuple[int, ...], int]:
+        """Number of entities, and bytes of each trajectory that is followed and of the elements of the storyboard."""
+        roots = [self.scenario.root]
+        referred = any(element.tag == "CatalogReference" for element in roots[0].iter())
+        roots += [self.scenario.xml(file) for file in self.scenario.catalog_files()] if referred else []
+        named = max((_bytes_of(e) for root in roots[1:] for e in root.iter() if e.tag == "Trajectory"), default=0)
+        # Of a trajectory that a catalog holds the file does not say here how long it is.
+        followed = tuple(
+            max(_bytes_of(element), named if any(one.tag == "CatalogReference" for one in element.iter()) else 0)
+            for root in roots
+            for element in root.iter()
+            if element.tag == "FollowTrajectoryAction"
+        )
+        tags = Counter(element.tag for root in roots for element in root.iter())
+        return tags["ScenarioObject"], followed, sum(each * tags[tag] for tag, each in _ELEMENTS.items())
 
     @cached_property
     def _declarations(self) -> tuple[Declaration, ...]:
@@ -149,3 +167,9 @@ class PreparedScenario:
         if path not in self.networks:
             self.networks[path] = RoadNetwork.of_xml(self.scenario.xml(path), path)
         return self.networks[path]
+
+
+def _bytes_of(trajectory: etree._Element) -> int:
+    """About how much memory a trajectory takes in one scenario."""
+    tags = Counter(element.tag for element in trajectory.iter())
+    return _TRAJECTORY + _VERTEX * (tags["Vertex"] + tags["ControlPoint"]) + _NURBS * tags["Nurbs"]

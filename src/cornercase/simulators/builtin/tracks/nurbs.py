@@ -13,7 +13,9 @@ from cornercase._common.typing import FloatArray
 _SPACING: Final = 1.0
 _AHEAD: Final = 0.001
 _FINER: Final = 8
-_MOST_SAMPLES: Final = 100_000
+_MOST_SAMPLES: Final = 4_000
+# Influences of all control points at all samples that are held at once.
+_MOST_INFLUENCES: Final = 10_000_000
 
 
 def nurbs_points(
@@ -48,7 +50,8 @@ def nurbs_points(
     length = np.zeros(len(x))
     for k in range(x.shape[1] - 1):
         length += np.hypot(x[:, k + 1] - x[:, k], y[:, k + 1] - y[:, k])
-    counts = 1 + np.clip(np.nan_to_num(length / _SPACING), 0.0, _MOST_SAMPLES).astype(np.int64)
+    most = max(min(_MOST_SAMPLES, _MOST_INFLUENCES // (_FINER * len(weights))), 1)
+    counts = 1 + np.clip(np.nan_to_num(length / _SPACING), 0.0, most).astype(np.int64)
     found = np.empty((4, len(x), _FINER * int(counts.max()) + 2))
     for count in np.unique(counts):
         rows = counts == count
