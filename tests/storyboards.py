@@ -184,7 +184,7 @@ def _group(plan: _Plan, g: int, maneuvers: list[int]) -> str:
         f'<Maneuver name="m{g}{m}">{"".join(_event(plan, f"{g}{m}{e}", actor) for e in range(events))}</Maneuver>\n'
         for m, events in enumerate(maneuvers)
     )
-    times = 2 if plan.chance(0.1) and not _over_distance(inner) else 1
+    times = 2 if plan.chance(0.1) and not _only_once(inner) else 1
     return f"""<ManeuverGroup name="g{g}" maximumExecutionCount="{times}">
 <Actors selectTriggeringEntities="false"><EntityRef entityRef="{actor}"/></Actors>
 {inner}</ManeuverGroup>
@@ -200,17 +200,17 @@ def _event(plan: _Plan, number: str, actor: str) -> str:
         _group_of([_condition(plan, f"c{number}{k}{j}") for j in range(2 if plan.chance(0.25) else 1)])
         for k in range(2 if plan.chance(0.15) else 1)
     )
-    times = 1 if _over_distance(actions) else plan.random.choice([1, 1, 1, 2, 3])
+    times = 1 if _only_once(actions) else plan.random.choice([1, 1, 1, 2, 3])
     priority = plan.one(("override", "parallel", "skip"))
     return f"""<Event name="e{number}" priority="{priority}" maximumExecutionCount="{times}">
 {actions}<StartTrigger>{groups}</StartTrigger></Event>
 """
 
 
-def _over_distance(actions: str) -> bool:
-    """Whether a speed changes over a distance: run again, esmini takes the time that it took for the distance."""
+def _only_once(actions: str) -> bool:
+    """Whether they hold an action that esmini does not begin anew: run again, it goes on from what it has measured."""
     begun = '<SpeedActionDynamics dynamicsShape="{}" dynamicsDimension="distance"'
-    return any(begun.format(shape) in actions for shape in SHAPES)
+    return "<SynchronizeAction" in actions or any(begun.format(shape) in actions for shape in SHAPES)
 
 
 def _action(plan: _Plan, actor: str) -> str:

@@ -157,3 +157,11 @@ def test_an_offset_that_is_there_but_for_rounding_takes_no_time(tmp_path):
         return recording.time[-1]
 
     assert ends("0.0000001") == ends("0")
+
+
+def test_a_lane_offset_counts_in_the_step_in_which_its_entity_is_put_somewhere(tmp_path):
+    step = lane_offset("0.9", "step")
+    recording = alone(tmp_path, event("jump", teleport("100"), time_trigger("1")), event("e", step, time_trigger("1")))
+    first = int(np.argmax(recording.x[0] > 90.0))
+    assert recording.x[0][first] == pytest.approx(100.0)
+    assert recording.y[0][first] == pytest.approx(-1.1)

@@ -22,7 +22,7 @@ from cornercase.simulators.builtin.paths.transitions import (
 )
 from cornercase.simulators.builtin.world.gaps import offset_from
 from cornercase.simulators.builtin.world.lanes import attach_to_lane, change_lane
-from cornercase.simulators.builtin.world.motion import move_at_once
+from cornercase.simulators.builtin.world.motion import move_at_once, settle_on_track
 from cornercase.simulators.builtin.world.state import LATERAL, World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
@@ -177,6 +177,8 @@ class LaneOffsetAction(Action):
         turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
         world.turn[e][where] = np.where(arrived, 0.0, turn)[where]
         self._elapsed[where] += dt
+        # The other actions of the frame see it there.
+        settle_on_track(world, e, where)
         return np.asarray(where & arrived)
 
 

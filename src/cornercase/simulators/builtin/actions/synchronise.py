@@ -108,8 +108,8 @@ class SynchronizeAction(Action):
         way = np.maximum(way - self._tolerance, _TINY)
         way_master = np.maximum(way_master - self._tolerance_master, _TINY)
         # Of the master's speed, the part along its road and towards its target counts.
-        ahead = np.sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
-        speed_master = ahead * speed_along_road(world, m, where)
+        ahead = _sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
+        speed_master = ahead * speed_along_road(world, m)
         comes = (speed_master > _TINY) & (dt > 0)
         time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), _NEVER)
         done |= comes & (time < dt)
@@ -153,7 +153,7 @@ class SynchronizeAction(Action):
     ) -> FloatArray:
         """Speed at the end of the step, with a final speed."""
         v0, mode = world.speed[self._entity], self._mode.copy()
-        shown = world.velocity[self._entity] if dt > 0 else v0
+        shown = _sign(v0) * speed_along_road(world, self._entity)
         safe = np.maximum(np.abs(final), 1e-9)
         steady_way = np.where(self._steady_time > 0, self._steady_time * final, self._steady_distance)
         steady_time = steady_way / safe
@@ -229,6 +229,11 @@ def _way(world: World, entity: int, target: Pose, known: dict[int, FloatArray]) 
     way = remaining(world, entity, target, known)
     follows = on_lane(world, entity)
     return np.where(follows, ahead_on_road(world, entity, target, way), way) if follows.any() else way
+
+
+def _sign(speed: FloatArray) -> FloatArray:
+    """1 for driving forwards, and for who has just been stopped; -1 for driving backwards, shape (N,)."""
+    return np.where(speed < 0.0, -1.0, 1.0)
 
 
 def _first_phase(v0: FloatArray, v1: FloatArray, way: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -125,7 +125,7 @@ def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
     for k, track in enumerate(world.tracks[entity]):
         at = np.flatnonzero(where & (world.track[entity] == k))
         if at.size:
-            _advance(world, entity, track, at, np.zeros(at.size))
+            _settle(world, entity, track, at)
 
 
 def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
@@ -189,6 +189,10 @@ def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) 
         arrived = world.time + world.last_step if world.last_step > 0.0 else np.inf
         world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], arrived), np.inf)
     world.distance[e][at] = distance
-    x, y, heading = track.at(distance, offset, at)
+    _settle(world, e, track, at)
+
+
+def _settle(world: World, e: int, track: Track, at: IntArray) -> None:
+    x, y, heading = track.at(world.distance[e][at], world.offset[e][at], at)
     world.x[e][at], world.y[e][at] = x, y
     world.heading[e][at] = heading + world.turn[e][at]

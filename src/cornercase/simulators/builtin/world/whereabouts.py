@@ -132,36 +132,33 @@ def looks_along(world: World, pose: Pose) -> BoolArray:
     return np.asarray(np.cos(pose.heading - road_heading(world, pose)) > -1e-6)
 
 
-def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
-    """Speed along the road that an entity is on, without sign, in m/s, shape (N,).
+def speed_along_road(world: World, entity: int) -> FloatArray:
+    """Speed of the last step along the road that an entity is on, without sign, in m/s, shape (N,).
 
-    Off a lane it is that of the last step as it was gone, which on a bend is a chord.
+    On a bend it is that of the chord, seen along the road where the step ended.
 
     Parameters
     ----------
     world : World
     entity : int
         Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
 
     Returns
     -------
     ndarray of float64, shape (N,)
-        m/s.
+        m/s; where there are no roads, that along its heading.
     """
-    speed = np.abs(world.speed[entity] * np.cos(np.where(where, world.turn[entity], 0.0)))
-    at = np.flatnonzero(where & ~on_lane(world, entity))
-    if world.network is not None and at.size:
+    direction = world.heading[entity].copy()
+    if world.network is not None:
+        lane = on_lane(world, entity)
+        direction = np.where(lane, road_heading(world, lane_of(world, entity)), direction)
+        at = np.flatnonzero(~lane & world.present[entity])
         x, y, heading = world.x[entity][at], world.y[entity][at], world.heading[entity][at]
         road, s = world.network.road_from(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
         world.last_road[entity][at], world.last_s[entity][at] = road, s
         for one in np.unique(road):
-            mine = road == one
-            direction = world.network.roads[int(one)].reference(s[mine])[2]
-            gone_x, gone_y = world.gone[0][entity][at[mine]], world.gone[1][entity][at[mine]]
-            speed[at[mine]] = np.abs(gone_x * np.cos(direction) + gone_y * np.sin(direction))
-    return np.asarray(speed)
+            direction[at[road == one]] = world.network.roads[int(one)].reference(s[road == one])[2]
+    return np.asarray(np.abs(world.gone[0][entity] * np.cos(direction) + world.gone[1][entity] * np.sin(direction)))
 
 
 def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray) -> FloatArray:
