@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-VERSION = 6
+VERSION = 7
 """Grows when a seed no longer gives the same storyboard."""
 
 
@@ -95,6 +95,10 @@ class _Plan:
     road: Road
     entities: list[str]
     elements: list[tuple[str, str]] = field(default_factory=list)
+    # Whoever changes lanes or follows a trajectory at its own speed, esmini puts back there in each step, whatever
+    # distance is to be kept rigidly: an entity does either.
+    guided: set[str] = field(default_factory=set)
+    rigid: set[str] = field(default_factory=set)
 
     def number(self, low: float, high: float, digits: int = 1) -> float:
         return round(self.random.uniform(low, high), digits)
@@ -252,6 +256,9 @@ continuous="{continuous}"/>"""
 
 
 def _lane_change(plan: _Plan, actor: str) -> str:
+    if actor in plan.rigid:
+        return _lane_offset(plan, actor)
+    plan.guided.add(actor)
     shape, dimension, value = _dynamics(plan, True)
     if plan.chance(0.6):
         target = f'<AbsoluteTargetLane value="{plan.random.choice(plan.road.lanes)}"/>'
@@ -280,8 +287,13 @@ def _distance(plan: _Plan, actor: str) -> str:
 maxSpeed="{plan.number(10, 40)}"/>"""
     side = plan.one(("trailingReferencedEntity", "leadingReferencedEntity", "any"))
     displacement = f' displacement="{side}"' if plan.chance(0.4) else ""
+    if actor in plan.guided or plan.chance(0.8):
+        held = limits
+    else:
+        held = ""
+        plan.rigid.add(actor)
     return f"""<LongitudinalAction><LongitudinalDistanceAction entityRef="{plan.other(actor)}" {wanted} freespace="{plan.flag()}"
-continuous="{plan.flag()}" coordinateSystem="{plan.one(("entity", "lane", "road"))}"{displacement}>{limits if plan.chance(0.8) else ""}
+continuous="{plan.flag()}" coordinateSystem="{plan.one(("entity", "lane", "road"))}"{displacement}>{held}
 </LongitudinalDistanceAction></LongitudinalAction>"""
 
 
@@ -306,7 +318,9 @@ def _trajectory(plan: _Plan, actor: str) -> str:
     lane, s = plan.random.choice(plan.road.lanes), plan.number(*plan.road.begin)
     # Against the road's s it begins so far on that all vertices, at most five steps, lie on the road.
     s, onward = (s, 1.0) if lane < 0 else (s + 5 * 25.0, -1.0)
-    timed, time, vertices = plan.chance(0.5), 0.0, ""
+    timed, time, vertices = actor in plan.rigid or plan.chance(0.5), 0.0, ""
+    if not timed:
+        plan.guided.add(actor)
     for _ in range(plan.random.randint(3, 6)):
         position = f'<LanePosition roadId="1" laneId="{lane}" s="{s:.1f}" offset="{plan.number(-0.8, 0.8, 2)}"/>'
         vertices += f'<Vertex time="{time:.2f}"><Position>{position}</Position></Vertex>\n'

@@ -110,6 +110,18 @@ def test_a_kept_distance_is_reached_without_overshoot(tmp_path):
     assert np.abs(np.diff(recording.speed[0])).max() <= 3 * DT + 1e-9
 
 
+def test_a_distance_that_is_kept_rigidly_counts_in_the_step_in_which_its_entity_is_put_somewhere(tmp_path):
+    keeps = """<PrivateAction><LongitudinalAction><LongitudinalDistanceAction entityRef="Lead" freespace="false"
+continuous="true" distance="20" coordinateSystem="road"/></LongitudinalAction></PrivateAction>"""
+    jumps = event("jump", teleport("50"), time_trigger("1")) + event("keep", keeps, time_trigger("1"))
+    init = moving("20", "10") + moving("100", "10", "Lead")
+    path = scenario_file(tmp_path, init=init, story=story_of(jumps), entities=car("Ego") + car("Lead"))
+    recording = run(path, 2.0)
+    first = int(np.argmax(recording.x[0] > 60.0))
+    assert recording.x[0][first] == pytest.approx(recording.x[1][first - 1] - 20.0)
+    assert recording.x[1][first + 1 :] - recording.x[0][first + 1 :] == pytest.approx(20.0)
+
+
 def profile(entries, mode, jerk="2"):
     points = "".join(f'<SpeedProfileEntry speed="{v}" time="{t}"/>' for v, t in entries)
     return f"""<PrivateAction><LongitudinalAction><SpeedProfileAction followingMode="{mode}"><DynamicConstraints

@@ -14,6 +14,7 @@ from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.paths.transitions import Transition
 from cornercase.simulators.builtin.world.gaps import along_roads, distance_ahead, longitudinal_gap
+from cornercase.simulators.builtin.world.motion import put_ahead
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, lane_of
 
@@ -156,7 +157,7 @@ class LongitudinalDistanceAction(Action):
         where = where & np.isfinite(way)
         error = np.where(np.isfinite(way), way, 0.0) - np.where(self._behind, wanted, -wanted)
         if self._rigid:
-            world.distance[e][where] += error[where]
+            put_ahead(world, e, where, error)
             world.set_speed(e, where, other)
         else:
             a = self._spring(error, speed - other, dt)

@@ -29,6 +29,9 @@ _NEVER: Final = 1e10
 # m/s²; how hard an entity brakes that has no room for anything else. esmini's figure.
 _HARDEST: Final = 8.0
 
+# So much further from its place than in the last step, in m, an entity has passed it.
+_AWAY: Final = 1e-3
+
 # A speed that differs from that of the last phase by less, in m/s, begins it.
 _ON_LINE: Final = 0.1
 
@@ -103,7 +106,7 @@ class SynchronizeAction(Action):
         signed = _way(world, m, self._target_master, self._known[1])
         way, way_master = np.abs(_way(world, e, self._target, self._known[0])), np.abs(signed)
         done = (way < self._tolerance + _TINY) | (way_master < self._tolerance_master + _TINY)
-        done |= (way > self._last) | (way_master > self._last_master)
+        done |= (way > self._last + _AWAY) | (way_master > self._last_master + _AWAY)
         self._last[where], self._last_master[where] = way[where], way_master[where]
         way = np.maximum(way - self._tolerance, _TINY)
         way_master = np.maximum(way_master - self._tolerance_master, _TINY)

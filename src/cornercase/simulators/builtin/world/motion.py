@@ -148,6 +148,26 @@ def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -
             _advance(world, entity, track, at, way[at])
 
 
+def put_ahead(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
+    """Put an entity further along its track before it moves in the frame.
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    where : ndarray of bool, shape (N,)
+        Scenarios.
+    way : ndarray of float64, shape (N,)
+        m; negative backwards.
+    """
+    for k, track in enumerate(world.tracks[entity]):
+        at = np.flatnonzero(where & (world.track[entity] == k))
+        if at.size:
+            world.distance[entity][at] = _along(track, world.distance[entity][at], world.offset[entity][at], way[at])
+            _settle(world, entity, track, at)
+
+
 def pull_entity(
     world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
 ) -> None:
@@ -175,12 +195,8 @@ def pull_entity(
 
 
 def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:
-    offset = world.offset[e][at]
-    distance = world.distance[e][at]
-    if not isinstance(track, LaneTrack):
-        distance = distance + way
-    else:
-        distance = track.advance(distance, offset, way)
+    distance = _along(track, world.distance[e][at], world.offset[e][at], way)
+    if isinstance(track, LaneTrack):
         over = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & (way < 0.0))
         # An entity at the end stops once the last step has moved it neither on nor sideways, as in esmini.
         still = np.hypot(world.gone[0][e][at], world.gone[1][e][at]) < _STILL
@@ -190,6 +206,10 @@ def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) 
         world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], arrived), np.inf)
     world.distance[e][at] = distance
     _settle(world, e, track, at)
+
+
+def _along(track: Track, distance: FloatArray, offset: FloatArray, way: FloatArray) -> FloatArray:
+    return track.advance(distance, offset, way) if isinstance(track, LaneTrack) else distance + way
 
 
 def _settle(world: World, e: int, track: Track, at: IntArray) -> None:
