@@ -22,7 +22,7 @@ from cornercase.drivers import (
     DrivenPath,
 )
 from cornercase.drivers.route import plan_route
-from cornercase.drivers.yielding import meeting
+from cornercase.drivers.yielding import first_contact, meeting
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -102,6 +102,27 @@ def test_times_of_contact_agree_with_boxes_at_many_instants(own, heading, speed,
         )
     else:
         assert last - first <= 0.002001
+
+
+@given(
+    turns=st.lists(st.floats(-0.4, 0.4), min_size=4, max_size=60),
+    other=st.tuples(st.floats(-10, 40), st.floats(-25, 25), st.floats(-4, 4)),
+    offset=st.floats(-2, 2),
+    speed=st.floats(-3, 15),
+)
+@settings(max_examples=200, deadline=None)
+def test_places_that_are_passed_over_hold_no_contact(turns, other, offset, speed):
+    heading = np.cumsum(turns)
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y = 0.5 * np.cumsum(cos) + 1.4 * cos - offset * sin, 0.5 * np.cumsum(sin) + 1.4 * sin + offset * cos
+    places = np.column_stack([0.5 * np.arange(len(x)), x, y, cos, sin, 0.0 * x])
+    most = float(np.hypot(np.diff(x), np.diff(y)).max())
+    a, b, towards = other
+    legs = np.array([[a, b, math.cos(towards), math.sin(towards), 0.0, 8.0]])
+    for horizon in (0.0, 8.0):
+        them = (legs, 2.0, 0.8, speed)
+        touched = [k for k in range(1, len(x)) if meeting(places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon]
+        assert first_contact(places, most, (2.3, 0.9), 0.35, them, horizon) == (touched[0] if touched else -1)
 
 
 @pytest.mark.parametrize("name", PRESETS)

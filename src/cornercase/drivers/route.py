@@ -26,6 +26,9 @@ class Route(NamedTuple):
     squared_speed : ndarray of float64, shape (N, R)
         Square of the highest speed from which the curves ahead can be taken, in m²/s²; the lowest within one
         step.
+    longest, sharpest : ndarray of float64, shape (N,)
+        Largest distance between two samples that follow each other in m, and between the ends of their directions,
+        taken as unit vectors.
     """
 
     step: FloatArray
@@ -34,6 +37,8 @@ class Route(NamedTuple):
     cos: FloatArray
     sin: FloatArray
     squared_speed: FloatArray
+    longest: FloatArray
+    sharpest: FloatArray
 
 
 def plan_route(path: DrivenPath, *, lateral_acceleration: float, deceleration: float) -> Route:
@@ -57,7 +62,9 @@ def plan_route(path: DrivenPath, *, lateral_acceleration: float, deceleration: f
         for row in zip(*map(np.atleast_2d, (path.distance, path.x, path.y, path.heading, path.curvature)), strict=True)
     ]
     step, *curves = (np.array(column) for column in zip(*rows, strict=True))
-    return Route(step, *curves)
+    x, y, cos, sin, squared_speed = curves
+    longest, sharpest = (np.hypot(np.diff(a), np.diff(b)).max(axis=1) for a, b in ((x, y), (cos, sin)))
+    return Route(step, x, y, cos, sin, squared_speed, longest, sharpest)
 
 
 def _samples(path: DrivenPath) -> int:

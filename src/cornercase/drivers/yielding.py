@@ -93,13 +93,14 @@ def decide(behaviour, route, time, time_step, active, driven, seen, boxes, confl
     """
     scenarios = active.shape[0]
     result = np.zeros(scenarios)
-    # Row 0 is the place where the driven entity is, the others are the route's samples ahead of it:
-    # distance from here, centre of the box, cosine and sine of its heading, time of arrival.
-    ahead = np.empty((route.x.shape[1] + 1, 6))
-    legs = np.empty((TURN_LEGS + 1, 6))
+    # Row 0 is where the driven entity is, the others are the route's samples ahead of it: distance from here, centre
+    # of the box, cosine and sine of its heading, time of arrival.
+    places = np.empty((route.x.shape[1] + 1, 6))
+    legs, arrivals = np.empty((TURN_LEGS + 1, 6)), np.empty(2)
     for n in range(scenarios):
         if active[n]:
-            a = _decide_one(behaviour, route, time, time_step, n, driven, seen, boxes, conflicts, (ahead, legs))
+            tables = (places, arrivals, legs)
+            a = _decide_one(behaviour, route, time, time_step, n, driven, seen, boxes, conflicts, tables)
             a = min(max(a, -behaviour.max_deceleration), behaviour.acceleration)
             result[n] = max(a, -driven.speed[n] / time_step)
     return result
@@ -108,13 +109,16 @@ def decide(behaviour, route, time, time_step, active, driven, seen, boxes, confl
 @_kernel
 def _decide_one(behaviour, route, time, time_step, n, driven, seen, boxes, conflicts, tables):
     """Acceleration in one scenario, before it is cut to what the vehicle can do."""
-    ahead, legs = tables
+    places, arrivals, legs = tables
     row = n if route.x.shape[0] > 1 else 0
     v = max(driven.speed[n], 0.0)
     wanted = driven.target_speed[n] * behaviour.target_share
     if not wanted < math.inf:
         wanted = behaviour.max_speed
-    count = _look_ahead(behaviour, route, row, n, driven, v, wanted, ahead)
+    count, before, most = _look_ahead(behaviour, route, row, n, driven, v, places)
+    # Row up to which times of arrival are known, and the square of the speed there: few are ever asked for.
+    arrivals[0], arrivals[1] = 0.0, v * v
+    ahead = (places[:count], most, arrivals, route.squared_speed[row, before:], wanted * wanted)
     a = _keep_speed(behaviour, route, row, time_step, driven.distance[n], v, wanted)
     ego = (driven.half_length, driven.half_width)
     for o in range(seen.known.shape[1]):
@@ -124,7 +128,7 @@ def _decide_one(behaviour, route, time, time_step, n, driven, seen, boxes, confl
         count_legs = _foresee(seen, n, o, boxes.center_x[o], behaviour.horizon, legs)
         other = (legs[:count_legs], boxes.half_length[o], boxes.half_width[o], seen.speed[n, o])
         limit, conflict = _react(
-            behaviour, time_step, ahead[:count], ego, v, wanted, other, boxes.vulnerable[o], conflicts.yielding[n, o]
+            behaviour, time_step, ahead, ego, v, wanted, other, boxes.vulnerable[o], conflicts.yielding[n, o]
         )
         if conflict:
             conflicts.since[n, o] = min(conflicts.since[n, o], time)
@@ -139,45 +143,56 @@ def _decide_one(behaviour, route, time, time_step, n, driven, seen, boxes, confl
 
 
 @_kernel
-def _look_ahead(behaviour, route, row, n, driven, v, wanted, ahead):
-    """Fill the table of places ahead, and return how many there are."""
+def _look_ahead(behaviour, route, row, n, driven, v, places):
+    """Fill the table of places ahead, but for times of arrival.
+
+    Returns their number, the route's sample before them, and an upper bound of the way in m between two of them.
+    """
     distance, x, y, heading = driven.distance[n], driven.x[n], driven.y[n], driven.heading[n]
-    center_x = driven.center_x
+    center_x, step, samples = driven.center_x, route.step[row], route.x.shape[1]
     cos, sin = math.cos(heading), math.sin(heading)
-    ahead[0, 0] = 0.0
-    ahead[0, 1], ahead[0, 2] = x + center_x * cos, y + center_x * sin
-    ahead[0, 3], ahead[0, 4], ahead[0, 5] = cos, sin, 0.0
-    at = min(max(distance / route.step[row], 0.0), route.x.shape[1] - 1.0)
+    places[0, 0] = 0.0
+    places[0, 1], places[0, 2] = x + center_x * cos, y + center_x * sin
+    places[0, 3], places[0, 4], places[0, 5] = cos, sin, 0.0
+    at = min(max(distance / step, 0.0), samples - 1.0)
     first = int(at)
     part = at - first
-    after = min(first + 1, route.x.shape[1] - 1)
+    after = min(first + 1, samples - 1)
     # The driven entity is expected to keep its lateral offset from the path.
     path_x = route.x[row, first] + part * (route.x[row, after] - route.x[row, first])
     path_y = route.y[row, first] + part * (route.y[row, after] - route.y[row, first])
     offset = (y - path_y) * route.cos[row, first] - (x - path_x) * route.sin[row, first]
     braking = v * v / (2.0 * behaviour.comfortable_deceleration)
     reach = min(max(v * behaviour.horizon, braking) + behaviour.braking_distance + 30.0, LOOKAHEAD)
-    count = 1
-    squared, top = v * v, wanted * wanted
-    for k in range(first + 1, route.x.shape[1]):
-        way = k * route.step[row] - distance
-        if way <= 1e-6:
-            continue
-        if way > reach:
-            break
-        leg = way - ahead[count - 1, 0]
-        limit = min(top, route.squared_speed[row, k])
+    before = first
+    while before + 1 < samples and (before + 1) * step - distance <= 1e-6:
+        before += 1
+    last = max(before, min(samples - 1, int((reach + distance) / step) + 1))
+    while last > before and last * step - distance > reach:
+        last -= 1
+    for k in range(1, 1 + last - before):
+        cos, sin = route.cos[row, before + k], route.sin[row, before + k]
+        places[k, 0] = (before + k) * step - distance
+        places[k, 1] = route.x[row, before + k] + center_x * cos - offset * sin
+        places[k, 2] = route.y[row, before + k] + center_x * sin + offset * cos
+        places[k, 3], places[k, 4] = cos, sin
+    most = route.longest[row] + (abs(center_x) + abs(offset)) * route.sharpest[row]
+    return 1 + last - before, before, most
+
+
+@_kernel
+def _arrive(behaviour, ahead, k):
+    """Time in s at which the driven entity is to come to a place ahead."""
+    places, _, arrivals, squared_limits, squared_wanted = ahead
+    for i in range(int(arrivals[0]) + 1, k + 1):
+        leg, squared = places[i, 0] - places[i - 1, 0], arrivals[1]
+        limit = min(squared_wanted, squared_limits[i])
         slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
         then = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
         both = math.sqrt(squared) + math.sqrt(then)
-        ahead[count, 0] = way
-        ahead[count, 1] = route.x[row, k] + center_x * route.cos[row, k] - offset * route.sin[row, k]
-        ahead[count, 2] = route.y[row, k] + center_x * route.sin[row, k] + offset * route.cos[row, k]
-        ahead[count, 3], ahead[count, 4] = route.cos[row, k], route.sin[row, k]
-        ahead[count, 5] = ahead[count - 1, 5] + (2.0 * leg / both if both > 0.0 else math.inf)
-        squared = then
-        count += 1
-    return count
+        places[i, 5] = places[i - 1, 5] + (2.0 * leg / both if both > 0.0 else math.inf)
+        arrivals[0], arrivals[1] = i, then
+    return places[k, 5]
 
 
 @_kernel
@@ -230,23 +245,24 @@ def _react(behaviour, time_step, ahead, ego, v, wanted, other, vulnerable, yield
     Returns ``(inf, False)`` where the other does not matter.
     """
     legs, half_length, half_width, speed = other
-    dx, dy = legs[0, 0] - ahead[0, 1], legs[0, 1] - ahead[0, 2]
-    way = ahead[-1, 0] + abs(speed) * behaviour.horizon
+    places = ahead[0]
+    dx, dy = legs[0, 0] - places[0, 1], legs[0, 1] - places[0, 2]
+    way = places[-1, 0] + abs(speed) * behaviour.horizon
     if math.hypot(dx, dy) > way + ego[0] + ego[1] + half_length + half_width + LANE:
         return math.inf, False
-    if meeting(ahead, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
-        in_front = dx * ahead[0, 3] + dy * ahead[0, 4] > 0.0
+    if meeting(places, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
+        in_front = dx * places[0, 3] + dy * places[0, 4] > 0.0
         return (-behaviour.max_deceleration if in_front else math.inf), False
     # The margin is dropped where the other is already within it.
     margin = behaviour.lateral_margin
-    if meeting(ahead, 0, ego, margin, other, 0.0)[0] <= 0.0:
+    if meeting(places, 0, ego, margin, other, 0.0)[0] <= 0.0:
         margin = 0.0
 
     standing = abs(speed) < STANDING
-    k = _first_contact(ahead, ego, margin, other)
-    if k > 0 and (standing or _along(ahead, k, other, 0) >= ALIGNED):
+    k = first_contact(places, ahead[1], ego, margin, other, 0.0)
+    if k > 0 and (standing or _along(places, k, other, 0) >= ALIGNED):
         gap = _refine(ahead, k, ego, margin, other, 0.0)
-        return _follow(behaviour, v, gap, 0.0 if standing else _speed_along(ahead, k, other)), False
+        return _follow(behaviour, v, gap, 0.0 if standing else _speed_along(places, k, other)), False
     if standing:
         if vulnerable and behaviour.standing_caution < 1.0:
             return _pass_with_caution(behaviour, time_step, ahead, ego, v, wanted, other), False
@@ -257,29 +273,30 @@ def _react(behaviour, time_step, ahead, ego, v, wanted, other, vulnerable, yield
 @_kernel
 def _give_way(behaviour, time_step, ahead, ego, margin, v, other, in_corridor, yielding):
     """Acceleration that gives way to another who crosses, and whether that is needed."""
-    enters, _, leg = meeting(ahead, 0, ego, margin, other, behaviour.horizon)
+    places = ahead[0]
+    enters, _, leg = meeting(places, 0, ego, margin, other, behaviour.horizon)
     in_its_way = enters < math.inf
-    inside = in_its_way and _along(ahead, 0, other, leg) > -ALIGNED
+    inside = in_its_way and _along(places, 0, other, leg) > -ALIGNED
     gap = behaviour.safety_time * (RELEASE if yielding else 1.0)
     start, conflict = _find_conflict(behaviour, ahead, ego, margin, other, gap, gap, inside)
     if conflict < 0:
         return math.inf, False
-    since, _, leg = meeting(ahead, start, ego, margin, other, behaviour.horizon)
-    along = _along(ahead, start, other, leg)
+    since, _, leg = meeting(places, start, ego, margin, other, behaviour.horizon)
+    along = _along(places, start, other, leg)
     if along <= -ALIGNED and since > CUT_IN and not in_corridor:
         return math.inf, False
     if along >= ALIGNED and since <= CUT_IN:
         beside = behaviour.lateral_margin + LANE
-        if meeting(ahead, 0, ego, beside, other, 0.0)[0] > 0.0:
-            k = _first_contact(ahead, ego, beside, other)
+        if meeting(places, 0, ego, beside, other, 0.0)[0] > 0.0:
+            k = first_contact(places, ahead[1], ego, beside, other, 0.0)
             if k > 0:
                 way = _refine(ahead, k, ego, beside, other, 0.0)
-                return _follow(behaviour, v, way, _speed_along(ahead, k, other)), False
+                return _follow(behaviour, v, way, _speed_along(places, k, other)), False
 
     if inside:
         room = 0.0
     elif in_its_way and start == 1:
-        room = ahead[conflict, 0]
+        room = places[conflict, 0]
     else:
         room = _refine(ahead, start, ego, margin, other, behaviour.horizon)
     soft = _needed(v, room - behaviour.braking_distance)
@@ -305,31 +322,37 @@ def _find_conflict(behaviour, ahead, ego, margin, other, gap_first, gap_after, p
     Past the point of choice, the driver expects those behind it in the same direction to brake.
     Returns the row where the stretch that holds the place begins, and its own row (-1: there is none).
     """
-    start = -1
-    for k in range(1, ahead.shape[0]):
-        enters, leaves, leg = meeting(ahead, k, ego, margin, other, behaviour.horizon)
+    start, k, places, most = -1, 0, ahead[0], ahead[1]
+    while k + 1 < len(places):
+        k += 1
+        rows = _rows_apart(places, most, k, ego, margin, other, behaviour.horizon)
+        if rows > 0:
+            start, k = -1, k + rows - 1
+            continue
+        enters, leaves, leg = meeting(places, k, ego, margin, other, behaviour.horizon)
         if enters == math.inf:
             start = -1
             continue
         if start < 0:
             start = k
-        if past_choice and ahead[k, 5] < enters and _along(ahead, k, other, leg) >= ALIGNED:
+        arrives = _arrive(behaviour, ahead, k)
+        if past_choice and arrives < enters and _along(places, k, other, leg) >= ALIGNED:
             continue
-        if enters - gap_first < ahead[k, 5] < leaves + gap_after:
+        if enters - gap_first < arrives < leaves + gap_after:
             return start, k
     return -1, -1
 
 
 @_kernel
 def _pass_with_caution(behaviour, time_step, ahead, ego, v, wanted, other):
-    slow = behaviour.standing_caution * wanted
-    if meeting(ahead, 0, ego, ROADSIDE, other, 0.0)[0] <= 0.0:
+    slow, places = behaviour.standing_caution * wanted, ahead[0]
+    if meeting(places, 0, ego, ROADSIDE, other, 0.0)[0] <= 0.0:
         room = 0.0
     else:
-        k = _first_contact(ahead, ego, ROADSIDE, other)
+        k = first_contact(places, ahead[1], ego, ROADSIDE, other, 0.0)
         if k < 0:
             return math.inf
-        room = max(ahead[k, 0] - v * time_step, 0.0)
+        room = max(places[k, 0] - v * time_step, 0.0)
     allowed = math.sqrt(slow * slow + 2.0 * behaviour.comfortable_deceleration * room)
     return max((allowed - v) / time_step, -behaviour.comfortable_deceleration)
 
@@ -365,28 +388,65 @@ def _speed_along(places, row, other):
 
 
 @_kernel
-def _first_contact(ahead, ego, margin, other):
-    """First row ahead at which the driven entity would touch the other where that is now; -1 for none."""
-    for k in range(1, ahead.shape[0]):
-        if meeting(ahead, k, ego, margin, other, 0.0)[0] <= 0.0:
+def first_contact(places, most, ego, margin, other, horizon):
+    """First place ahead at which the driven entity would touch the other.
+
+    Parameters
+    ----------
+    places, ego, margin, other, horizon
+        As in `meeting`; row 0 of the places is left out.
+    most : float
+        m between the centres at two places that follow each other, at most.
+
+    Returns
+    -------
+    int
+        Row; -1 for none.
+    """
+    k = 0
+    while k + 1 < len(places):
+        k += 1
+        rows = _rows_apart(places, most, k, ego, margin, other, horizon)
+        if rows > 0:
+            k += rows - 1
+        elif meeting(places, k, ego, margin, other, horizon)[0] <= horizon:
             return k
     return -1
 
 
 @_kernel
+def _rows_apart(places, most, k, ego, margin, other, horizon):
+    """How many places, from one on, are too far from the other to be touched."""
+    legs, half_length, half_width, speed = other
+    own, least = math.hypot(ego[0], ego[1] + margin), math.inf
+    for leg in range(legs.shape[0]):
+        if leg > 0 and legs[leg, 4] >= horizon:
+            break
+        dx, dy = legs[leg, 0] - places[k, 1], legs[leg, 1] - places[k, 2]
+        across = abs(dy * legs[leg, 2] - dx * legs[leg, 3]) - half_width
+        begin = dx * legs[leg, 2] + dy * legs[leg, 3]
+        end = begin + speed * max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
+        along = max(min(begin, end), -max(begin, end)) - half_length
+        least = min(least, max(across, along) - own)
+    if not least > 1e-6:
+        return 0
+    return 1 + int(min((least - 1e-6) / most, float(len(places))))
+
+
+@_kernel
 def _refine(ahead, k, ego, margin, other, horizon):
     """Distance from here at which contact begins, between row `k`, where it is, and the row before."""
-    place = np.empty((1, 6))
+    place, places = np.empty((1, 6)), ahead[0]
     low, high = 0.0, 1.0
     for _ in range(6):
         middle = 0.5 * (low + high)
         for i in range(5):
-            place[0, i] = ahead[k - 1, i] + middle * (ahead[k, i] - ahead[k - 1, i])
+            place[0, i] = places[k - 1, i] + middle * (places[k, i] - places[k - 1, i])
         if meeting(place, 0, ego, margin, other, horizon)[0] <= horizon:
             high = middle
         else:
             low = middle
-    return ahead[k - 1, 0] + low * (ahead[k, 0] - ahead[k - 1, 0])
+    return places[k - 1, 0] + low * (places[k, 0] - places[k - 1, 0])
 
 
 @_kernel
@@ -427,6 +487,9 @@ def meeting(places, row, ego, margin, other, horizon):
         reach = own_length + own_width + half_length + half_width + abs(speed) * last
         if abs(dx) > reach or abs(dy) > reach:
             continue
+        sideways = dy * legs[leg, 2] - dx * legs[leg, 3]
+        if abs(sideways) > own_length + own_width + half_width:
+            continue
         cos = places[row, 3] * legs[leg, 2] + places[row, 4] * legs[leg, 3]
         sin = places[row, 3] * legs[leg, 3] - places[row, 4] * legs[leg, 2]
         for axis in range(4):
@@ -443,7 +506,7 @@ def meeting(places, row, ego, margin, other, horizon):
                 radius = half_length + own_length * abs(cos) + own_width * abs(sin)
                 rate = speed
             else:
-                apart = dy * legs[leg, 2] - dx * legs[leg, 3]
+                apart = sideways
                 radius = half_width + own_length * abs(sin) + own_width * abs(cos)
                 rate = 0.0
             if abs(rate) < 1e-9:
