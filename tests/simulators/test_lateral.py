@@ -37,6 +37,21 @@ def test_a_relative_lane_offset_is_to_the_left_of_whom_it_refers_to(tmp_path, la
     assert recording.y[0][-1] == pytest.approx(end)
 
 
+def change_to(lane, dynamics):
+    return f"""<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="linear" {dynamics}/>
+<LaneChangeTarget><AbsoluteTargetLane value="{lane}"/></LaneChangeTarget></LaneChangeAction></LateralAction></PrivateAction>"""
+
+
+def test_who_moves_only_sideways_goes_on_the_way_that_it_came(tmp_path):
+    init = private("Ego", teleport("150", "1"), speed_action("1"))
+    events = event("e", change_to(-1, 'dynamicsDimension="time" value="1"'), time_trigger("1"))
+    events += event("f", change_to(-1, 'dynamicsDimension="distance" value="5"'), time_trigger("2"))
+    path = scenario_file(tmp_path, init=init, story=story_of(events))
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
+    assert abs(np.sin(recording.heading[0][30])) == pytest.approx(1.0)
+    assert recording.x[0][-1] < recording.x[0][30] - 2.0
+
+
 def test_a_lateral_distance_springs_back_without_the_other_ones_lane_change(tmp_path):
     # The gap is what a spring of 0.4 times the largest acceleration closes, critically damped, whoever drives beside.
     action = """<PrivateAction><LateralAction><LateralDistanceAction entityRef="Other" distance="2" freespace="false"

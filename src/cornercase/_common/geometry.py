@@ -15,6 +15,9 @@ _CONTACT = 1e-9
 _STEADY = 1e-12
 """Acceleration in m/s² that is rounding: it takes two weeks for a metre."""
 
+_ACROSS = 1e-7
+"""Cosine of an angle that rounding does not tell from a quarter turn."""
+
 _SIGNS_ALONG = np.array([1.0, 1.0, -1.0, -1.0])
 _SIGNS_ACROSS = np.array([-1.0, 1.0, 1.0, -1.0])
 
@@ -33,6 +36,21 @@ def within_half_turn(angle: npt.ArrayLike) -> FloatArray:
         rad.
     """
     return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi)
+
+
+def looks_ahead(angle: npt.ArrayLike) -> BoolArray:
+    """Whether who is turned by an angle still looks ahead rather than back; straight across counts as ahead.
+
+    Parameters
+    ----------
+    angle : array_like of float, shape (...)
+        rad.
+
+    Returns
+    -------
+    ndarray of bool, shape (...)
+    """
+    return np.asarray(np.cos(angle) > -_ACROSS)
 
 
 def box_corners(

@@ -8,6 +8,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.geometry import looks_ahead
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
@@ -25,6 +26,9 @@ from cornercase.simulators.builtin.world.lanes import attach_to_lane, change_lan
 from cornercase.simulators.builtin.world.motion import move_at_once, settle_on_track
 from cornercase.simulators.builtin.world.state import LATERAL, World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
+
+# rad; who moves only sideways is turned by a little less than a quarter, and still looks the way that it came.
+_SIDEWAYS: Final = 0.5 * np.pi - 1e-6
 
 # m/s²; esmini's figure for a lane offset without one.
 _GENTLE: Final = 0.5
@@ -95,7 +99,7 @@ class LaneChangeAction(Action):
             part = np.where(slow, np.clip(done / extent, 0.0, 1.0), self._transition.at(done / extent))
             ahead = np.sqrt(np.maximum(way**2 - across**2, 0.0))
             turn = np.arctan2(np.sign(rate) * across, ahead)
-            turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * 0.5 * np.pi, turn)
+            turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * _SIDEWAYS, turn)
         offset = np.where(abrupt, self._to, self._from + part * change)
         arrived = abrupt | (done >= self._extent - 1e-9) | (np.abs(offset - self._to) < _THERE)
         self._done[moves] = done[moves]
@@ -158,7 +162,7 @@ class LaneOffsetAction(Action):
         else:
             # Its left is the left of the entity that it refers to.
             apart = world.heading[self._reference] - (world.heading[e] - world.turn[e])
-            side = np.where(np.cos(apart) > -1e-6, self._value, -self._value)
+            side = np.where(looks_ahead(apart), self._value, -self._value)
             target = offset_from(world, e, self._reference) + side
         self._to[where] = target[where]
         self._duration[where] = time_by_acceleration(self._shape, self._to - self._from, self._most)[where]

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.geometry import within_half_turn
+from cornercase._common.geometry import looks_ahead, within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Pose, Track
@@ -283,5 +283,5 @@ def _direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, In
         rows = where & (pose.road == road)
         one = world.network.roads[int(road)]
         section[rows] = one.section_at(pose.s[rows])
-        along[rows] = np.cos(pose.heading[rows] - one.reference(pose.s[rows])[2]) > -1e-6
+        along[rows] = looks_ahead(pose.heading[rows] - one.reference(pose.s[rows])[2])
     return pose.road, section, along

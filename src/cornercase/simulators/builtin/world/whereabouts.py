@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.geometry import looks_ahead
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Pose
@@ -129,7 +130,7 @@ def looks_along(world: World, pose: Pose) -> BoolArray:
     -------
     ndarray of bool, shape (N,)
     """
-    return np.asarray(np.cos(pose.heading - road_heading(world, pose)) > -1e-6)
+    return looks_ahead(pose.heading - road_heading(world, pose))
 
 
 def speed_along_road(world: World, entity: int) -> FloatArray:
