@@ -180,3 +180,11 @@ def test_a_lane_offset_counts_in_the_step_in_which_its_entity_is_put_somewhere(t
     first = int(np.argmax(recording.x[0] > 90.0))
     assert recording.x[0][first] == pytest.approx(100.0)
     assert recording.y[0][first] == pytest.approx(-1.1)
+
+
+def test_a_lane_change_ends_where_the_road_does(tmp_path):
+    recording = alone(tmp_path, event("e", lane_change("1", time="4"), time_trigger("1")), s="470")
+    at_end = recording.x[0] >= 500.0 - 1e-6
+    assert recording.y[0][at_end] == pytest.approx(0.0, abs=0.06)
+    assert recording.heading[0][at_end] == pytest.approx(np.arcsin(0.1))
+    assert recording.speed[0][-1] == 0.0

@@ -101,7 +101,7 @@ class LaneChangeAction(Action):
             turn = np.arctan2(np.sign(rate) * across, ahead)
             turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * _SIDEWAYS, turn)
         offset = np.where(abrupt, self._to, self._from + part * change)
-        arrived = abrupt | (done >= self._extent - 1e-9) | (np.abs(offset - self._to) < _THERE)
+        arrived = abrupt | (done > self._extent - _THERE) | (np.abs(offset - self._to) < _THERE)
         self._done[moves] = done[moves]
         world.offset[e][moves] = offset[moves]
         world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
@@ -111,7 +111,10 @@ class LaneChangeAction(Action):
         world.pace[e][where] = world.speed[e][where]
         world.moved[e][where] = True
         move_at_once(world, e, moves, np.sign(world.speed[e]) * np.where(abrupt, way, ahead))
-        return np.asarray(where & moves & arrived)
+        # At the end of the road it is over, wherever between the lanes that is.
+        stuck = moves & ~arrived & np.isfinite(world.at_end_since[e])
+        self.leave(world, stuck)
+        return np.asarray(moves & arrived | stuck)
 
     def leave(self, world: World, where: BoolArray) -> None:
         """Leave the entity in the lane that it is in by now, or in that of the change where it follows a route."""
