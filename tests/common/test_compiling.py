@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 PROGRAM = """
 import json, sys, time
@@ -62,3 +63,15 @@ def test_processes_that_compile_at_once_do_not_mix_up_their_kernels(tmp_path):
     flat, square = np.array(later["euclidean-1"]), np.array(later["squared-1"])
     assert (flat >= square - 1e-12).all()
     assert not np.allclose(flat, square)
+
+
+@pytest.mark.parametrize("ending", [".nbi", ".nbc"])
+@pytest.mark.parametrize("left", [0, 40])
+def test_machine_code_that_was_cut_is_compiled_again(tmp_path, ending, left):
+    first = said(started(tmp_path, 0.0, "euclidean-1"))
+    for path in tmp_path.rglob(f"*{ending}"):
+        path.write_bytes(path.read_bytes()[:left])
+    assert said(started(tmp_path, 0.0, "euclidean-1")) == first
+    whole = {path: path.read_bytes() for path in tmp_path.rglob("*.nb?")}
+    assert said(started(tmp_path, 0.0, "euclidean-1")) == first
+    assert whole == {path: path.read_bytes() for path in tmp_path.rglob("*.nb?")}

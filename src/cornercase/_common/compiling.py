@@ -20,12 +20,17 @@ class _SharedCache(FunctionCache):
     """numba's cache on disk, one process at a time.
 
     numba reads the index of a function, adds to it and writes it back: of two processes that compile different
-    versions of the function at once, one can end up with the other's machine code under its own key.
+    versions of the function at once, one can end up with the other's machine code under its own key. Files that were
+    cut, when the disk was full or the machine died, count as missing.
     """
 
     def load_overload(self, sig, target_context):
         with held_lock(self._lock_path()):
-            return super().load_overload(sig, target_context)
+            try:
+                return super().load_overload(sig, target_context)
+            except Exception:  # what pickle raises for a part of a file is not one kind of error
+                self.flush()
+                return None
 
     def save_overload(self, sig, data):
         with held_lock(self._lock_path()):
