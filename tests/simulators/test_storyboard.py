@@ -322,6 +322,15 @@ def test_time_to_collision_is_of_the_motion_before_the_frame(tmp_path):
     assert of_speed(recording, 1.1) == pytest.approx(15.0)
 
 
+def test_who_overlaps_from_the_start_collides_in_the_first_frame(tmp_path):
+    collides = '<CollisionCondition><EntityRef entityRef="Lead"/></CollisionCondition>'
+    then = event("then", speed_action("20"), of_entity(collides))
+    path = file(tmp_path, then, init=placed() + placed("Lead", "52"), entities=car("Ego") + car("Lead"))
+    recording = run(path)
+    assert recording.speed[0][0] == 20.0
+    assert [collision.time for collision in recording.collisions] == [0.0]
+
+
 @pytest.mark.parametrize(("rule", "speed"), [("greaterThan", 4.0), ("lessThan", 20.0)])
 def test_braking_is_a_negative_acceleration(tmp_path, rule, speed):
     brake = event("brake", speed_action("4", "linear", "rate", "3"), time_trigger("1"))

@@ -151,7 +151,8 @@ class Batch:
 
     def _find_collisions(self) -> None:
         world, contacts = self._world, self._contacts
-        before = world.touching.copy()
+        # Who overlaps from the start collides in the first row.
+        before = world.touching & (self._instants > 1)
         find_contacts(world)
         begun: BoolArray = world.touching & ~before & world.running
         for a, b, i in np.argwhere(begun):

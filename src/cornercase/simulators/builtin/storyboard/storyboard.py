@@ -19,6 +19,7 @@ from cornercase.simulators.builtin.paths.positions import entities_in, entity_in
 from cornercase.simulators.builtin.storyboard.element import Element, Watch
 from cornercase.simulators.builtin.storyboard.events import Event, Group, RunningAction
 from cornercase.simulators.builtin.storyboard.triggers import Trigger, read_trigger
+from cornercase.simulators.builtin.world.contacts import find_contacts
 from cornercase.simulators.builtin.world.motion import velocity_ahead
 from cornercase.simulators.builtin.world.state import World
 
@@ -80,8 +81,9 @@ class Storyboard:
         if dt == 0.0:
             for action in self._init:
                 action.start(world.running.copy())
-            # Nothing has moved yet, but conditions on velocities hold from the start.
+            # Nothing has moved yet, but conditions on velocities and collisions hold from the start.
             world.gone = velocity_ahead(world)
+            find_contacts(world)
             for story in self.stories:
                 story.start(world.running.copy())
         stopped = self._stop.fires(world, world.running.copy())
