@@ -101,3 +101,25 @@ def test_who_stands_from_the_start_stands_since_the_first_step(tmp_path):
     recording = run(path)
     assert recording.x[0][round(0.3 / DT)] == pytest.approx(50.0)
     assert recording.x[0][round(0.35 / DT)] == pytest.approx(100.0)
+
+
+def test_a_lateral_distance_on_a_road_is_across_the_road_for_who_follows_a_trajectory(tmp_path):
+    # From the middle of lane -1 at 50 m straight to the middle of lane 1 at 90 m: 3 m across after 30 m and 3 s.
+    vertices = "".join(
+        f'<Vertex time="0"><Position><LanePosition roadId="1" laneId="{lane}" s="{s}"/></Position></Vertex>'
+        for lane, s in (("-1", "50"), ("1", "90"))
+    )
+    follow = f"""<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false">
+<Shape><Polyline>{vertices}</Polyline></Shape></Trajectory></TrajectoryRef><TimeReference><None/></TimeReference>
+<TrajectoryFollowingMode followingMode="follow"/></FollowTrajectoryAction></RoutingAction></PrivateAction>"""
+    distance = """<RelativeDistanceCondition entityRef="Lead" value="3" rule="greaterThan" freespace="false"
+coordinateSystem="lane" relativeDistanceType="lateral"/>"""
+    events = event("follow", follow, time_trigger("0")) + event("e", speed_action("5"), of_entity(distance))
+    path = scenario_file(
+        tmp_path,
+        init=placed() + placed("Lead", "150", "10"),
+        story=story_of(events),
+        entities=car("Ego") + car("Lead"),
+    )
+    recording = run(path, 4.0)
+    assert recording.time[np.argmax(recording.speed[0] < 10)] == pytest.approx(3.05, abs=0.06)

@@ -12,7 +12,7 @@ from cornercase._common.geometry import box_corners
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.track import Pose
-from cornercase.simulators.builtin.world.free_space import free_space_on_road, free_space_to_place
+from cornercase.simulators.builtin.world.free_space import beside_on_road, free_space_on_road, free_space_to_place
 from cornercase.simulators.builtin.world.gaps import (
     along_roads,
     distance_ahead,
@@ -53,11 +53,12 @@ class Gap:
             return np.asarray(sign * _distance(world, e, world.x[other], world.y[other]))
         if self.kind == "lateral":
             if self.along_road:
-                linked = np.isfinite(along_roads(world, e, lane_of(world, other)))
+                place = lane_of(world, other)
+                linked = np.isfinite(along_roads(world, e, place))
                 apart = np.where(linked, offset_from(world, e, other) - world.offset[e], np.inf)
                 half = 0.5 * (world.entities[e].width + world.entities[other].width)
                 if not self.free:
-                    return apart
+                    return beside_on_road(world, e, place, apart)
                 narrowed = np.sign(apart) * np.maximum(np.abs(apart) - half, 0.0)
                 return free_space_on_road(world, e, other, True, narrowed)
             return lateral_gap(world, e, other) if self.free else distance_beside(world, e, other)
@@ -92,8 +93,13 @@ class Gap:
                 linked = np.isfinite(along_roads(world, e, pose))
                 across = np.where(linked, offset_of(world, e, pose.x, pose.y) - world.offset[e], np.inf)
             result = np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
-            whole = self.along_road and self.free
-            return free_space_to_place(world, e, pose, True, result) if whole else result
+            if not self.along_road:
+                return result
+            return (
+                free_space_to_place(world, e, pose, True, result)
+                if self.free
+                else beside_on_road(world, e, pose, result)
+            )
         way = dx * cos + dy * sin
         if self.along_road:
             way = ahead_on_road(world, e, pose, along_roads(world, e, pose))

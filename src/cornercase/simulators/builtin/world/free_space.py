@@ -86,6 +86,34 @@ def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, o
     return np.where(same, np.where((least < 0.0) != (most < 0.0), 0.0, least), otherwise)
 
 
+def beside_on_road(world: World, entity: int, place: Pose, otherwise: FloatArray) -> FloatArray:
+    """Difference in t between an entity and a place on its road in m, shape (N,).
+
+    Parameters
+    ----------
+    world : World
+    entity : int
+        Row of the entity.
+    place : Pose
+    otherwise : ndarray of float64, shape (N,)
+        What it is where they are on different roads.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        m; positive where the place lies further to the left of the road.
+    """
+    own = lane_of(world, entity)
+    if own.road is None or place.road is None or place.s is None:
+        return otherwise
+    same = (own.road == place.road) & world.present[entity] & np.isfinite(place.x)
+    own_t, t = (
+        _on_road(world, pose, np.stack([pose.x, pose.y], axis=-1)[:, None, :], same, True)[:, 0]
+        for pose in (own, place)
+    )
+    return np.where(same, t - own_t, otherwise)
+
+
 def _direction(world: World, pose: Pose) -> FloatArray:
     """1 where the heading of a pose is along s, else -1, shape (N,)."""
     return np.where(looks_along(world, pose), 1.0, -1.0)
