@@ -7,17 +7,21 @@ match has to leave that list, so that it is held from then on.
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from random import Random
 
 import pytest
 
 import cornercase as cc
-from agreement import disagreement, last_instant, tracks_of_file
+from agreement import disagreement, last_instant, tracks_of, tracks_of_file
 from conftest import ran
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import BuiltinSimulator, EsminiSimulator
 from storyboards import storyboard, write_roads
+
+DRAWN = [f"s0-{k:04}" for k in range(100)]
+"""Storyboards as ``benchmarks/esmini.py`` draws and names them with seed 0."""
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
 DIFFERENCES = json.loads((Path(__file__).parents[1] / "data" / "esmini_differences.json").read_text(encoding="utf-8"))
@@ -35,6 +39,14 @@ def recorded():
     return found
 
 
+def held(name, off):
+    """Demand that a recording matches, or differs where that is known."""
+    if name not in DIFFERENCES:
+        assert off == ""
+    else:
+        assert off != "", f"{name} now matches: take it out of tests/data/esmini_differences.json"
+
+
 @pytest.mark.parametrize(("scenario", "values", "expected"), recorded())
 def test_gives_the_recording_of_esmini(scenario, values, expected):
     tracks = tracks_of_file(expected)
@@ -44,15 +56,12 @@ def test_gives_the_recording_of_esmini(scenario, values, expected):
         off = disagreement(tracks, recording)
     except (cc.InputError, cc.SimulationError) as error:
         off = str(error)
-    if expected.stem not in DIFFERENCES:
-        assert off == ""
-    else:
-        assert off != "", f"{expected.stem} now matches: take it out of tests/data/esmini_differences.json"
+    held(expected.stem, off)
 
 
 @pytest.mark.skipif(not (REFERENCE / "index.json").is_file(), reason="the recordings are not beside the checkout")
 def test_what_differs_is_among_the_recordings():
-    assert set(DIFFERENCES) <= {one.id for one in recorded()}
+    assert set(DIFFERENCES) <= {one.id for one in recorded()} | set(DRAWN)
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +79,16 @@ def test_random_storyboards_are_valid_and_run(roads, seed):
     assert not found.invalid
     assert not found.trouble
     assert storyboard(Random(seed)) == path.read_text()
+
+
+@pytest.mark.skipif("CORNERCASE_ESMINI" not in os.environ, reason="CORNERCASE_ESMINI does not name esmini's library")
+@pytest.mark.parametrize("name", DRAWN)
+def test_random_storyboards_run_as_in_esmini(roads, name):
+    path = roads / f"{name}.xosc"
+    seed, number = name[1:].split("-")
+    path.write_text(storyboard(Random(f"{seed}-{int(number)}")), encoding="utf-8")
+    theirs = EsminiSimulator(duration=20.0, controllers=False, undriven=True)
+    (expected,) = ran(theirs, [ConcreteScenario(path, {})])
+    tracks = tracks_of(expected)
+    (recording,) = ran(BuiltinSimulator(duration=min(last_instant(tracks) + 1.0, 20.0)), [ConcreteScenario(path, {})])
+    held(name, disagreement(tracks, recording))
