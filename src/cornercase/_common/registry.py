@@ -65,6 +65,9 @@ class Registry(Generic[T]):
         """
         return sorted({*self._factories, *(entry.name for entry in entry_points(group=self._group))})
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._factories or any(entry.name == name for entry in entry_points(group=self._group))
+
     def create(self, name: str, **options: Any) -> T:
         """Build the one called `name`.
 

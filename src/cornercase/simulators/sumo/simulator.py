@@ -189,7 +189,7 @@ class SumoSimulator(Simulator):
         """Vehicle type of each entity that SUMO drives."""
         chosen = {**scenario.drivers, **self._drivers}
         for name, driver in chosen.items():
-            if isinstance(driver, str) and driver not in TYPES and driver not in DRIVERS.names():
+            if isinstance(driver, str) and driver not in TYPES and driver not in DRIVERS:
                 known = (*TYPES, *DRIVERS.names())
                 raise InputError(
                     f"{scenario.path}: '{name}' asks for the driver '{driver}'; {suggestion(driver, known)}"

@@ -180,7 +180,7 @@ def registered_driver(name: str, where: str) -> Driver:
     InputError
         There is none; a file cannot name a class to load.
     """
-    if name not in DRIVERS.names():
+    if name not in DRIVERS:
         raise InputError(
             f"{where}: asks for the driver '{name}', which does not exist; {suggestion(name, DRIVERS.names())}"
         )
