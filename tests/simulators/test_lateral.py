@@ -8,6 +8,7 @@ import pytest
 from conftest import car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
+from storyboards import write_roads
 
 DT = 0.05
 
@@ -50,6 +51,20 @@ def test_who_moves_only_sideways_goes_on_the_way_that_it_came(tmp_path):
     (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
     assert abs(np.sin(recording.heading[0][30])) == pytest.approx(1.0)
     assert recording.x[0][-1] < recording.x[0][30] - 2.0
+
+
+def test_who_moves_only_sideways_in_a_bend_knows_who_is_ahead(tmp_path):
+    keeps = """<PrivateAction><LongitudinalAction><LongitudinalDistanceAction entityRef="Other" freespace="false" distance="10"
+continuous="true" coordinateSystem="road"><DynamicConstraints maxAcceleration="0.1" maxDeceleration="0.1"/>
+</LongitudinalDistanceAction></LongitudinalAction></PrivateAction>"""
+    change = change_to(1, 'dynamicsDimension="time" value="1"')
+    init = private("Ego", teleport("133"), speed_action("0.5")) + private("Other", teleport("233"), speed_action("0"))
+    story = story_of(event("e", change, time_trigger("1")) + event("f", keeps, time_trigger("1")))
+    path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Other"))
+    write_roads(tmp_path)
+    path.write_text(path.read_text().replace("road.xodr", "curve.xodr"))
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
+    assert np.diff(recording.speed[0]).min() >= 0.0
 
 
 def test_a_lateral_distance_springs_back_without_the_other_ones_lane_change(tmp_path):

@@ -27,8 +27,9 @@ from cornercase.simulators.builtin.world.motion import move_at_once, settle_on_t
 from cornercase.simulators.builtin.world.state import LATERAL, World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
-# rad; who moves only sideways is turned by a little less than a quarter, and still looks the way that it came.
-_SIDEWAYS: Final = 0.5 * np.pi - 1e-6
+# rad; who moves only sideways is turned by a little less than a quarter, and still looks the way that it came: on a
+# bend, too, where headings of lanes are known to a part of this.
+_SIDEWAYS: Final = 0.5 * np.pi - 1e-3
 
 # m/s²; esmini's figure for a lane offset without one.
 _GENTLE: Final = 0.5
