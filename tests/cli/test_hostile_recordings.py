@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import lzma
+import os
 import struct
 from importlib.util import find_spec
 
@@ -191,3 +192,49 @@ def test_a_table_of_recordings_may_be_hostile_too(tmp_path):
         )
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
     assert not (tmp_path / "s.db").exists()
+
+
+PIPES = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in folders here")
+
+
+@PIPES
+@pytest.mark.parametrize("name", ["r.csv", "r.erg", "r.log", "r.xml", "r.osi", "r.xz", "r"])
+def test_a_pipe_is_no_recording_and_nobody_waits_for_it(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    result = command("measure", tmp_path / name, "--ego", "Ego", "--other", "B", "-o", tmp_path / "out.csv")
+    assert result.returncode == 2
+    assert "is not a file" in result.stderr
+    assert not (tmp_path / "out.csv").exists()
+
+
+@PIPES
+def test_a_table_of_recordings_is_a_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "endless.csv").symlink_to("/dev/zero")
+    (tmp_path / "long.csv").write_text(",".join(f"column{k}" for k in range(10_000)) + "\n")
+    options = ("--ego", "Ego", "--other", "B", "--metric", "ttc", "-o", tmp_path / "s.db")
+    for name, said in (("pipe", "is not a file"), ("endless", "is not a file"), ("long", "needs a header with 'file'")):
+        result = command("import", tmp_path, "--parameters", tmp_path / f"{name}.csv", *options)
+        assert (result.returncode, len(result.stderr.splitlines())) == (2, 1)
+        assert said in result.stderr
+        assert len(result.stderr) < 1500
+    assert not (tmp_path / "s.db").exists()
+
+
+def test_a_link_that_leads_to_itself_is_no_output(tmp_path):
+    (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
+    table(row(0, "Ego"), row(0, "B", "9"), row(1, "Ego"), row(1, "B", "9"))(tmp_path)
+    result = command(
+        "measure",
+        tmp_path / "r.csv",
+        "--ego",
+        "Ego",
+        "--other",
+        "B",
+        "--metric",
+        "distance",
+        "-o",
+        tmp_path / "loop.csv",
+    )
+    assert (result.returncode, len(result.stderr.splitlines())) == (2, 1)
+    assert "is a link that leads nowhere" in result.stderr

@@ -60,8 +60,10 @@ def test_sets_and_stochastic_distributions(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["a=1:1", "a=2:1", "a=0:inf", "a=0", "a", "=0:1", "a=x:1", "a=0:1:0", "a=0:1:2", "a=0:1:-1"]
-)
+    "text",
+    ["a=1:1", "a=2:1", "a=0:inf", "a=0", "a", "=0:1", "a=x:1", "a=0:1:0", "a=0:1:2", "a=0:1:-1", "a=-1e308:1e308",
+     "a=0:1e16", "a=0:1:1e-300"],
+)  # fmt: skip
 def test_bad_ranges_are_refused(text):
     with pytest.raises(InputError):
         ParameterSpace.from_ranges([text])
@@ -171,6 +173,14 @@ def test_histogram_and_set_share_the_unit_interval_by_weight(tmp_path):
         f'<Histogram><Bin weight="-1">{RANGE.format(0, 1)}</Bin></Histogram>',
         f'<Histogram><Bin weight="0">{RANGE.format(0, 1)}</Bin></Histogram>',
         '<ProbabilityDistributionSet><Element value="a" weight="0"/></ProbabilityDistributionSet>',
+        # Numbers of which nothing is left when they are added.
+        '<NormalDistribution expectedValue="1e308" variance="1"/>',
+        f'<NormalDistribution expectedValue="0" variance="1">{RANGE.format(-1e308, 1e308)}</NormalDistribution>',
+        '<NormalDistribution expectedValue="1e9" variance="1e-30"/>',
+        '<LogNormalDistribution expectedValue="1000" variance="1"/>',
+        '<PoissonDistribution expectedValue="1e308"/>',
+        f'<UniformDistribution>{RANGE.format(-1e308, 1e308)}</UniformDistribution>',
+        f'<Histogram><Bin weight="1e308">{RANGE.format(0, 1)}</Bin><Bin weight="1e308">{RANGE.format(1, 2)}</Bin></Histogram>',
         "",
     ],
 )  # fmt: skip

@@ -107,7 +107,10 @@ def written_whole(path: Path | str) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file; choose another name.")
     # A link stays a link: the file that it points to is written.
-    path = path.resolve()
+    try:
+        path = path.resolve()
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"{path}: is a link that leads nowhere; choose another name.") from error
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)

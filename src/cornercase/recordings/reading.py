@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cornercase._common import arguments
+from cornercase._common.errors import InputError
 from cornercase.recordings.csv import read_csv
 from cornercase.recordings.formats.carla_log import read_carla_log
 from cornercase.recordings.formats.commonroad import read_commonroad
@@ -37,6 +38,9 @@ def read_recording(path: Path | str) -> Recording:
         time; the message names the line. Or the extra that reads it is not installed.
     """
     path = arguments.path("path", path)
+    # To open a pipe may never end.
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a file.")
     if path.suffix.lower() in (".osi", ".mcap", ".xz", ".lzma"):
         return read_osi(path)
     if path.suffix.lower() == ".erg":

@@ -17,6 +17,8 @@ from cornercase.roads.reference_line import read_number
 _MOST_LANES: Final = 200
 # A lane section longer than this, in m, is read as several that follow each other.
 _LONGEST_SECTION: Final = 10_000.0
+# m; a first section that begins later leaves a road without lanes.
+_LATE: Final = 0.1
 _DRIVABLE: Final = (
     "driving", "bidirectional", "entry", "exit", "mwyEntry", "mwyExit", "onRamp", "offRamp", "connectingRamp",
     "slipLane", "bus", "taxi", "HOV",
@@ -99,6 +101,8 @@ def read_sections(
             if not single or element.find(side) is not None:
                 found.append(_Side(start, _read_lanes(element, side, where)))
     starts = sorted({one.start for found in sides.values() for one in found})
+    if starts and abs(starts[0]) > _LATE:
+        raise InputError(f"{where}: its first <laneSection> begins at s = {starts[0]:g} m; let it begin at 0.")
     starts = sorted({*starts, *(cut for cut in cuts if starts[0] < cut < length)})
     for start, end in zip(starts, [*starts[1:], length], strict=True):
         parts = int(np.ceil((end - start) / _LONGEST_SECTION))

@@ -14,8 +14,6 @@ from cornercase.roads.road import Road
 
 # m; pieces of a reference line that lie further apart than this do not meet.
 _APART: Final = 1.0
-# m; a first lane section that begins later leaves a road without lanes.
-_LATE: Final = 0.1
 # m; nothing lies further out than this from the origin, and no lane from its road.
 _FARTHEST: Final = 1e8
 _WIDEST: Final = 1e4
@@ -37,7 +35,7 @@ def require_sound(road: Road, where: str) -> None:
     Raises
     ------
     InputError
-        Its reference line has a hole, winds up or is much longer than its length, its lanes begin late or lie
+        Its reference line has a hole, winds up or is much longer than its length, its lanes lie
         kilometres beside it, or it lies beyond all maps.
     """
     ends = [*(one.s for one in road.geometries[1:]), road.length]
@@ -51,9 +49,6 @@ def require_sound(road: Road, where: str) -> None:
                 f"{where}: the <geometry> at s = {other.s:g} m begins {apart:.3g} m from where the one before is there;"
                 " let them meet."
             )
-    first = road.sections[0][0]
-    if first > _LATE:
-        raise InputError(f"{where}: its first <laneSection> begins at s = {first:g} m; let it begin at 0.")
     _require_near(road.offsets, road.length, f"{where}: its <laneOffset>")
     ends = [*(start for start, _ in road.sections[1:]), road.length]
     for (start, lanes), end in zip(road.sections, ends, strict=True):

@@ -16,6 +16,8 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 
 _LEAST_SHARE: Final = 1e-12
+# Beyond this, numbers have no digits left for what lies between them.
+_LARGEST: Final = 1e15
 _MOST_COUNTS: Final = 100_000
 
 
@@ -126,6 +128,17 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution,
         It is user-defined, or its numbers cannot be used.
     """
     where = f"{path}, parameter {element.get('parameterName', '')}"
+    law, choices = _read_law(element, where)
+    if not max(abs(law.low), abs(law.high)) <= _LARGEST:
+        raise InputError(
+            f"{where}: the distribution reaches from {law.low:g} to {law.high:g}; at most {_LARGEST:g} is searched."
+        )
+    if not law.discrete and not law.low < law.high:
+        raise InputError(f"{where}: the distribution has hardly a value but {law.low:g}; give it a larger variance.")
+    return law, choices
+
+
+def _read_law(element: etree._Element, where: str) -> tuple[Distribution, tuple[str, ...]]:
     inner = next(iter(element.iterchildren("*")), None)
     tag = "" if inner is None else str(inner.tag)
     if inner is None or tag not in _KINDS:
@@ -147,7 +160,8 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution,
     if span is None:
         low, high = (mean + deviation * float(ndtri(share)) for share in (1e-4, 1 - 1e-4))
         if kind == "lognormal":
-            low, high = float(np.exp(low)), float(np.exp(high))
+            with np.errstate(over="ignore"):
+                low, high = float(np.exp(low)), float(np.exp(high))
     else:
         low, high = _bounds(span, where)
         if kind == "lognormal" and high <= 0:
@@ -181,12 +195,14 @@ def _read_poisson(element: etree._Element, where: str) -> Distribution:
     mean, span = _number(element.get("expectedValue"), where), element.find("Range")
     if not mean > 0:
         raise InputError(f"{where}: the expected value of a Poisson distribution must be above 0.")
+    if mean > _LARGEST:
+        raise InputError(f"{where}: the expected value is {mean:g}; at most {_LARGEST:g} is searched.")
     if span is None:
         low, high = _poisson_bounds(mean)
     else:
         low, high = _bounds(span, where)
     low, high = max(float(np.ceil(low)), 0.0), float(np.floor(high))
-    if high - low > _MOST_COUNTS:
+    if high - low > _MOST_COUNTS or max(low, high) > _LARGEST:
         raise InputError(f"{where}: a Poisson distribution may have {_MOST_COUNTS} values at most; narrow its range.")
     # Counts that hardly ever occur have no place on the unit interval.
     shares = _poisson(low, high, mean)
@@ -216,6 +232,8 @@ def _weight(element: etree._Element, where: str) -> float:
     weight = _number(element.get("weight"), where)
     if weight < 0:
         raise InputError(f"{where}: the weight {weight:g} is negative.")
+    if weight > _LARGEST:
+        raise InputError(f"{where}: the weight {weight:g} is above {_LARGEST:g}; divide all of them.")
     return weight
 
 

@@ -16,6 +16,9 @@ from cornercase.scenario.distributions import read_distribution
 from cornercase.scenario.parameter import Parameter
 from cornercase.scenario.xml import XmlFiles, read_xml
 
+# Beyond these, ranges and steps have no digits left.
+_LARGEST = 1e15
+_MOST_STEPS = 1e9
 _RANGE = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::(?P<step>[^:]+))?")
 
 
@@ -163,12 +166,19 @@ def _read_range(text: str) -> Parameter:
 def _ranged(name: str, low: float, high: float, step: float | None, where: str) -> Parameter:
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError(f"{where}: the bounds of {name} must be finite.")
+    if max(abs(low), abs(high)) > _LARGEST:
+        raise InputError(f"{where}: the bounds of {name} are {low:g} and {high:g}; at most {_LARGEST:g} is searched.")
     if low >= high:
         raise InputError(
             f"{where}: the range of {name} is {low:g} to {high:g}; the lower bound must be below the upper."
         )
     if step is not None and not 0 < step <= high - low:
         raise InputError(f"{where}: the step of {name} must be above 0 and at most {high - low:g}.")
+    if step is not None and (high - low) / step > _MOST_STEPS:
+        raise InputError(
+            f"{where}: the range of {name} has {(high - low) / step:.3g} steps; at most {_MOST_STEPS:g} are searched,"
+            " or the range without steps."
+        )
     return Parameter(name, low, high, step)
 
 

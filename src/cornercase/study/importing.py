@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import math
 import time
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from rich.progress import track
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.files import read_file
 from cornercase._common.texts import text_of_cell
 from cornercase.metrics import METRICS, Metric, measured, require_another
 from cornercase.recordings import read_recording
@@ -169,14 +171,9 @@ def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> N
 def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Value]]]:
     """Files and the values of their parameters."""
     try:
-        with open(table, newline="", encoding="utf-8-sig") as opened:
-            reader = csv.DictReader(opened)
-            names = list(reader.fieldnames or ())
-            rows = [(reader.line_num, row) for row in reader]
-    except OSError as error:
-        raise InputError(
-            f"{table}: cannot be read ({error.strerror}); it holds the column '{_FILE}' and one for each parameter."
-        ) from error
+        reader = csv.DictReader(io.StringIO(read_file(table).decode("utf-8-sig"), newline=""))
+        names = list(reader.fieldnames or ())
+        rows = [(reader.line_num, row) for row in reader]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{table}: is no CSV table ({error}).") from error
     if _FILE not in names or len(names) < 2 or len(set(names)) < len(names):
@@ -188,7 +185,7 @@ def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Va
     for line, row in rows:
         if None in row or None in row.values() or "" in row.values():
             raise InputError(f"{table}, line {line}: has a field too many, or one is empty.")
-        if not (folder / row[_FILE]).is_file():
+        if "\0" in row[_FILE] or not (folder / row[_FILE]).is_file():
             raise InputError(f"{table}, line {line}: there is no file {folder / row[_FILE]}.")
         if row[_FILE] in files:
             raise InputError(f"{table}, line {line}: names {row[_FILE]} a second time.")
@@ -228,7 +225,12 @@ def _space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
 
 def _fingerprint(table: Path, folder: Path, files: Sequence[str]) -> str:
     """Hash of the table and of all recordings."""
-    digest = hashlib.sha256(table.read_bytes())
+    digest = hashlib.sha256(read_file(table))
     for file in files:
-        digest.update(hashlib.sha256((folder / file).read_bytes()).digest())
+        # As they may be large, they are not held whole.
+        try:
+            with open(folder / file, "rb") as opened:
+                digest.update(hashlib.file_digest(opened, "sha256").digest())
+        except OSError as error:
+            raise InputError(f"{folder / file}: cannot be read ({error.strerror}).") from error
     return digest.hexdigest()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.files import read_file
 
 _LOADING: Final = 120.0
 _MESH: Final = {"vertex_distance": 2.0, "wall_height": 1.0, "additional_width": 0.6}
@@ -75,7 +76,7 @@ class Server:
         client = self.client()
         world = client.get_world()
         if isinstance(road, Path):
-            text = _opendrive(road.read_text(encoding="utf-8"))
+            text = _opendrive(read_file(road).decode(errors="replace"))
             if _opendrive(world.get_map().to_opendrive()) != text:
                 # The mesh that ScenarioRunner would make, so that it finds its map loaded.
                 mesh = carla.OpendriveGenerationParameters(**_MESH, smooth_junctions=True, enable_mesh_visibility=True)
