@@ -77,7 +77,7 @@ class Attributes:
         Returns
         -------
         ndarray of float64, shape (N,)
-            Not finite where an expression has no value; `without_value` then tells so.
+            Not finite where an expression has no value; `refused` then tells so.
 
         Raises
         ------

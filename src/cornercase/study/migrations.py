@@ -38,7 +38,7 @@ CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROW
 """
 
 TABLES: Final = ("meta", "scenarios", "courses", "repeats", "outcomes", "analyses", "arrays", "elapsed")
-"""Tables of a study, of any version."""
+"""Tables of a study, of any version; those that refer to others come after them."""
 
 # Keys of `meta` that the first releases did not write.
 _LATER: Final = ("critical", "files", "pareto", "repeats", "weights")

@@ -21,10 +21,11 @@ from cornercase.study.contents import StudyContents
 from cornercase.study.damage import damage_told
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
+from cornercase.study.migrations import TABLES
 from cornercase.study.table import Row
 
 # Tables that hold something of scenarios; those that refer to others come first.
-_CONTENT: Final = ("courses", "repeats", "outcomes", "arrays", "analyses", "elapsed", "scenarios")
+_CONTENT: Final = tuple(table for table in reversed(TABLES) if table != "meta")
 
 
 class Study(StudyContents):
