@@ -203,3 +203,17 @@ def test_a_lane_change_ends_where_the_road_does(tmp_path):
     assert recording.y[0][at_end] == pytest.approx(0.0, abs=0.06)
     assert recording.heading[0][at_end] == pytest.approx(np.arcsin(0.1))
     assert recording.speed[0][-1] == 0.0
+
+
+@pytest.mark.parametrize("curvature", [0.01, -0.01])
+@pytest.mark.parametrize("own", ["-1", "1"])
+def test_who_is_turned_straight_across_goes_on_the_way_that_it_came(tmp_path, own, curvature):
+    # Too slow for the change, it moves only sideways until a lane offset ends that.
+    events = event("change", lane_change("1" if own == "-1" else "-1", "1"), time_trigger("1"))
+    events += event("cut", lane_offset("0"), time_trigger("2"))
+    init = private("Ego", teleport("250", own), speed_action("0.5"))
+    path = scenario_file(tmp_path, init=init, story=story_of(events))
+    bend = f'<arc curvature="{curvature}"/>'
+    (road := tmp_path / "road.xodr").write_text(road.read_text().replace("<line/>", bend))
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=8.0), [ConcreteScenario(path)])
+    assert np.cos(recording.heading[0][-1] - recording.heading[0][0]) > 0.9

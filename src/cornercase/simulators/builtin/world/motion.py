@@ -19,6 +19,8 @@ from cornercase.simulators.builtin.world.whereabouts import on_road
 _ON_END: Final = 1e-3
 # Slower than this, in m/s, it stands.
 _STILL: Final = 1e-6
+# Slower than this, in m/s, who stands is not moved sideways, but looked up anew.
+_DRIFT: Final = 1e-3
 
 
 def move_entities(world: World, dt: float) -> None:
@@ -65,7 +67,8 @@ def move_entities(world: World, dt: float) -> None:
         world.odometer += chord
         world.velocity = chord / dt
         # Who stands and is only moved sideways has from then on the speed of that, as in esmini.
-        drifts = (np.abs(world.speed) < _STILL) & ~(world.decided | world.moved | world.driven) & world.running
+        drifts = (np.abs(world.speed) < _STILL) & (world.velocity > _DRIFT) & world.running
+        drifts &= ~(world.decided | world.moved | world.driven)
         world.speed = np.where(drifts, world.velocity, world.speed)
     world.time += dt
     world.from_x, world.from_y, world.from_heading = world.x.copy(), world.y.copy(), world.heading.copy()
