@@ -1,6 +1,6 @@
 """Each element and attribute of OpenDRIVE: used, named as without effect, or refused.
 
-``python tests/roads/test_road_ledger.py`` writes docs/opendrive.md from the ledger.
+``PYTHONPATH=tests python tests/roads/test_road_ledger.py`` writes docs/opendrive.md from the ledger.
 """
 
 from __future__ import annotations

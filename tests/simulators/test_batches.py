@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -320,3 +322,43 @@ def test_reference_scenarios_give_the_same_alone_and_among_others(name):
 def test_examples_give_the_same_alone_and_among_others(path, driver):
     values = varied(Scenario.read(path), most=8)
     assert differing(path, values, 12.0, drivers={"Ego": driver} if driver else {}) == []
+
+
+@pytest.mark.parametrize("attribute", ["maxSpeed", "maxAcceleration", "maxDeceleration"])
+def test_a_limit_of_a_vehicle_below_0_is_refused(tmp_path, attribute):
+    entity = re.sub(f'{attribute}="[0-9]+"', f'{attribute}="$p"', car("Ego"))
+    path = scenario_file(tmp_path, init=private(teleport("5")), entities=entity, parameters=declared("p", "50"))
+    assert [f"{attribute} of 'Ego' is -3; it must not be below 0" in one for one in words(path, {"p": -3.0}, {})] == [
+        True,
+        False,
+    ]
+
+
+@pytest.mark.parametrize(("old", "new"), [('length="4"', 'length="1e308"'), ('Center x="1.4"', 'Center x="-1e9"')])
+def test_a_box_that_is_larger_than_anything_is_refused(tmp_path, old, new):
+    path = scenario_file(tmp_path, init=private(teleport("5")), entities=car("Ego").replace(old, new))
+    with pytest.raises(InputError, match="the bounding box of 'Ego' is larger than 10000 m"):
+        results(path, {})
+
+
+LANE_CHANGE = """<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="cubic" dynamicsDimension="distance"
+value="$p"/><LaneChangeTarget><AbsoluteTargetLane value="1"/></LaneChangeTarget></LaneChangeAction></LateralAction></PrivateAction>"""
+LANE_OFFSET = """<PrivateAction><LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics dynamicsShape="cubic"
+maxLateralAcc="$p"/><LaneOffsetTarget><AbsoluteTargetLaneOffset value="1"/></LaneOffsetTarget></LaneOffsetAction></LateralAction></PrivateAction>"""
+
+
+@pytest.mark.parametrize("action", [speed_action("20", "linear", "time", "$p"), LANE_CHANGE, LANE_OFFSET])
+def test_a_change_that_takes_less_than_nothing_costs_its_scenario(tmp_path, action):
+    path = scenario_file(
+        tmp_path, init=private(teleport("5"), speed_action("10")), parameters=declared("p", "3"),
+        story=story_of(event("e", action, time_trigger("0.1"))),
+    )  # fmt: skip
+    assert ["is below 0" in one for one in words(path, {"p": -1.0}, {"p": 3.0})] == [True, False]
+
+
+def test_a_rate_may_have_the_sign_of_the_change(tmp_path):
+    action = speed_action("5", "linear", "rate", "-2")
+    path = scenario_file(
+        tmp_path, init=private(teleport("5"), speed_action("10")), story=story_of(event("e", action, time_trigger("0")))
+    )
+    assert words(path, {}) == [""]

@@ -34,7 +34,8 @@ too, in Python as a `NoticeWarning`. They also name what this page does not know
 programs, and what stands where nothing reads it. What is refused ends the command with one sentence and exit code 2.
 
 An element that is refused or without effect stands for all that it holds. This page is made from the table that the simulator
-itself goes by, `simulators/builtin/openscenario.csv`: run `python tests/simulators/test_openscenario_ledger.py` after a change.
+itself goes by, `simulators/builtin/openscenario.csv`: run `PYTHONPATH=tests python tests/simulators/test_openscenario_ledger.py`
+after a change.
 """
 
 

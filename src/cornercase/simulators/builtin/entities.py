@@ -18,6 +18,9 @@ _TURNING: Final = {"segment": ALONG_LEGS, "corner": AT_CORNERS, "off": AT_VERTIC
 
 # More trailers than that behind one vehicle are a catalog entry that pulls itself.
 _MOST_TRAILERS: Final = 20
+# m; no vehicle, nor what stands beside a road, is larger.
+_LARGEST: Final = 10_000.0
+_LIMITS: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
@@ -99,16 +102,21 @@ def _entity(body: etree._Element, name: str, scope: Scope) -> Entity:
     limits = [0.0 if body.tag == "MiscObject" else np.inf, np.inf, np.inf]
     performance = body.find("Performance")
     if performance is not None:
-        limits = [scope.one_number(performance, a, np.inf) for a in ("maxSpeed", "maxAcceleration", "maxDeceleration")]
+        limits = [scope.one_number(performance, a, np.inf) for a in _LIMITS]
+        for attribute, limit in zip(_LIMITS, limits, strict=True):
+            if limit < 0.0:
+                raise InputError(f"{scope.source}: {attribute} of '{name}' is {limit:g}; it must not be below 0.")
     length, width = scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width")
+    reach = scope.one_number(center, "x")
     if not (length > 0 and width > 0):
         raise InputError(f"{scope.source}: the bounding box of '{name}' needs a positive length and width.")
+    if max(length, width, abs(reach)) > _LARGEST:
+        raise InputError(f"{scope.source}: the bounding box of '{name}' is larger than {_LARGEST:g} m; give it in m.")
     # Two of esmini's own properties.
     items = unrecorded(body, "Properties", "Property")
     found = {key: named(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
     own = {key: "" if item is None else scope.text(item, "value") for key, item in found.items()}
     slides, turning = own["ignoreHeadingForTrajMotion"] == "true", _TURNING.get(own["plineInterpolation"], "")
-    reach = scope.one_number(center, "x")
     return Entity(name, kind, length, width, reach, limits[0], limits[1], limits[2], slides, turning)
 
 

@@ -142,6 +142,7 @@ class LaneOffsetAction(Action):
         self._shape = scope.text(dynamics, "dynamicsShape")
         require_shape(self._shape, dynamics, scope)
         self._most = scope.number(dynamics, "maxLateralAcc", _GENTLE)
+        scope.refuse(dynamics, "maxLateralAcc", "is below 0", self._most < 0.0)
         target = child(element, "LaneOffsetTarget", scope)
         absolute, relative = target.find("AbsoluteTargetLaneOffset"), target.find("RelativeTargetLaneOffset")
         self._reference: int | None = None

@@ -31,6 +31,9 @@ class Transition:
                 f"{scope.source}, line {element.sourceline}: dynamicsDimension '{self.dimension}' is not time, rate"
                 " or distance."
             )
+        # A rate counts by its amount: files write that of braking with a minus.
+        if self.dimension != "rate":
+            scope.refuse(element, "value", "is below 0", self.value < 0.0)
 
     def time_span(
         self, start: FloatArray, end: FloatArray, asked: FloatArray, steepest: FloatArray
