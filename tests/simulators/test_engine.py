@@ -191,6 +191,17 @@ def test_who_waited_for_its_master_sets_off_with_an_even_acceleration(tmp_path):
     assert recording.x[0][np.argmin(np.abs(recording.time - 12.0))] == pytest.approx(250.0, abs=1.0)
 
 
+def test_who_is_to_meet_a_master_that_is_put_beyond_its_place_stops(tmp_path):
+    jumps = story_of(event("jump", teleport("400"), time_trigger("2")), "Lead").replace('"s"', '"t"', 1)
+    sync = story_of(event("e", synchronise(""), time_trigger("0")))
+    init = moving("400", "10", lane="1") + moving("100", "20", "Lead")
+    path = scenario_file(tmp_path, init=init, story=jumps + sync, entities=car("Ego") + car("Lead"))
+    recording = run(path, 4.0)
+    put = int(np.argmax(recording.x[1] == 400.0))
+    assert recording.speed[0][put - 1] > 5.0
+    assert not recording.speed[0][put:].any()
+
+
 def test_a_meeting_is_planned_with_what_the_master_drove_in_the_last_step(tmp_path):
     # The master is stopped in a frame in which it still counts as moving; with the next one, the other waits.
     stops = story_of(event("stop", speed_action("0"), time_trigger("2")), "Lead").replace('"s"', '"t"', 1)

@@ -125,7 +125,8 @@ class SynchronizeAction(Action):
             wanted = np.where(done, final, wanted)
         # An entity with a driver is asked for a speed that it can reach.
         speed = np.clip(wanted, 0.0, world.entities[e].max_speed)
-        change = where if final is not None else where & ~done
+        # Who arrives without a final speed keeps its own, unless its master does not come.
+        change = where if final is not None else where & ~(done & comes)
         own = np.where(np.isfinite(wanted), wanted, world.speed[e])
         world.set_speed(e, change, np.where(world.driven[e], speed, own))
         return where & done
