@@ -192,12 +192,12 @@ def test_who_waited_for_its_master_sets_off_with_an_even_acceleration(tmp_path):
 
 
 def test_who_is_to_meet_a_master_that_is_put_beyond_its_place_stops(tmp_path):
-    jumps = story_of(event("jump", teleport("400"), time_trigger("2")), "Lead").replace('"s"', '"t"', 1)
+    jumps = story_of(event("jump", teleport("480"), time_trigger("2")), "Lead").replace('"s"', '"t"', 1)
     sync = story_of(event("e", synchronise(""), time_trigger("0")))
     init = moving("400", "10", lane="1") + moving("100", "20", "Lead")
     path = scenario_file(tmp_path, init=init, story=jumps + sync, entities=car("Ego") + car("Lead"))
     recording = run(path, 4.0)
-    put = int(np.argmax(recording.x[1] == 400.0))
+    put = int(np.argmax(recording.x[1] == 480.0))
     assert recording.speed[0][put - 1] > 5.0
     assert not recording.speed[0][put:].any()
 
