@@ -224,6 +224,16 @@ def place(x, y, more=""):
     return f'<Position><WorldPosition x="{x}" y="{y}" {more}/></Position>'
 
 
+def test_who_follows_a_trajectory_meets_its_master_where_that_comes_nearest_to_its_place(tmp_path):
+    # The place is at 250 m, the end of the trajectory at 200 m; the master has 200 m at 20 m/s.
+    line = f"<Polyline><Vertex>{place(100, -2)}</Vertex><Vertex>{place(200, -2)}</Vertex></Polyline>"
+    events = event("follow", trajectory(line), time_trigger("0")) + event("e", synchronise(""), time_trigger("0"))
+    init = moving("100", "10") + moving("100", "20", "Lead")
+    path = scenario_file(tmp_path, init=init, story=story_of(events), entities=car("Ego") + car("Lead"))
+    recording = run(path, 12.0)
+    assert recording.x[0][np.argmin(np.abs(recording.time - 9.5))] == pytest.approx(195.0, abs=8.0)
+
+
 def test_a_clothoid_spline_ends_where_its_arcs_lead(tmp_path):
     # 20 m straight on, then a quarter of a circle with a radius of 30 m to the left.
     quarter = 0.5 * np.pi * 30

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.state import World
@@ -19,8 +20,9 @@ _ASTRAY: Final = 20.0
 def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArray] | None = None) -> FloatArray:
     """Distance along the entity's track to a target, in m, shape (N,); negative once it is passed.
 
-    Where the entity has no track that leads there it is the distance as the crow flies. For a target that stays
-    where it is, `known` keeps its place on each track from one call to the next.
+    A trajectory leads to where it comes nearest to the target. Where the entity has no track that leads there it is the
+    distance as the crow flies. For a target that stays where it is, `known` keeps its place on each track from one call
+    to the next.
 
     Parameters
     ----------
@@ -36,7 +38,7 @@ def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArr
     ndarray of float64, shape (N,)
         m.
     """
-    way = _on_track(world, entity, target, {} if known is None else known)
+    way = _on_track(world, entity, target, {} if known is None else known, beside=True)
     crow = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
     return np.where(np.isfinite(way), way, crow)
 
@@ -67,8 +69,13 @@ def along_roads(world: World, entity: int, target: Pose) -> FloatArray:
     return result
 
 
-def _on_track(world: World, entity: int, target: Pose, known: dict[int, FloatArray]) -> FloatArray:
-    """Distance along the entity's track to a target in m, shape (N,); infinite where its track does not lead there."""
+def _on_track(
+    world: World, entity: int, target: Pose, known: dict[int, FloatArray], *, beside: bool = False
+) -> FloatArray:
+    """Distance along the entity's track to a target in m, shape (N,); infinite where its track does not lead there.
+
+    With `beside`, a trajectory leads to places however far beside it, too.
+    """
     result = np.full(world.scenarios, np.inf)
     for k, track in enumerate(world.tracks[entity]):
         rows = np.flatnonzero((world.track[entity] == k) & np.isfinite(target.x + target.y))
@@ -78,7 +85,8 @@ def _on_track(world: World, entity: int, target: Pose, known: dict[int, FloatArr
             if new.size:
                 along = track.nearest(target.x[new], target.y[new], new, world.distance[entity][new])
                 x, y, _ = track.at(along, np.zeros(len(new)), new)
-                leads = np.hypot(x - target.x[new], y - target.y[new]) < _ASTRAY
+                near = np.hypot(x - target.x[new], y - target.y[new]) < _ASTRAY
+                leads = near | (beside and not isinstance(track, LaneTrack))
                 places[new] = np.where(leads, along, np.inf)
             result[rows] = places[rows] - world.distance[entity][rows]
     return result
