@@ -93,6 +93,12 @@ HOSTILE = {
     "an endless quote": (table('"abc' + "\n" * 1000), "has a field too many or too few"),
     "each entity at an instant of its own": (table(*(row(k, f"n{k}") for k in range(6000))), "at most 20000000 pairs"),
     "a time without end": (table(row("inf", "Ego"), row("inf", "B")), "every row needs a finite time"),
+    "a table with an infinite position": (table(row(0, "Ego", "inf"), row(0, "B")), "has a position of inf"),
+    "a table with a position of 1e300": (table(row(0, "Ego"), row(0, "B", "-1e300")), "has a position of 1e+300"),
+    "a table with an infinite speed": (
+        table(*(row(0, name).replace(",0,0,1,0,4", ",0,0,inf,0,4") for name in ("Ego", "B"))),
+        "has a speed of inf",
+    ),
     "a folder": (a_folder, "is not a file"),
     "a device as a table": (endless("r.csv"), "is not a file"),
     "a device as a CarMaker result": (endless("r.erg"), "is not a file"),

@@ -15,7 +15,7 @@ from cornercase._common.files import read_file, written_whole
 from cornercase._common.texts import cell_text, text_of_cell
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings.recording import BOX, COLUMNS, MOTION, Collision, Recording
-from cornercase.recordings.samples import require_size
+from cornercase.recordings.samples import require_motion, require_size
 
 
 def read_csv(path: Path) -> Recording:
@@ -47,6 +47,7 @@ def read_csv(path: Path) -> Recording:
     time, instant = np.unique(numbers[:, 0], return_inverse=True)
     require_size(path, len(names), len(time))
     _refuse_doubles(path, rows.lines, entity * len(time) + instant)
+    require_motion(path, numbers[:, 1 : 1 + len(MOTION)].T)
     motion = np.full((len(MOTION), len(names), len(time)), np.nan)
     motion[:, entity, instant] = numbers[:, 1 : 1 + len(MOTION)].T
     _, first = np.unique(entity, return_index=True)

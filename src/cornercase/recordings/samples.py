@@ -99,8 +99,21 @@ def require_size(path: Path, entities: int, instants: int) -> None:
         )
 
 
-def _require_motion(path: Path, motion: FloatArray) -> None:
-    """Refuse motion that nothing on earth has."""
+def require_motion(path: Path, motion: FloatArray) -> None:
+    """Refuse motion that nothing on earth has.
+
+    Parameters
+    ----------
+    path : Path
+        For the message.
+    motion : ndarray of float64, shape (5, N)
+        x, y, heading, speed and acceleration; NaN where nothing is.
+
+    Raises
+    ------
+    InputError
+        One is infinite or far beyond all that moves.
+    """
     worst = np.nanmax(np.abs(motion), initial=0.0, axis=1)
     for name, most in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
         if most > _FARTHEST:
@@ -143,7 +156,7 @@ def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Seque
             raise InputError(f"{path}: entity {name} has a box of {track.length} m x {track.width} m.")
         at = np.searchsorted(time, list(track.samples))
         motion[:, row, at] = np.array(list(track.samples.values())).T
-        _require_motion(path, motion[:, row])
+        require_motion(path, motion[:, row])
         x, y, heading, speed, acceleration = motion[:, row]
         exists = np.flatnonzero(np.isfinite(x))
         if np.isnan(speed[exists]).any():
