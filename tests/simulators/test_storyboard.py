@@ -151,6 +151,15 @@ def test_what_became_of_an_element_is_seen_at_the_next_evaluation(tmp_path, valu
     assert of_speed(recording, 3.05) == pytest.approx(5.0)
 
 
+def test_what_became_of_an_element_before_an_event_is_to_run_again_is_not_seen(tmp_path):
+    # The second sees the first run at 1 s, and not that it has ended, before it is to run again.
+    first = event("first", speed_action("20"), time_trigger("1"))
+    again = repeated("again", speed_action("25"), state("first", "runningState"))
+    then = event("then", speed_action("8"), state("again", "completeState"))
+    recording = run(file(tmp_path, first, again, then))
+    assert list(dict.fromkeys(recording.speed[0])) == [10.0, 25.0, 8.0]
+
+
 def test_a_state_is_seen_while_it_lasts(tmp_path):
     first = event("first", SLOWLY, time_trigger("1"))
     late = event("late", speed_action("5"), group(time_trigger("5"), state("first", "completeState")))

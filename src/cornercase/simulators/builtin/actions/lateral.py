@@ -37,6 +37,8 @@ _GENTLE: Final = 0.5
 # Tolerances in m or s within which an offset, and a distance, is reached.
 _THERE: Final = 1e-6
 _REACHED: Final = 0.01
+# Offsets from a lane's middle are known to some 1e-5 m, and so is how long a change takes, in s or m.
+_SHORT: Final = 1e-4
 
 
 class LaneChangeAction(Action):
@@ -102,7 +104,7 @@ class LaneChangeAction(Action):
             turn = np.arctan2(np.sign(rate) * across, ahead)
             turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * _SIDEWAYS, turn)
         offset = np.where(abrupt, self._to, self._from + part * change)
-        arrived = abrupt | (done > self._extent - _THERE) | (np.abs(offset - self._to) < _THERE)
+        arrived = abrupt | (done > self._extent - _SHORT) | (np.abs(offset - self._to) < _THERE)
         self._done[moves] = done[moves]
         world.offset[e][moves] = offset[moves]
         world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]

@@ -26,7 +26,8 @@ _TRANSITIONS: Final = {
 class Watch:
     """What a condition sees of an element: its state, or what became of it since the condition was last asked.
 
-    A change is seen once, by the next evaluation, however late that comes.
+    A change is seen once, by the next evaluation, however late that comes; as in esmini, one that is forgotten before
+    is not seen at all.
 
     Parameters
     ----------
@@ -43,13 +44,15 @@ class Watch:
             states = (*_STATES, *_TRANSITIONS)
             raise InputError(f"{where}: '{state}' is no state of a storyboard element; {suggestion(state, states)}")
         self._state, self._transition = _STATES.get(state), _TRANSITIONS.get(state)
-        self._latest = np.full(scenarios, INIT, dtype=np.int8)
+        # The element's state, and that which the condition knows of.
+        self._latest, self._known = (np.full(scenarios, INIT, dtype=np.int8) for _ in range(2))
         self._changed, self._seen = (np.zeros(scenarios, dtype=np.bool_) for _ in range(2))
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
         """Whether the element is, or was since the last time, as waited for, shape (N,)."""
-        result = self._seen if self._state is None else np.where(self._changed, self._seen, self._latest == self._state)
+        result = self._seen if self._state is None else np.where(self._changed, self._seen, self._known == self._state)
         result = np.asarray(result & where)
+        self._known = np.where(where & self._changed, self._latest, self._known)
         self.forget(where)
         return result
 
