@@ -68,6 +68,15 @@ def test_actions_after_a_lane_change_see_its_entity_where_it_has_come_to(tmp_pat
     assert recording.x[1][-1] - recording.x[0][-1] == pytest.approx(20.5, abs=0.05)
 
 
+def test_who_stands_looks_along_its_lane_once_it_is_to_change_lanes(tmp_path):
+    change = lane_change('<AbsoluteTargetLane value="1"/>')
+    aslant = '<LanePosition roadId="1" laneId="-1" s="50"><Orientation type="relative" h="0.3"/></LanePosition>'
+    init = moving("50", "0").replace('<LanePosition roadId="1" laneId="-1" s="50"/>', aslant)
+    recording = run(one_event(tmp_path, change, init=init), 2.0)
+    assert recording.heading[0][0] == pytest.approx(0.3)
+    assert recording.heading[0][-1] == pytest.approx(0.0)
+
+
 def test_a_lane_change_at_the_end_of_the_road_stays_there(tmp_path):
     change = lane_change('<AbsoluteTargetLane value="1"/>', "step", "0")
     recording = run(one_event(tmp_path, change, init=moving("500", "0")), 2.0)

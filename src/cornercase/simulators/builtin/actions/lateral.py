@@ -112,8 +112,8 @@ class LaneChangeAction(Action):
         # It moves even where it was just put somewhere; a speed that another action sets in this frame counts from
         # the next, for one that stands too.
         world.pace[e][where] = world.speed[e][where]
-        world.moved[e][where] = True
-        move_at_once(world, e, moves, np.sign(world.speed[e]) * np.where(abrupt, way, ahead))
+        way = np.sign(world.speed[e]) * np.where(abrupt, way, ahead)
+        move_at_once(world, e, where, np.where(moves, way, 0.0))
         # At the end of the road it is over, wherever between the lanes that is.
         stuck = moves & ~arrived & np.isfinite(world.at_end_since[e])
         self.leave(world, stuck)
