@@ -33,12 +33,12 @@ def test_leaving_one_out_is_learning_from_the_others():
     means, deviations = process.leave_one_out()
     for i in (0, 7, 29):
         others = np.delete(np.arange(30), i)
-        apart = np.linalg.norm((points[:, None] - points) / process.widths, axis=-1) * np.sqrt(5)
-        kernel = process.signal**2 * (1 + apart + apart**2 / 3) * np.exp(-apart)
-        within = kernel[np.ix_(others, others)] + process.noise**2 * np.eye(29)
+        apart = np.linalg.norm((points[:, None] - points) / process.kernel.widths, axis=-1) * np.sqrt(5)
+        kernel = process.kernel.signal**2 * (1 + apart + apart**2 / 3) * np.exp(-apart)
+        within = kernel[np.ix_(others, others)] + process.kernel.noise**2 * np.eye(29)
         weights = np.linalg.solve(within, kernel[others, i])
         expected = values.mean() + weights @ (values[others] - values.mean())
-        variance = kernel[i, i] + process.noise**2 - weights @ kernel[others, i]
+        variance = kernel[i, i] + process.kernel.noise**2 - weights @ kernel[others, i]
         assert means[i] == pytest.approx(expected, abs=1e-6)
         assert deviations[i] == pytest.approx(np.sqrt(variance), rel=1e-4)
 

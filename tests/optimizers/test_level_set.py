@@ -14,7 +14,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from command_line import SPACE, X, cornercase
 from cornercase.evidence import CriticalSet, GaussianProcess, encoded
-from cornercase.evidence.gaussian_process import _loss
+from cornercase.evidence.kernel import _loss
 from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
@@ -100,11 +100,12 @@ def test_the_process_is_that_of_scikit_learn():
     rng = np.random.default_rng(0)
     points, values = rng.random((60, 3)), rng.normal(size=60)
     process = GaussianProcess().fit(points, values)
-    kernel = ConstantKernel(process.signal**2) * Matern(process.widths, nu=2.5)
-    other = GaussianProcessRegressor(kernel, alpha=process.noise**2, optimizer=None)
+    learned = process.kernel
+    kernel = ConstantKernel(learned.signal**2) * Matern(learned.widths, nu=2.5)
+    other = GaussianProcessRegressor(kernel, alpha=learned.noise**2, optimizer=None)
     other.fit(points, values - values.mean())
     new = rng.random((500, 3))
-    (mean, deviation), rows = process.predict(new), process.projections(new)
+    mean, deviation, rows = process.predict_with_projections(new)
     expected, spread = other.predict(new, return_std=True)
     np.testing.assert_allclose(mean, expected + values.mean(), atol=1e-3)
     np.testing.assert_allclose(deviation, spread, atol=2e-3)
@@ -115,7 +116,7 @@ def test_the_process_is_that_of_scikit_learn():
 def test_the_gradient_of_the_likelihood_is_its_derivative():
     rng = np.random.default_rng(1)
     points, values = rng.random((20, 2)), rng.normal(size=20)
-    squares: Any = (points[:, None] - points) ** 2
+    squares: Any = ((points.T[:, :, None] - points.T[:, None]) ** 2).reshape(2, -1)
     at = np.log([0.3, 0.8, 1.2, 0.2])
 
     def loss(place):

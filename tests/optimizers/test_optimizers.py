@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.stats import qmc
 
 from cornercase._common.errors import InputError
@@ -11,12 +13,14 @@ from cornercase.optimizers import (
     OPTIMIZERS,
     BayesOptimizer,
     GridOptimizer,
+    LevelSetOptimizer,
     Optimizer,
     RandomOptimizer,
     SobolOptimizer,
     create_optimizer,
     optimizer_needs,
 )
+from cornercase.optimizers.feature_process import FeatureProcess
 from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
 from cornercase.scenario.distributions import Distribution
@@ -214,3 +218,80 @@ def test_the_same_concrete_scenario_is_proposed_once():
     points = np.array([[0.35, 0.5], [0.35, 0.6], [0.39, 0.6], [0.75, 0.1], [0.95, 0.1]])
     np.testing.assert_array_equal(unseen.among(points, besides=np.array([[0.99, 0.1]])), points[[1, 3]])
     assert len(unseen) == 1
+
+
+MODELS: dict[str, Any] = {
+    "bayes": lambda space=CUBE, **more: BayesOptimizer(space, 5, **more),
+    "level-set": lambda space=CUBE, **more: LevelSetOptimizer(space, 5, 0.1, **more),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_what_is_asked_for_hangs_on_what_was_told_not_on_what_was_asked_or_on_the_rounds(name):
+    """So a study that was killed goes on as if nothing had happened."""
+    whole = explored(MODELS[name](), 90, batch=7)
+    for told in (38, 64, 83):
+        again = MODELS[name]()
+        again.tell(whole[:told], ridge(whole[:told]))
+        asked = MODELS[name]()
+        for first in range(0, told, 5):
+            asked.tell(whole[first : min(first + 5, told)], ridge(whole[first : min(first + 5, told)]))
+            asked.ask(3)
+        np.testing.assert_array_equal(again.ask(7), asked.ask(7))
+    again = MODELS[name]()
+    again.tell(whole[:77], ridge(whole[:77]))
+    np.testing.assert_array_equal(again.ask(7), whole[77:84])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_model_is_learned_anew_with_ten_more_scores_or_a_tenth(name, monkeypatch):
+    learned: list[int] = []
+    optimizer = MODELS[name]()
+    original = optimizer._learn
+
+    def learn(points, scores, seed):
+        learned.append(len(points))
+        original(points, scores, seed)
+
+    monkeypatch.setattr(optimizer, "_learn", learn)
+    points = explored(optimizer, 20, batch=20)
+    for told in (24, 27, 30, 100, 109, 110, 120, 121, 1000):
+        more = SobolOptimizer(CUBE, told).ask(told - len(points))
+        optimizer.tell(more, ridge(more))
+        points = np.concatenate([points, more])
+        optimizer.ask(1)
+    assert learned == [20, 30, 100, 110, 121, 958]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_scores_that_begin_all_the_same_are_learned_from_once_they_differ(name):
+    counted = [0]
+
+    def late(points):
+        counted[0] += len(points)
+        return np.full(len(points), 1.0) if counted[0] <= 40 else 1.0 - points[:, 0]
+
+    points = explored(MODELS[name](), 80, function=late)
+    assert len(np.unique(points, axis=0)) == 80
+
+
+def test_candidates_that_run_out_are_followed_by_others():
+    optimizer = LevelSetOptimizer(CUBE, 0, 0.1, candidates=20)
+    points = explored(optimizer, 90, batch=15)
+    assert len(np.unique(points, axis=0)) == 90
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 30), st.integers(0, 30), st.floats(0.05, 1.0), st.integers(0, 1000))
+def test_random_features_take_values_in_step_by_step_or_at_once(first, second, noise, seed):
+    rng = np.random.default_rng(seed)
+    points, values = rng.random((first + second, 2)), rng.normal(size=first + second)
+    empty = FeatureProcess(rng.normal(size=(40, 2)), rng.random(40), 0.2, 0.3, noise)
+    steps = empty.extended(points[:first], values[:first]).extended(points[first:], values[first:])
+    once = empty.extended(points, values)
+    drawn = [one.samples(2000, np.random.default_rng(1)) for one in (steps, once)]
+    np.testing.assert_allclose(drawn[0], drawn[1], atol=1e-7)
+    # The mean of the samples is that of ridge regression.
+    rows = once.features(points)
+    mean = np.linalg.solve(rows.T @ rows + noise**2 * np.eye(40), rows.T @ (values - 0.3))
+    np.testing.assert_allclose(drawn[0].mean(axis=0), mean, atol=0.12)

@@ -4,5 +4,7 @@ from .critical_set import Estimate as Estimate
 from .gaussian_process import GaussianProcess as GaussianProcess
 from .gaussian_process import boundary_process as boundary_process
 from .gaussian_process import encoded as encoded
+from .gaussian_process import near_threshold as near_threshold
+from .gaussian_process import nearness as nearness
 from .sensitivity import Sensitivity as Sensitivity
 from .sensitivity import estimate_sensitivity as estimate_sensitivity

@@ -12,15 +12,19 @@ from scipy.optimize import minimize
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.stats import norm, qmc
-from threadpoolctl import threadpool_limits
+from scipy.special import log_ndtr, ndtr
+from scipy.stats import qmc
 
+from cornercase._common.rows import row_keys
+from cornercase._common.threads import one_thread
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.gaussian_process import boundary_process, encoded, enough
 from cornercase.scenario import ParameterSpace
 
 # Points that stand for the space, those of them for which critical sets are drawn, and the number of draws.
 _PLACES, _JOINT, _DRAWS = 2**14, 1500, 400
+# Groups of places of nearly the same probability.
+_GROUPS: Final = 1024
 _INTERVAL: Final = (0.05, 0.95)
 # As how many independent predictions one scenario counts. Neighbours are predicted from each other; with this figure
 # the intervals hold the truth as often as they say in benchmarks/exploration.py.
@@ -90,16 +94,14 @@ class CriticalSet:
         self._ran = encoded(space, points)
         self._process = boundary_process(self._ran, scores, threshold)
         mean, deviation = self._process.predict(self._at)
-        self._t = mean / np.hypot(deviation, self._process.noise)
+        self._t = mean / np.hypot(deviation, self._process.kernel.noise)
         self._space = space
-        self._outcome = dict(
-            zip(map(bytes, space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True)
-        )
+        self._outcome = dict(zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True))
         self._certain = self._seen(self._places)
         self._is_found = _found(mean, self._certain)
         self._rng = np.random.default_rng(seed)
         # Sums in one order, whatever the number of threads.
-        with threadpool_limits(limits=1):
+        with one_thread():
             self._learn()
             self._draw()
 
@@ -114,7 +116,7 @@ class CriticalSet:
 
         def loss(parameters: FloatArray) -> float:
             a, log_b = parameters
-            predicted = norm.logcdf(-sign * (a + np.exp(log_b) * t))
+            predicted = log_ndtr(-sign * (a + np.exp(log_b) * t))
             return float(-(weights * predicted).sum() + 0.5 * (parameters**2).sum())
 
         best = minimize(loss, np.zeros(2), method="BFGS")
@@ -128,11 +130,18 @@ class CriticalSet:
         limit = self._limit(part)
         self._drawn: BoolArray = normal <= limit
         # The joint draws on few places give the spread, the probabilities on all places the mean.
-        level = np.zeros(_DRAWS)
-        for first in range(0, len(self._at), _JOINT):
-            level += norm.cdf(self._limit(slice(first, first + _JOINT))).sum(axis=0)
-        shares = self._drawn.mean(axis=0) + level / len(self._at) - norm.cdf(limit).mean(axis=0)
+        shares = self._drawn.mean(axis=0) + self._level() - ndtr(limit).mean(axis=0)
         self._shares = np.clip(shares, 0.0, 1.0)
+
+    def _level(self) -> FloatArray:
+        """Mean probability in each draw that a place is critical, shape (draws,)."""
+        a, log_b = self._correction.T.copy()
+        # Places of nearly the same t are taken together.
+        groups = np.array_split(np.sort(self._t[self._certain == 0.0]), _GROUPS)
+        middle = np.array([group.mean() for group in groups if len(group)])
+        count = np.array([len(group) for group in groups if len(group)])
+        critical = count @ ndtr(-(a + np.exp(log_b) * middle[:, None])) + (self._certain > 0.0).sum()
+        return np.asarray(critical / len(self._at))
 
     def _limit(self, part: slice) -> FloatArray:
         """Normal deviate up to which a place is critical in each draw; infinite where it was run."""
@@ -157,7 +166,7 @@ class CriticalSet:
 
     def _seen(self, points: FloatArray) -> FloatArray:
         """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""
-        return np.array([self._outcome.get(bytes(point), 0.0) for point in self._space.snap(points)])
+        return np.array([self._outcome.get(key, 0.0) for key in row_keys(self._space.snap(points))])
 
     @cached_property
     def share(self) -> Estimate:
@@ -189,7 +198,7 @@ class CriticalSet:
         # As for the share of the space: few places give the spread, all places the mean.
         for first in range(0, len(self._at), count):
             part = slice(first, first + count)
-            likely = norm.cdf(self._limit(part)) * norm.cdf(other._limit(part))
+            likely = ndtr(self._limit(part)) * ndtr(other._limit(part))
             both += likely.sum(axis=0) / len(self._at) - (likely.mean(axis=0) if first == 0 else 0.0)
         shares = np.clip(both / np.maximum(self._shares, 1e-12), 0.0, 1.0)
         return _estimate(shares)

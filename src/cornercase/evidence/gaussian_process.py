@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from copy import copy
 
 import numpy as np
-import numpy.typing as npt
-from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky
 from scipy.linalg.blas import strmm
-from scipy.optimize import minimize
 from scipy.stats import norm
-from threadpoolctl import threadpool_limits
 
 from cornercase._common.platform import available_cpus
+from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
+from cornercase.evidence.kernel import Floats, Kernel, evenly, learned_kernel
+from cornercase.evidence.posterior import MOST_EXACT, Posterior, posterior
 from cornercase.scenario import ParameterSpace
 
-Floats = npt.NDArray[np.floating[Any]]
-
-_ROOT5 = float(np.sqrt(5.0))
-_CHUNK, _LEARNED, _FEWEST = 1024, 160, 10
+_CHUNK, _FEWEST = 1024, 10
 _MANY, _NOISES = 100, (0.02, 0.3, 1.0)
-_WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-6
+# How much the process matters far from the threshold.
+_FAR = 0.02
 
 
 def encoded(space: ParameterSpace, points: FloatArray) -> FloatArray:
@@ -66,8 +64,8 @@ def enough(points: FloatArray, scores: FloatArray) -> tuple[FloatArray, FloatArr
     return points[known], scores[known]
 
 
-def near_threshold(scores: FloatArray, threshold: float) -> FloatArray:
-    """Scores with the threshold at 0, drawn together by a hyperbolic tangent where they are far from it.
+def nearness(scores: FloatArray) -> float:
+    """Distance from the threshold up to which a score counts as near.
 
     What lies far from the threshold says little about the boundary of the critical set, and a process that need not
     follow it follows the boundary better. But it leads to regions that were not met yet; so one standard deviation
@@ -76,14 +74,29 @@ def near_threshold(scores: FloatArray, threshold: float) -> FloatArray:
     Parameters
     ----------
     scores : ndarray of float64, shape (n,)
+
+    Returns
+    -------
+    float
+    """
+    return float(np.clip(_MANY / len(scores), 0.5, 1.0) * np.std(scores))
+
+
+def near_threshold(scores: FloatArray, threshold: float, near: float) -> FloatArray:
+    """Scores with the threshold at 0, drawn together by a hyperbolic tangent where they are far from it.
+
+    Parameters
+    ----------
+    scores : ndarray of float64, shape (n,)
     threshold : float
+    near : float
+        What counts as near, as of `nearness`.
 
     Returns
     -------
     ndarray of float64, shape (n,)
     """
-    near = np.clip(_MANY / len(scores), 0.5, 1.0)
-    return np.asarray(np.tanh((scores - threshold) / (near * np.std(scores))))
+    return np.asarray(np.tanh((scores - threshold) / near))
 
 
 def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:
@@ -91,7 +104,7 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
 
     Where scores jump, a process with much noise smooths the boundary away; where they are noisy, one with little noise
     follows the noise. So several are fitted, each with more noise allowed, and the one is taken that predicts best on
-    which side of the threshold each scenario is that is left out.
+    which side of the threshold each scenario is that is left out, of 512 of them at most.
 
     Parameters
     ----------
@@ -105,22 +118,26 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     -------
     GaussianProcess
     """
-    values = near_threshold(scores, threshold)
-    side = np.where(scores <= threshold, 1.0, -1.0)
-    found = [GaussianProcess(most_noise).fit(points, values) for most_noise in _NOISES]
+    values = near_threshold(scores, threshold, nearness(scores))
+    some = evenly(len(points), MOST_EXACT)
+    side = np.where(scores[some] <= threshold, 1.0, -1.0)
+    found: list[GaussianProcess] = []
     sure = []
-    for process in found:
-        mean, deviation = process.leave_one_out()
+    for most_noise in _NOISES:
+        process = GaussianProcess(most_noise).learn(points, values, found[-1] if found else None)
+        mean, deviation = process.know(points[some], values[some]).leave_one_out()
         sure.append(norm.logcdf(-side * mean / deviation).sum())
-    return found[int(np.argmax(sure))]
+        found.append(process)
+    best = found[int(np.argmax(sure))]
+    # The slope of the hyperbolic tangent says how near a score is to the threshold.
+    return best if len(some) == len(points) else best.know(points, values, (1.0 - values**2 + _FAR) ** 2)
 
 
 class GaussianProcess:
     """Gaussian process with a Matérn kernel (5/2) and a width of its own for each dimension.
 
-    Widths, size and noise are those of the greatest marginal likelihood times a wide prior on the widths, which
-    keeps them from running away while there are few points (Rasmussen and Williams, Gaussian Processes for Machine
-    Learning, 2006, equations 4.17, 5.8 and 5.9).
+    `fit` learns the kernel and takes the values in. What is costly can be had apart: `learn` learns the kernel, `know`
+    takes values in for the kernel at hand, and `extend` takes in more of them.
 
     Parameters
     ----------
@@ -129,56 +146,99 @@ class GaussianProcess:
 
     Attributes
     ----------
-    widths : ndarray of float64, shape (e,)
-    signal, noise : float
-        Standard deviations of the process and of single values.
+    kernel : Kernel
+        As learned.
     """
 
     def __init__(self, most_noise: float = 0.3) -> None:
         self._most_noise = most_noise
-        self.widths, self.signal, self.noise = np.zeros(0), 1.0, 0.1
+        self._mean = 0.0
+        self.kernel: Kernel
+        self._known: Posterior
 
     def fit(self, points: FloatArray, values: FloatArray) -> GaussianProcess:
-        """Learn from values at points.
+        """Learn the kernel, and know values at points.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, e)
         values : ndarray of float64, shape (n,)
-            Widths and noise are learned from 160 of them at most.
 
         Returns
         -------
         GaussianProcess
             Itself.
         """
-        dims = points.shape[1]
-        start = np.log(np.append(np.full(dims, 0.4), (1.0, min(0.05, self._most_noise))))
-        bounds = np.log([*[_WIDTHS] * dims, _SIGNAL, (_LEAST_NOISE, self._most_noise)])
-        mean = float(values.mean())
-        some = np.unique(np.linspace(0, len(values) - 1, _LEARNED).astype(np.int64))
-        squares = (points[some, None] - points[some]) ** 2
+        return self.learn(points, values).know(points, values)
+
+    def learn(self, points: FloatArray, values: FloatArray, near: GaussianProcess | None = None) -> GaussianProcess:
+        """Learn the kernel, and the mean far from all values.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        values : ndarray of float64, shape (n,)
+        near : GaussianProcess, optional
+            With a kernel near which to look.
+
+        Returns
+        -------
+        GaussianProcess
+            Itself.
+        """
+        self._mean = float(values.mean())
         # Sums in one order, whatever the number of threads: the points that follow hang on the last digits.
-        with threadpool_limits(limits=1):
-            found = minimize(
-                _loss, start, (squares, values[some] - mean), jac=True, method="L-BFGS-B",
-                bounds=[(low, high) for low, high in bounds.tolist()], options={"maxiter": 50},
-            )  # fmt: skip
-            *widths, self.signal, self.noise = np.exp(found.x)
-            self.widths = np.array(widths)
-            self._points, self._mean, self._values = points / self.widths, mean, values - mean
-            covariance = self.signal**2 * _correlation(_distances(self._points, self._points))
-            covariance[np.diag_indices(len(points))] += self.noise**2
-            lower = cholesky(covariance, lower=True)
-            self._weights = cho_solve((lower, True), self._values)
-            self._inverse = solve_triangular(lower, np.eye(len(points)), lower=True)
-            self._single_inverse = np.asfortranarray(self._inverse, dtype=np.float32)
+        with one_thread():
+            start = None if near is None else near.kernel
+            self.kernel = learned_kernel(points, values - self._mean, self._most_noise, start)
         return self
+
+    def know(self, points: FloatArray, values: FloatArray, matters: FloatArray | None = None) -> GaussianProcess:
+        """Take values in, instead of those before: exactly up to 512 of them, else by way of as many points.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        values : ndarray of float64, shape (n,)
+        matters : ndarray of float64, shape (n,), optional
+            How much it matters to know the process at a point, above 0; by default the same everywhere.
+
+        Returns
+        -------
+        GaussianProcess
+            Itself.
+        """
+        with one_thread():
+            self._take(posterior(self.kernel, points, values - self._mean, matters))
+        return self
+
+    def extended(self, points: FloatArray, values: FloatArray) -> GaussianProcess:
+        """Process of the same kernel that knows more values.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        values : ndarray of float64, shape (n,)
+
+        Returns
+        -------
+        GaussianProcess
+            Another one.
+        """
+        other = copy(self)
+        with one_thread():
+            other._take(self._known.extended(points, values - self._mean))
+        return other
+
+    def _take(self, known: Posterior) -> None:
+        self._known = known
+        self._weights = known.weights.astype(np.float32)
+        self._inverse = np.asfortranarray(known.inverse, dtype=np.float32)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the process at points.
 
-        In single precision, so that 100,000 points and 400 values take a second or so.
+        In single precision, so that 100,000 points and 500 values take a second or so.
 
         Parameters
         ----------
@@ -188,23 +248,11 @@ class GaussianProcess:
         -------
         mean, deviation : ndarray of float64, shape (n,)
         """
-        mean, deviation = np.empty(len(points)), np.empty(len(points))
-        weights = self._weights.astype(np.float32)
+        mean, deviation, _ = self._predict(points, keep=False)
+        return mean, deviation
 
-        def part(first: int) -> None:
-            these = slice(first, first + _CHUNK)
-            cross = self._cross(points[these])
-            mean[these] = cross @ weights
-            rows = self._project(cross)
-            deviation[these] = np.einsum("ij,ij->i", rows, rows)
-
-        # Each part is summed by one thread, so their number does not show.
-        with threadpool_limits(limits=1), ThreadPoolExecutor(available_cpus()) as pool:
-            list(pool.map(part, range(0, len(points), _CHUNK)))
-        return mean + self._mean, np.sqrt(np.maximum(self.signal**2 - deviation, 1e-8 * self.signal**2))
-
-    def projections(self, points: FloatArray) -> Floats:
-        """Compute what `covariance` needs of points.
+    def predict_with_projections(self, points: FloatArray) -> tuple[FloatArray, FloatArray, Floats]:
+        """As `predict`, and what `covariance` needs of the points.
 
         Parameters
         ----------
@@ -212,22 +260,29 @@ class GaussianProcess:
 
         Returns
         -------
-        ndarray of float32, shape (n, values)
+        mean, deviation : ndarray of float64, shape (n,)
+        rows : ndarray of float32, shape (n, k)
         """
-        with threadpool_limits(limits=1):
-            return self._project(self._cross(points))
+        mean, deviation, parts = self._predict(points, keep=True)
+        return mean, deviation, np.concatenate(parts)
 
-    def _cross(self, points: FloatArray) -> Floats:
-        """Covariance of points with those that were learned."""
-        known = self._points.astype(np.float32)
-        cross = _correlation(_distances((points / self.widths).astype(np.float32), known))
-        cross *= np.float32(self.signal**2)
-        return cross
+    def _predict(self, points: FloatArray, keep: bool) -> tuple[FloatArray, FloatArray, list[Floats]]:
+        mean, deviation = np.empty(len(points)), np.empty(len(points))
 
-    def _project(self, cross: Floats) -> Floats:
-        """Product with the inverse factor, in place: half the work of that with a full matrix."""
-        found: Floats = strmm(1.0, self._single_inverse, cross.T, side=0, lower=1, overwrite_b=1).T
-        return found
+        def part(first: int) -> Floats:
+            these = slice(first, first + _CHUNK)
+            cross = self.kernel.single_covariance(points[these], self._known.points)
+            mean[these] = cross @ self._weights
+            # In place, and half the work of a product with a full matrix.
+            rows: Floats = strmm(1.0, self._inverse, cross.T, side=0, lower=1, overwrite_b=1).T
+            deviation[these] = np.einsum("ij,ij->i", rows, rows)
+            return rows if keep else rows[:0]
+
+        # Each part is summed by one thread, so their number does not show.
+        with one_thread(), ThreadPoolExecutor(available_cpus()) as pool:
+            rows = list(pool.map(part, range(0, len(points), _CHUNK)))
+        signal2 = self.kernel.signal**2
+        return mean + self._mean, np.sqrt(np.maximum(signal2 - deviation, 1e-8 * signal2)), rows
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value by the process of all others.
@@ -241,8 +296,9 @@ class GaussianProcess:
         -----
         Source: Rasmussen and Williams 2006, equation 5.12.
         """
-        precision = (self._inverse**2).sum(axis=0)
-        return self._mean + self._values - self._weights / precision, 1.0 / np.sqrt(precision)
+        with one_thread():
+            mean, deviation = self._known.leave_one_out()
+        return self._mean + mean, deviation
 
     def joint(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Covariance of the values at points, noise included.
@@ -257,11 +313,11 @@ class GaussianProcess:
             Lower Cholesky factor.
         deviation : ndarray of float64, shape (m,)
         """
-        scaled = points / self.widths
-        rows = self.signal**2 * _correlation(_distances(scaled, self._points)) @ self._inverse.T
-        covariance = self.signal**2 * _correlation(_distances(scaled, scaled)) - rows @ rows.T
-        covariance[np.diag_indices(len(points))] += self.noise**2 + 1e-6 * self.signal**2
-        return cholesky(covariance, lower=True), np.sqrt(np.diag(covariance))
+        rows = self.kernel.covariance(points, self._known.points) @ self._known.inverse.T
+        covariance = self.kernel.covariance(points, points) - rows @ rows.T
+        covariance[np.diag_indices(len(points))] += self.kernel.noise**2 + 1e-6 * self.kernel.signal**2
+        deviation = np.sqrt(np.diag(covariance))
+        return cholesky(covariance, lower=True, overwrite_a=True, check_finite=False), deviation
 
     def covariance(self, points: FloatArray, rows: Floats, i: int) -> FloatArray:
         """Covariance of the process at all points with that at one of them.
@@ -269,8 +325,8 @@ class GaussianProcess:
         Parameters
         ----------
         points : ndarray of float64, shape (n, e)
-        rows : ndarray of float32, shape (n, values)
-            What `projections` gives of the points.
+        rows : ndarray of float32, shape (n, k)
+            What `predict_with_projections` gives of the points.
         i : int
             Index of the one.
 
@@ -278,59 +334,5 @@ class GaussianProcess:
         -------
         ndarray of float64, shape (n,)
         """
-        prior = self.signal**2 * _correlation(_distances(points / self.widths, points[i : i + 1] / self.widths))[:, 0]
+        prior = self.kernel.covariance(points, points[i : i + 1])[:, 0]
         return np.asarray(prior - rows @ rows[i], dtype=np.float64)
-
-
-def _distances(a: Floats, b: Floats) -> Floats:
-    squares: Floats = (a * a).sum(1)[:, None] + (b * b).sum(1) - 2.0 * (a @ b.T)
-    np.sqrt(np.maximum(squares, 0.0, out=squares), out=squares)
-    return squares
-
-
-def _correlation(distance: Floats) -> Floats:
-    """Matérn correlation (5/2) at scaled distances; the array is used up."""
-    number = distance.dtype.type
-    distance *= number(_ROOT5)
-    polynomial = distance * number(1.0 / 3.0)
-    polynomial += number(1.0)
-    polynomial *= distance
-    polynomial += number(1.0)
-    np.exp(np.negative(distance, out=distance), out=distance)
-    polynomial *= distance
-    return polynomial
-
-
-def _matern(distance: Floats) -> tuple[Floats, Floats]:
-    """Correlation at scaled distances, and its derivative by the logarithm of a width, divided by the square."""
-    scaled = distance * distance.dtype.type(_ROOT5)
-    fall = np.exp(-scaled)
-    slope = (1.0 + scaled) * fall
-    return slope + (scaled * scaled) * fall * scaled.dtype.type(1.0 / 3.0), slope * scaled.dtype.type(5.0 / 3.0)
-
-
-def _loss(parameters: FloatArray, squares: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
-    """Negative logarithm of the marginal likelihood and the prior, and its gradient."""
-    *logs, log_signal, log_noise = parameters
-    widths, signal2, noise2 = np.exp(logs), np.exp(2.0 * log_signal), np.exp(2.0 * log_noise)
-    scaled = squares / widths**2
-    correlation, slope = _matern(np.sqrt(scaled.sum(-1)))
-    covariance = signal2 * correlation
-    covariance[np.diag_indices(len(values))] += noise2
-    try:
-        lower = cholesky(covariance, lower=True)
-    except LinAlgError:
-        return 1e25, np.zeros_like(parameters)
-    weights = cho_solve((lower, True), values)
-    inverse = cho_solve((lower, True), np.eye(len(values)))
-    outer = np.outer(weights, weights) - inverse
-    gradient = np.empty_like(parameters)
-    common = outer * slope * signal2
-    gradient[: len(widths)] = [0.5 * np.sum(common * scaled[..., j]) for j in range(len(widths))]
-    gradient[-2] = np.sum(outer * correlation) * signal2
-    gradient[-1] = np.trace(outer) * noise2
-    # Of a copy: NumPy's logarithm of a strided array depends, in its last digit, on where its result lies in memory.
-    likelihood = -0.5 * values @ weights - np.log(np.diag(lower).copy()).sum()
-    away = np.asarray(logs) - np.log(0.5)
-    gradient[: len(widths)] -= away
-    return float(-(likelihood - 0.5 * away @ away)), -gradient

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.stats import sobol_indices, uniform
-from threadpoolctl import threadpool_limits
 
+from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
 from cornercase.evidence.gaussian_process import GaussianProcess, encoded, enough
 from cornercase.scenario import ParameterSpace
@@ -85,7 +85,7 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     each: Any = [uniform()] * space.dimension
     if space.dimension == 1:
         return Sensitivity(space.names, (1.0,), (1.0,), float(1.0 - np.mean(left**2)))
-    with threadpool_limits(limits=1):
+    with one_thread():
         found: Any = sobol_indices(func=predict, n=_SAMPLES, dists=each, rng=np.random.default_rng(seed))
     # Where the scores do not vary the indices are not defined; they count as 0.
     varied = [one.size != 1 for one in space.parameters]

@@ -5,16 +5,22 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from scipy.spatial.distance import pdist
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.threads import one_thread
+from cornercase._common.typing import FloatArray
 from cornercase.optimizers.candidates import CandidateOptimizer
+from cornercase.optimizers.feature_process import FeatureProcess
 from cornercase.scenario import ParameterSpace
 
-_INITIAL = 20
+_INITIAL: Final = 20
+# Steps of Adam and their size: a tenth of PHYSBO's number, ten times as long.
+_STEPS, _STEP_SIZE = 50, 0.01
+# Points on which widths to begin with are compared.
+_COMPARED: Final = 200
 
 
 class BayesOptimizer(CandidateOptimizer):
@@ -22,8 +28,9 @@ class BayesOptimizer(CandidateOptimizer):
 
     The setting is that of Schütt, Otten and Sax (2023), section "Optimization Workflow": automatic
     hyperparameters, Thompson sampling, random feature maps; PHYSBO is the maintained successor of their COMBO. The
-    first 20 points are a Sobol' sequence. Each round learns the process anew from all that was told, so the next
-    round depends on nothing else.
+    first 20 points are a Sobol' sequence. The hyperparameters are learned, and the feature maps drawn, each time that
+    there are ten scores more to learn from, or a tenth more where that is more; what was told since then is known to
+    the process too.
 
     A round is that many samples of one process. Each sample chooses among candidates of its own, which keeps a round
     from running the same scenario twice and from crowding at one end of a critical region.
@@ -53,36 +60,62 @@ class BayesOptimizer(CandidateOptimizer):
         features: int = 500,
         filling: float = 0.3,
     ) -> None:
-        super().__init__(space, seed, initial=_INITIAL, candidates=candidates, filling=filling)
-        self._features = features
+        super().__init__(space, seed, initial=_INITIAL, filling=filling)
+        self._count, self._features = candidates, features
+        self._process: FeatureProcess
+        self._scale: tuple[float, float]
 
-    def _choose(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
+    def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        self._scale = float(scores.mean()), float(scores.std())
+        with _alone(seed):
+            self._process = _learned(2.0 * points - 1.0, self._target(scores), self._features)
+
+    def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         # Thompson sampling: each point is the best of its share of the candidates, by its own sample of the process.
-        import physbo
+        candidates = self._new(max(self._count, n), filling)
+        if len(candidates) <= n:
+            return candidates
+        # Consecutive points of a Sobol' sequence fill the space, which every n-th point need not do.
+        shares = np.array_split(candidates, n)
+        with one_thread():
+            process = self._process.extended(2.0 * points - 1.0, self._target(scores))
+            samples = process.samples(n, np.random.default_rng(self._round_seed))
+            chosen = [
+                np.argmax(process.features(2.0 * share - 1.0) @ sample)
+                for share, sample in zip(shares, samples, strict=True)
+            ]
+        return np.array([share[k] for share, k in zip(shares, chosen, strict=True)])
 
-        points, scores = self._points[self._known], self._scores[self._known]
-        # PHYSBO maximises.
-        target = -(scores - scores.mean()) / scores.std()
-        # An epoch has a gradient step for each batch of points; fewer epochs with more points keep the number of steps.
-        config = physbo.misc.SetConfig()
-        learning = config.learning
-        batches = max(1, len(points) // learning.batch_size)
-        learning.max_epoch = max(1, learning.max_epoch // batches)
-        learning.max_epoch_init_params_search = max(1, learning.max_epoch_init_params_search // batches)
-        learning.num_disp, learning.eval_size = 1, 512
-        with _alone(self._round_seed):
-            policy = physbo.search.discrete.Policy(test_X=2.0 * candidates - 1.0, config=config)
-            policy.bayes_search(
-                training=physbo.Variable(X=2.0 * points - 1.0, t=target),
-                max_num_probes=0,
-                interval=0,
-                num_rand_basis=self._features,
-                is_disp=False,
-            )
-            # Consecutive points of a Sobol' sequence fill the space, which every n-th point need not do.
-            shares = np.array_split(np.arange(len(candidates)), n)
-            chosen = [share[np.argmax(policy.get_score("TS", actions=share))] for share in shares]
-        return np.array(chosen, dtype=np.int64)
+    def _target(self, scores: FloatArray) -> FloatArray:
+        """What PHYSBO maximises, shape (n,)."""
+        mean, deviation = self._scale
+        return -(scores - mean) / deviation
+
+
+def _learned(points: FloatArray, values: FloatArray, features: int) -> FeatureProcess:
+    """Process of the hyperparameters that PHYSBO learns: from the best of five widths on, by Adam."""
+    import physbo
+
+    kinds = physbo.gp
+    model = kinds.core.Model(
+        lik=kinds.lik.Gauss(), mean=kinds.mean.Const(), cov=kinds.cov.Gauss(num_dim=points.shape[1], ard=False)
+    )
+    # Noise, mean, width and size of the process; all but the mean as logarithms.
+    size = np.log(np.std(values))
+    widths = np.log(np.quantile(pdist(points), (0.1, 0.3, 0.5, 0.7, 0.9)) + 1e-6)
+    starts = [np.array([size - np.log(10.0), np.median(values), width, size]) for width in widths]
+    some = slice(None, _COMPARED)
+    start = min(starts, key=lambda one: model.eval_marlik(one.copy(), points[some], values[some]))
+    config = physbo.misc.SetConfig()
+    config.learning.alpha, config.learning.num_disp = _STEP_SIZE, 1
+    # An epoch has a step for each batch of points; fewer epochs with more points keep the number of steps.
+    epochs = max(1, _STEPS // max(1, len(points) // config.learning.batch_size))
+    model.set_params(kinds.core.learning.Adam(model, config).one_run(start, points, values, epochs))
+    linear = model.export_blm(features).lik.linear
+    frequencies, phases, amplitude = linear.basis.params
+    numbers = [np.asarray(number).item() for number in (amplitude, linear.bias, model.lik.std)]
+    process = FeatureProcess(frequencies, phases, *numbers)
+    return process.extended(points, values)
 
 
 @contextlib.contextmanager
@@ -93,7 +126,7 @@ def _alone(seed: int) -> Iterator[None]:
     """
     state: Any = np.random.get_state()  # noqa: NPY002
     try:
-        with contextlib.redirect_stdout(io.StringIO()), threadpool_limits(limits=1):
+        with contextlib.redirect_stdout(io.StringIO()), one_thread():
             np.random.seed(seed)  # noqa: NPY002
             yield
     finally:

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from typing import Final
 
 import numpy as np
 
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.optimizers.base import Optimizer
 from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.scenario import ParameterSpace
 
+_STEP: Final = 10
+"""Scores after which a model is learned anew, or a tenth of what it was learned from where that is more."""
+
 
 class CandidateOptimizer(Optimizer):
-    """Begins with a Sobol' sequence, then chooses among points of another one, drawn anew for each round.
+    """Begins with a Sobol' sequence, then chooses among points of another one by a model of the scores.
 
     A share of all points goes on with the first sequence, so that a critical region is met that nothing points to.
-    Each round is learned anew from all that was told and depends on nothing else.
+
+    What is costly to learn, such as the kernel of a Gaussian process, is learned each time that there are ten scores
+    more to learn from, or a tenth more where that is more: from the first 20 scores, the first 30, and so on to 100,
+    110, 121. The scores that came since then are known to the model too. So each round depends on what was told and on
+    nothing else, not on the size of the rounds either.
 
     Parameters
     ----------
@@ -25,30 +33,30 @@ class CandidateOptimizer(Optimizer):
     seed : int
     initial : int
         Points of the sequence before anything is learned.
-    candidates : int
-        Points among which a round chooses.
     filling : float
         Share of all points that fills the space.
     """
 
-    def __init__(self, space: ParameterSpace, seed: int, *, initial: int, candidates: int, filling: float) -> None:
+    def __init__(self, space: ParameterSpace, seed: int, *, initial: int, filling: float) -> None:
         self._space, self._seed = space, seed
-        self._initial, self._candidates, self._filling = initial, candidates, filling
+        self._initial, self._filling = initial, filling
         self._sequence = SobolOptimizer(space, seed)
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
+        self._learned = 0
 
     def ask(self, n: int) -> FloatArray:
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
         told, scores = len(self._points), self._scores[self._known]
         if told < self._initial or len(scores) < 3 or np.ptp(scores) == 0.0:
             return self._sequence.ask(n)
+        points, first = self._points[self._known], self._number(scores)
+        if first != self._learned:
+            self._learn(points[:first], scores[:first], self._seed_of(first))
+            self._learned = first
         filling = self._sequence.ask(self._filled(told + n) - self._filled(told))
-        wanted = n - len(filling)
-        everyone = SobolOptimizer(self._space, self._round_seed)
-        candidates = everyone.ask(max(self._candidates, wanted), besides=np.concatenate([self._points, filling]))
-        if len(candidates) > wanted > 0:
-            candidates = candidates[self._choose(candidates, filling, wanted)]
-        return np.concatenate([candidates[:wanted], filling])
+        if (wanted := n - len(filling)) == 0:
+            return filling
+        return np.concatenate([self._choose(points[first:], scores[first:], filling, wanted), filling])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take scores, shape (m,), of points, shape (m, d), as in `Optimizer.tell`."""
@@ -62,24 +70,45 @@ class CandidateOptimizer(Optimizer):
 
     @property
     def _round_seed(self) -> int:
-        return int(np.random.SeedSequence([self._seed, len(self._points)]).generate_state(1)[0])
+        return self._seed_of(len(self._points))
+
+    def _seed_of(self, number: int) -> int:
+        return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
+
+    def _number(self, scores: FloatArray) -> int:
+        """Number of scores, the first ones, from which is learned."""
+        number = min(_STEP, len(scores))
+        while (more := number + max(_STEP, number // 10)) <= len(scores):
+            number = more
+        return number if np.ptp(scores[:number]) > 0.0 else len(scores)
 
     def _filled(self, told: int) -> int:
         return math.floor(self._filling * told + 1e-9)
 
+    def _new(self, count: int, filling: FloatArray) -> FloatArray:
+        """Points of a sequence of this round, shape (m, d), that were neither told nor are in `filling`, (f, d)."""
+        besides = np.concatenate([self._points, filling])
+        return SobolOptimizer(self._space, self._round_seed).ask(count, besides=besides)
+
     @abstractmethod
-    def _choose(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
-        """Choose `n` different candidates.
+    def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        """Learn from points, shape (m, d), and their scores, shape (m,), which are not all the same."""
+
+    @abstractmethod
+    def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        """Choose points of this round.
 
         Parameters
         ----------
-        candidates : ndarray of float64, shape (c, d)
+        points : ndarray of float64, shape (m, d)
+            Those that came since something was learned.
+        scores : ndarray of float64, shape (m,)
         filling : ndarray of float64, shape (f, d)
             Points of this round that fill the space.
         n : int
 
         Returns
         -------
-        ndarray of int64, shape (n,)
-            Places among the candidates.
+        ndarray of float64, shape (k, d)
+            Neither told nor in `filling`; k < n only when the space has no more.
         """

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence import GaussianProcess, boundary_process, encoded
+from cornercase.evidence import GaussianProcess, boundary_process, encoded, near_threshold, nearness
 from cornercase.optimizers.candidates import CandidateOptimizer
+from cornercase.optimizers.sequences import SobolOptimizer
+from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
 
-# Points before anything is learned; and candidates of greatest gain that are looked at more closely at first.
-_INITIAL, _LOOKED_AT = 24, 4096
+# Points before anything is learned; and candidates of greatest gain that are kept until more is learned.
+_INITIAL: Final = 24
+_KEPT: Final = 4096
 
 
 class LevelSetOptimizer(CandidateOptimizer):
@@ -24,6 +28,10 @@ class LevelSetOptimizer(CandidateOptimizer):
     boundary. The first 24 points, and a share of all others, are a Sobol' sequence, so that a critical region that
     the process knows nothing of is met.
 
+    The kernel of the process is learned, and candidates are drawn, each time that there are ten scores more to learn
+    from, or a tenth more where that is more. The 4096 candidates that are best then are those of the rounds until the
+    next time.
+
     Parameters
     ----------
     space : ParameterSpace
@@ -31,7 +39,7 @@ class LevelSetOptimizer(CandidateOptimizer):
     threshold : float
         Score up to which a scenario is critical.
     candidates : int, default 20000
-        Points among which a round chooses; drawn anew for each.
+        Points among which is chosen.
     filling : float, default 0.2
         Share of the points that fills the space.
 
@@ -47,43 +55,52 @@ class LevelSetOptimizer(CandidateOptimizer):
     def __init__(
         self, space: ParameterSpace, seed: int, threshold: float, candidates: int = 20_000, filling: float = 0.2
     ) -> None:
-        super().__init__(space, seed, initial=_INITIAL, candidates=candidates, filling=filling)
+        super().__init__(space, seed, initial=_INITIAL, filling=filling)
         self.threshold = threshold
+        self._count = candidates
+        self._unseen = Unseen(space)
+        self._process: GaussianProcess
+        self._near: float
+        self._candidates: FloatArray
 
-    def _process(self) -> GaussianProcess:
-        points, scores = self._points[self._known], self._scores[self._known]
-        return boundary_process(encoded(self._space, points), scores, self.threshold)
+    def tell(self, points: FloatArray, scores: FloatArray) -> None:
+        """Take scores, shape (m,), of points, shape (m, d), as in `Optimizer.tell`."""
+        super().tell(points, scores)
+        self._unseen.tell(points)
 
-    def _choose(self, candidates: FloatArray, filling: FloatArray, n: int) -> IntArray:
-        process = self._process()
-        places = encoded(self._space, candidates)
-        mean, deviation = process.predict(places)
-        best = np.argsort(-_gain(mean, deviation), kind="stable")
-        most = _LOOKED_AT
-        while True:
-            some = best[:most]
-            chosen, least = _straddle(process, places[some], encoded(self._space, filling), n)
-            # Gains only fall while points are chosen. So a candidate that was left out would not have been chosen if
-            # its gain at the beginning is below the least one that was.
-            if most >= len(best) or least >= _gain(mean, deviation)[best[most]]:
-                return some[chosen]
-            most *= 4
+    def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        self._near = nearness(scores)
+        self._process = boundary_process(encoded(self._space, points), scores, self.threshold)
+        candidates = SobolOptimizer(self._space, seed).ask(self._count, besides=points)
+        gain = _gain(*self._process.predict(encoded(self._space, candidates)))
+        self._candidates = candidates[np.sort(np.argsort(-gain, kind="stable")[:_KEPT])]
+
+    def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        candidates = self._unseen.left(self._candidates, besides=filling)
+        if len(candidates) < n:
+            candidates = self._new(max(n, min(self._count, _KEPT)), filling)
+        if len(candidates) <= n:
+            return candidates
+        process = self._process
+        if len(points):
+            values = near_threshold(scores, self.threshold, self._near)
+            process = process.extended(encoded(self._space, points), values)
+        return candidates[_straddle(process, encoded(self._space, candidates), encoded(self._space, filling), n)]
 
 
 def _gain(mean: FloatArray, deviation: FloatArray) -> FloatArray:
     return np.asarray(1.96 * deviation - np.abs(mean))
 
 
-def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArray, n: int) -> tuple[IntArray, float]:
-    """Choose `n` candidates, each with those before it known; and the least gain of them."""
+def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArray, n: int) -> IntArray:
+    """Choose `n` candidates, each with those before it and the `known` ones known."""
     places = np.concatenate([candidates, known])
-    mean, deviation = process.predict(places)
-    rows, variance = process.projections(places), deviation**2
+    mean, deviation, rows = process.predict_with_projections(places)
+    variance = deviation**2
     # The process is computed in single precision, which cannot tell a lower variance from 0.
-    lowest, noise = 1e-5 * process.signal**2, process.noise**2
+    lowest, noise = 1e-5 * process.kernel.signal**2, process.kernel.noise**2
     learned: list[FloatArray] = []
     chosen: list[int] = []
-    least = math.inf
 
     def learn(i: int) -> None:
         shared = process.covariance(places, rows, i)
@@ -97,10 +114,9 @@ def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArra
 
     for i in range(len(candidates), len(places)):
         learn(i)
-    for _ in range(n):
+    while len(chosen) < n:
         gain = _gain(mean, np.sqrt(variance))[: len(candidates)]
         gain[chosen] = -np.inf
         chosen.append(int(np.argmax(gain)))
-        least = min(least, float(gain[chosen[-1]]))
         learn(chosen[-1])
-    return np.array(chosen, dtype=np.int64), least
+    return np.array(chosen, dtype=np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cornercase._common.rows import row_keys
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import ParameterSpace
 
@@ -50,12 +51,11 @@ class Unseen:
         """As `among`, of points that are snapped and within the constraints already."""
         left_out = self._told if besides is None else self._told | _keys(self._space.snap(besides))
         first: dict[bytes, int] = {}
-        for k, point in enumerate(points):
-            key = point.tobytes()
+        for k, key in enumerate(row_keys(points)):
             if key not in left_out:
                 first.setdefault(key, k)
         return points[list(first.values())].reshape(-1, self._space.dimension)
 
 
 def _keys(points: FloatArray) -> set[bytes]:
-    return {point.tobytes() for point in points}
+    return set(row_keys(points))

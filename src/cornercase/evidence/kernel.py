@@ -1,0 +1,157 @@
+"""The covariance of a Gaussian process, and how its widths, size and noise are learned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import LinAlgError, cholesky
+from scipy.linalg.lapack import dpotri
+from scipy.optimize import minimize
+
+from cornercase._common.typing import FloatArray, IntArray
+
+Floats = npt.NDArray[np.floating[Any]]
+
+_ROOT5 = float(np.sqrt(5.0))
+_LEARNED = 160
+_WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-6
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Matérn kernel (5/2) with a width of its own for each dimension.
+
+    Attributes
+    ----------
+    widths : ndarray of float64, shape (e,)
+    signal, noise : float
+        Standard deviations of the process and of single values.
+    """
+
+    widths: FloatArray
+    signal: float
+    noise: float
+
+    def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """Covariance of the process at points with that at others, without noise.
+
+        Parameters
+        ----------
+        a : ndarray of float64, shape (n, e)
+        b : ndarray of float64, shape (m, e)
+
+        Returns
+        -------
+        ndarray of float64, shape (n, m)
+        """
+        return np.asarray(self._covariance(a / self.widths, b / self.widths), dtype=np.float64)
+
+    def single_covariance(self, a: FloatArray, b: FloatArray) -> Floats:
+        """As `covariance`, in single precision."""
+        return self._covariance((a / self.widths).astype(np.float32), (b / self.widths).astype(np.float32))
+
+    def _covariance(self, a: Floats, b: Floats) -> Floats:
+        found = _correlation(_distances(a, b))
+        found *= found.dtype.type(self.signal**2)
+        return found
+
+
+def evenly(count: int, most: int) -> IntArray:
+    """Indices of at most so many of `count` values, evenly apart."""
+    return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
+
+
+def learned_kernel(points: FloatArray, values: FloatArray, most_noise: float, start: Kernel | None = None) -> Kernel:
+    """Kernel of the greatest marginal likelihood times a wide prior on the widths.
+
+    The prior keeps the widths from running away while there are few points.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (n, e)
+    values : ndarray of float64, shape (n,)
+        With a mean of 0; 160 of them at most are looked at.
+    most_noise : float
+        Greatest standard deviation of single values.
+    start : Kernel, optional
+        Where to begin.
+
+    Returns
+    -------
+    Kernel
+
+    Notes
+    -----
+    Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
+    and 5.9.
+    """
+    dims = points.shape[1]
+    bounds = np.log([*[_WIDTHS] * dims, _SIGNAL, (_LEAST_NOISE, most_noise)])
+    begin = np.append(np.full(dims, 0.4), (1.0, 0.05))
+    if start is not None:
+        begin = np.append(start.widths, (start.signal, start.noise))
+    some = evenly(len(values), _LEARNED)
+    squares = ((points.T[:, some, None] - points.T[:, None, some]) ** 2).reshape(dims, -1)
+    found = minimize(
+        _loss, np.clip(np.log(begin), *bounds.T), (squares, values[some]), jac=True, method="L-BFGS-B",
+        bounds=[(low, high) for low, high in bounds.tolist()], options={"maxiter": 50},
+    )  # fmt: skip
+    *widths, signal, noise = np.exp(found.x).tolist()
+    return Kernel(np.array(widths), signal, noise)
+
+
+def _loss(parameters: FloatArray, squares: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
+    """Negative logarithm of the marginal likelihood and the prior, and its gradient; squares of shape (e, n n)."""
+    *logs, log_signal, log_noise = parameters
+    count = len(values)
+    narrow, signal2, noise2 = np.exp(-2.0 * np.array(logs)), np.exp(2.0 * log_signal), np.exp(2.0 * log_noise)
+    scaled = _ROOT5 * np.sqrt(narrow @ squares)
+    fall = np.exp(-scaled)
+    # The derivative of the correlation by the logarithm of a width, divided by the square.
+    slope = (1.0 + scaled) * fall
+    correlation = slope + (scaled * scaled) * fall * (1.0 / 3.0)
+    covariance = (signal2 * correlation).reshape(count, count)
+    covariance[np.diag_indices(count)] += noise2
+    try:
+        lower = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+    except LinAlgError:
+        return 1e25, np.zeros_like(parameters)
+    # Of a copy: NumPy's logarithm of a strided array depends, in its last digit, on where its result lies in memory.
+    determinant = np.log(np.diag(lower).copy()).sum()
+    inverse = dpotri(lower, lower=1)[0]
+    inverse += np.tril(inverse, -1).T
+    weights = inverse @ values
+    outer = np.outer(weights, weights) - inverse
+    flat = outer.ravel()
+    gradient = np.empty_like(parameters)
+    gradient[:-2] = squares @ (flat * slope) * narrow * (signal2 * 5.0 / 6.0)
+    gradient[-2] = flat @ correlation * signal2
+    gradient[-1] = np.trace(outer) * noise2
+    likelihood = -0.5 * values @ weights - determinant
+    away = np.asarray(logs) - np.log(0.5)
+    gradient[:-2] -= away
+    return float(-(likelihood - 0.5 * away @ away)), -gradient
+
+
+def _distances(a: Floats, b: Floats) -> Floats:
+    squares: Floats = a @ (b * b.dtype.type(-2.0)).T
+    squares += (a * a).sum(1)[:, None]
+    squares += (b * b).sum(1)
+    np.sqrt(np.maximum(squares, 0.0, out=squares), out=squares)
+    return squares
+
+
+def _correlation(distance: Floats) -> Floats:
+    """Matérn correlation (5/2) at scaled distances; the array is used up."""
+    number = distance.dtype.type
+    distance *= number(_ROOT5)
+    polynomial = distance * number(1.0 / 3.0)
+    polynomial += number(1.0)
+    polynomial *= distance
+    polynomial += number(1.0)
+    np.exp(np.negative(distance, out=distance), out=distance)
+    polynomial *= distance
+    return polynomial

@@ -1,0 +1,233 @@
+"""What values say of a Gaussian process of a given kernel: all of them exactly, or many by way of some points.
+
+Both kinds say it in the same form: the mean of the process at a place is that of its covariances with some points times
+`weights`, and what the values explain of its variance there is the squared length of those covariances times `inverse`.
+Both take further values in: the factor is extended instead of computed anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+from scipy.linalg.lapack import dpotri, dtrtri
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.evidence.kernel import Kernel, evenly
+
+MOST_EXACT = 512
+"""Number of values up to which all of them are taken exactly, and of the points that stand for more of them."""
+
+# Points among which those are chosen that stand for all, and how many at a time.
+_AMONG, _AT_ONCE = 2048, 32
+# Added to the variance of the points that stand for all, as a share of it, so that it can be inverted.
+_JITTER = 1e-7
+# Added to the share of the variance that is explained, against rounding errors.
+_SLACK = 1e-8
+
+
+class ExactPosterior:
+    """Process given values at points.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    points : ndarray of float64, shape (n, e)
+    values : ndarray of float64, shape (n,)
+    inverse : ndarray of float64, shape (n, n), optional
+        Inverse of the lower Cholesky factor of the covariance of the values, where it is known.
+
+    Attributes
+    ----------
+    points : ndarray of float64, shape (n, e)
+    weights : ndarray of float64, shape (n,)
+    inverse : ndarray of float64, shape (n, n)
+        Lower triangular.
+
+    Notes
+    -----
+    Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 2.25, 2.26.
+    """
+
+    def __init__(
+        self, kernel: Kernel, points: FloatArray, values: FloatArray, inverse: FloatArray | None = None
+    ) -> None:
+        self._kernel, self.points, self._values = kernel, points, values
+        self.inverse = _inverse(_noisy(kernel, points)) if inverse is None else inverse
+        self.weights = self.inverse.T @ (self.inverse @ values)
+
+    def extended(self, points: FloatArray, values: FloatArray) -> ExactPosterior:
+        """Take further values in.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (m, e)
+        values : ndarray of float64, shape (m,)
+
+        Returns
+        -------
+        ExactPosterior
+            The same, but for rounding, as of all values at once.
+        """
+        cross = self._kernel.covariance(points, self.points) @ self.inverse.T
+        corner = _inverse(_noisy(self._kernel, points) - cross @ cross.T)
+        inverse = np.zeros([len(self.points) + len(points)] * 2)
+        inverse[: len(self.points), : len(self.points)] = self.inverse
+        inverse[len(self.points) :, : len(self.points)] = -corner @ (cross @ self.inverse)
+        inverse[len(self.points) :, len(self.points) :] = corner
+        every = np.concatenate([self.points, points]), np.concatenate([self._values, values])
+        return ExactPosterior(self._kernel, *every, inverse)
+
+    def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation of each value by the process of all others, both of shape (n,)."""
+        precision = (self.inverse**2).sum(axis=0)
+        return self._values - self.weights / precision, 1.0 / np.sqrt(precision)
+
+
+class SparsePosterior:
+    """Process given many values, by way of the process at some of their points.
+
+    What these points leave open of the process at the others is taken for independent noise (FITC).
+
+    Parameters
+    ----------
+    kernel : Kernel
+    points : ndarray of float64, shape (n, e)
+    values : ndarray of float64, shape (n,)
+    matters : ndarray of float64, shape (n,), optional
+        How much it matters to know the process at a point: the larger, the likelier it is one of those that stand for
+        all. Above 0; by default the same everywhere.
+    before : SparsePosterior, optional
+        The same points stand for all, and the values come on top of those there.
+
+    Attributes
+    ----------
+    points : ndarray of float64, shape (k, e)
+        Those that stand for all.
+    weights : ndarray of float64, shape (k,)
+    inverse : ndarray of float64, shape (k, k)
+        Lower triangular.
+
+    Notes
+    -----
+    Source: E. Snelson, Z. Ghahramani, "Sparse Gaussian processes using pseudo-inputs", NIPS (2005). The points are
+    chosen as in Y. Chen, E. N. Epperly, J. A. Tropp, R. J. Webber, "Randomly pivoted Cholesky", Communications on Pure
+    and Applied Mathematics 78 (2025).
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        points: FloatArray,
+        values: FloatArray,
+        matters: FloatArray | None = None,
+        before: SparsePosterior | None = None,
+    ) -> None:
+        self._kernel = kernel
+        if before is None:
+            self.points = points[_standing_for(kernel, points, matters)]
+            prior = kernel.covariance(self.points, self.points)
+            prior[np.diag_indices(len(prior))] += _JITTER * kernel.signal**2
+            self._whiten = _inverse(prior)
+            self._precision, self._moment = np.eye(len(prior)), np.zeros(len(prior))
+        else:
+            self.points, self._whiten = before.points, before._whiten
+            self._precision, self._moment = before._precision, before._moment
+        rows, root = self._rows(points)
+        rows /= root[:, None]
+        self._precision = self._precision + rows.T @ rows
+        self._moment = self._moment + rows.T @ (values / root)
+        lower = cholesky(self._precision, lower=True)
+        self._mean = cho_solve((lower, True), self._moment)
+        self._covariance = dpotri(lower, lower=1)[0]
+        self._covariance += np.tril(self._covariance, -1).T
+        self._known, self._values = points, values
+        if before is not None:
+            self._known = np.concatenate([before._known, points])
+            self._values = np.concatenate([before._values, values])
+        self.weights = self._whiten.T @ self._mean
+        # Of the variance explained, 1 - covariance, the factor whose transpose stands first.
+        explained = (1.0 + _SLACK) * np.eye(len(lower)) - self._covariance
+        factor = cholesky(np.ascontiguousarray(explained[::-1, ::-1]), lower=True, overwrite_a=True)
+        self.inverse = np.ascontiguousarray(factor[::-1, ::-1]).T @ self._whiten
+
+    def extended(self, points: FloatArray, values: FloatArray) -> SparsePosterior:
+        """Take further values in.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (m, e)
+        values : ndarray of float64, shape (m,)
+
+        Returns
+        -------
+        SparsePosterior
+            The same, but for rounding, as of all values at once if the same points stood for them.
+        """
+        return SparsePosterior(self._kernel, points, values, before=self)
+
+    def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation of each value by the process of all others, both of shape (n,)."""
+        rows, root = self._rows(self._known)
+        explained = np.einsum("ij,ij->i", rows @ self._covariance, rows)
+        precision = (1.0 - explained / root**2) / root**2
+        error = (self._values - rows @ self._mean) / root**2 / precision
+        return self._values - error, 1.0 / np.sqrt(precision)
+
+    def _rows(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Process at points in terms of independent variables, and the deviation of what they leave open."""
+        rows = self._kernel.covariance(points, self.points) @ self._whiten.T
+        variance = self._kernel.signal**2
+        left = variance - np.einsum("ij,ij->i", rows, rows)
+        return rows, np.sqrt(np.maximum(left, _JITTER * variance) + self._kernel.noise**2)
+
+
+Posterior = ExactPosterior | SparsePosterior
+
+
+def posterior(kernel: Kernel, points: FloatArray, values: FloatArray, matters: FloatArray | None = None) -> Posterior:
+    """What values say of a process: exactly up to 512 of them, else by way of as many points.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    points : ndarray of float64, shape (n, e)
+    values : ndarray of float64, shape (n,)
+    matters : ndarray of float64, shape (n,), optional
+        As for `SparsePosterior`.
+
+    Returns
+    -------
+    ExactPosterior or SparsePosterior
+    """
+    if len(points) <= MOST_EXACT:
+        return ExactPosterior(kernel, points, values)
+    return SparsePosterior(kernel, points, values, matters)
+
+
+def _standing_for(kernel: Kernel, points: FloatArray, matters: FloatArray | None) -> IntArray:
+    """Indices of the points whose process tells most of that at all points, above all where it matters."""
+    among = evenly(len(points), _AMONG)
+    rng = np.random.default_rng(0)
+    share = np.ones(len(among)) if matters is None else matters[among]
+    left, rows = np.ones(len(among)), np.zeros((len(among), 0))
+    chosen = np.zeros(0, dtype=np.int64)
+    for _ in range(0, MOST_EXACT, _AT_ONCE):
+        left[chosen] = 0.0
+        new = rng.choice(len(among), _AT_ONCE, replace=False, p=left * share / (left @ share))
+        cross = kernel.covariance(points[among], points[among[new]]) / kernel.signal**2 - rows @ rows[new].T
+        more = cross @ _inverse(cross[new] + _JITTER * np.eye(len(new))).T
+        rows = np.concatenate([rows, more], axis=1)
+        left = np.maximum(left - (more**2).sum(axis=1), 1e-12)
+        chosen = np.concatenate([chosen, new])
+    return np.sort(among[chosen])
+
+
+def _noisy(kernel: Kernel, points: FloatArray) -> FloatArray:
+    covariance = kernel.covariance(points, points)
+    covariance[np.diag_indices(len(points))] += kernel.noise**2
+    return covariance
+
+
+def _inverse(covariance: FloatArray) -> FloatArray:
+    """Inverse of the lower Cholesky factor."""
+    return np.asarray(dtrtri(cholesky(covariance, lower=True), lower=1)[0])

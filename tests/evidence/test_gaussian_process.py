@@ -1,0 +1,132 @@
+"""Gaussian processes that take values in step by step, and those of many values."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import ndtr
+from scipy.stats import qmc
+
+from cornercase.evidence import CriticalSet, GaussianProcess
+from cornercase.evidence import posterior as posterior_module
+from cornercase.evidence.kernel import Kernel
+from cornercase.evidence.posterior import ExactPosterior, SparsePosterior
+from searches import CUBE, EVERYWHERE, THRESHOLD, two_regions
+
+kernels = st.builds(
+    lambda width, signal, noise: Kernel(np.array([width, 1.5 * width]), signal, noise),
+    st.floats(0.1, 2.0),
+    st.floats(0.3, 3.0),
+    st.floats(0.01, 0.5),
+)
+seeds, counts = st.integers(0, 1000), st.integers(1, 40)
+
+
+def drawn(count: int, seed: int):
+    points = np.random.default_rng(seed).random((count, 2))
+    return points, np.sin(7 * points[:, 0]) + points[:, 1]
+
+
+def told(kernel: Kernel, known, places):
+    """Mean and variance at places."""
+    cross = kernel.covariance(places, known.points)
+    return cross @ known.weights, kernel.signal**2 - ((cross @ known.inverse.T) ** 2).sum(axis=1)
+
+
+def same(kernel, a, b, places):
+    for one, other in zip(told(kernel, a, places), told(kernel, b, places), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6 * kernel.signal)
+    for one, other in zip(a.leave_one_out(), b.leave_one_out(), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6 * kernel.signal)
+
+
+@settings(max_examples=40, deadline=None)
+@given(kernels, counts, counts, counts, seeds)
+def test_taking_values_in_step_by_step_is_taking_them_all_at_once(kernel, first, second, third, seed):
+    points, values = drawn(first + second + third, seed)
+    parts = np.split(np.arange(len(points)), [first, first + second])
+    steps = ExactPosterior(kernel, points[parts[0]], values[parts[0]])
+    for part in parts[1:]:
+        steps = steps.extended(points[part], values[part])
+    same(kernel, steps, ExactPosterior(kernel, points, values), EVERYWHERE[:50, :2])
+
+
+@settings(max_examples=10, deadline=None)
+@given(kernels, st.integers(100, 200), counts, counts, seeds)
+def test_so_it_is_where_some_points_stand_for_all(kernel, first, second, third, seed):
+    points, values = drawn(first + second + third, seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(posterior_module, "MOST_EXACT", 64)
+        start = SparsePosterior(kernel, points[:first], values[:first])
+    middle = first + second
+    steps = start.extended(points[first:middle], values[first:middle]).extended(points[middle:], values[middle:])
+    assert steps.points.shape == (64, 2)
+    same(kernel, steps, start.extended(points[first:], values[first:]), EVERYWHERE[:50, :2])
+
+
+@settings(max_examples=10, deadline=None)
+@given(kernels, st.integers(100, 200), seeds)
+def test_points_that_stand_for_all_make_the_process_of_the_equations(kernel, count, seed):
+    """Snelson and Ghahramani's, with matrices as large as there are values."""
+    points, values = drawn(count, seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(posterior_module, "MOST_EXACT", 64)
+        found = SparsePosterior(kernel, points, values)
+    places = EVERYWHERE[:50, :2]
+    prior = kernel.covariance(found.points, found.points) + 1e-7 * kernel.signal**2 * np.eye(64)
+    whole, there = kernel.covariance(points, found.points), kernel.covariance(places, found.points)
+    within, across = whole @ np.linalg.solve(prior, whole.T), there @ np.linalg.solve(prior, whole.T)
+    left = np.maximum(kernel.signal**2 - np.diag(within), 1e-7 * kernel.signal**2) + kernel.noise**2
+    inverse = np.linalg.inv(within - np.diag(np.diag(within)) + np.diag(np.diag(within) + left))
+    mean, variance = told(kernel, found, places)
+    np.testing.assert_allclose(mean, across @ inverse @ values, atol=1e-5 * kernel.signal)
+    expected = kernel.signal**2 - np.einsum("ij,jk,ik->i", across, inverse, across)
+    np.testing.assert_allclose(variance, expected, atol=1e-5 * kernel.signal**2)
+    without, deviation = found.leave_one_out()
+    precision = np.diag(inverse)
+    np.testing.assert_allclose(without, values - inverse @ values / precision, atol=1e-5)
+    np.testing.assert_allclose(deviation, 1 / np.sqrt(precision), rtol=1e-5)
+
+
+def test_points_that_stand_for_all_tell_nearly_as_much(monkeypatch):
+    points = qmc.Sobol(3, seed=4).random(1024)
+    few = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    monkeypatch.setattr(posterior_module, "MOST_EXACT", 2000)
+    every = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    true = two_regions(EVERYWHERE) <= THRESHOLD
+    wrong = [(known.found(EVERYWHERE) != true).mean() for known in (few, every)]
+    assert wrong[0] < 1.3 * wrong[1] < 0.01
+    assert few.share.value == pytest.approx(every.share.value, rel=0.01)
+    assert few.share.low <= true.mean() <= few.share.high
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1.0])
+@pytest.mark.parametrize("width", [0.01, 10.0])
+def test_extreme_kernels_are_borne(noise, width):
+    points = np.random.default_rng(0).random((700, 1))
+    known = SparsePosterior(Kernel(np.array([width]), 30.0, noise), points, np.sign(points[:, 0] - 0.5))
+    for number in (*told(known._kernel, known, points), *known.leave_one_out()):
+        assert np.isfinite(number).all()
+
+
+def test_more_values_change_neither_the_kernel_nor_the_process_before():
+    points = qmc.Sobol(3, seed=2).random(128)
+    values = two_regions(points)
+    process = GaussianProcess().fit(points[:96], values[:96])
+    before = process.predict(EVERYWHERE[:100])
+    more = process.extended(points[96:], values[96:])
+    assert more.kernel is process.kernel
+    np.testing.assert_array_equal(process.predict(EVERYWHERE[:100]), before)
+    anew = process.know(points, values).predict(EVERYWHERE[:100])
+    np.testing.assert_allclose(more.predict(EVERYWHERE[:100]), anew, atol=2e-3)
+
+
+def test_the_level_of_groups_is_that_of_all_places():
+    points = qmc.Sobol(3, seed=3).random(64)
+    known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    every = [known._limit(slice(first, first + 1024)) for first in range(0, len(known._at), 1024)]
+
+    expected = np.mean([ndtr(part).mean(axis=0) for part in every], axis=0)
+    np.testing.assert_allclose(known._level(), expected, atol=1e-4)
