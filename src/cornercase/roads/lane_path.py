@@ -133,7 +133,18 @@ class LanePath:
         )
 
     def sample_at(self, distance: FloatArray) -> IntArray:
-        """Index of the last sample that does not lie beyond each distance along the path, shape (N,)."""
+        """Find the last sample that does not lie beyond each distance.
+
+        Parameters
+        ----------
+        distance : ndarray of float64, shape (N,)
+            m along the path; beyond its ends it is clamped.
+
+        Returns
+        -------
+        ndarray of int64, shape (N,)
+            Indices of samples.
+        """
         return np.clip(np.searchsorted(self.distance, distance, "right") - 1, 0, self.x.size - 1)
 
     def at(self, distance: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
