@@ -245,6 +245,18 @@ freespace="false" continuous="true" coordinateSystem="road">{limits}</Longitudin
     np.testing.assert_allclose(np.diff(recording.x[0][1:]), 1.0)
 
 
+def test_who_stands_at_the_end_of_its_road_stands_in_a_lane_change_too(tmp_path):
+    # It wants to go faster there for as long as the test lasts.
+    faster = speed_action("60", "linear", over="12")
+    change = """<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="sinusoidal"
+dynamicsDimension="distance" value="20"/><LaneChangeTarget><AbsoluteTargetLane value="-1"/></LaneChangeTarget></LaneChangeAction>
+</LateralAction></PrivateAction>"""
+    story = story_of(event("c", change, time_trigger("6")) + event("e", faster, time_trigger("0")))
+    recording = run(tmp_path, placed("1", 50.0, 0.0), road("1", 100.0), story=story)
+    assert recording.speed[0][50:].max() == 0.0
+    assert recording.x[0][-1] == pytest.approx(100.0)
+
+
 def test_a_target_beyond_the_end_of_its_road_is_that_end(tmp_path):
     target = '<Position><LanePosition roadId="1" laneId="-1" s="900"/></Position>'
     test = f'<DistanceCondition value="30" freespace="false" rule="lessThan">{target}</DistanceCondition>'

@@ -54,6 +54,7 @@ def move_entities(world: World, dt: float) -> None:
         world.speed[e][lost], way = 0.0, np.where(lost, 0.0, way)
         world.x[e] += np.where(free, way * np.cos(world.heading[e]), 0.0)
         world.y[e] += np.where(free, way * np.sin(world.heading[e]), 0.0)
+    _stop_at_ends(world)
     pull_trailers(world)
     gone_x, gone_y = world.x - world.from_x, world.y - world.from_y
     chord = np.hypot(gone_x, gone_y)
@@ -197,16 +198,25 @@ def pull_entity(
             world.turn[entity][at] = within_half_turn(heading[at] - ahead)
 
 
+def _stop_at_ends(world: World) -> None:
+    """Stop who is at the end of its road once the last step has moved it neither on nor sideways, as in esmini."""
+    arrived = world.time + world.last_step if world.last_step > 0.0 else np.inf
+    for e, since in enumerate(world.at_end_since):
+        for k, track in enumerate(world.tracks[e]):
+            if not isinstance(track, LaneTrack):
+                continue
+            at = np.flatnonzero(world.running & world.present[e] & (world.track[e] == k))
+            distance, speed, was_there = world.distance[e][at], world.speed[e][at], np.isfinite(since[at])
+            back = (speed < 0.0) | ((speed == 0.0) & was_there)
+            there = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & back)
+            still = np.hypot(world.gone[0][e][at], world.gone[1][e][at]) < _STILL
+            stops = at[there & was_there & still]
+            world.speed[e][stops], world.decided[e][stops] = 0.0, True
+            since[at] = np.where(there, np.minimum(since[at], arrived), np.inf)
+
+
 def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:
     distance = _along(track, world.distance[e][at], world.offset[e][at], way)
-    if isinstance(track, LaneTrack):
-        over = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & (way < 0.0))
-        # An entity at the end stops once the last step has moved it neither on nor sideways, as in esmini.
-        still = np.hypot(world.gone[0][e][at], world.gone[1][e][at]) < _STILL
-        stops = at[over & still & np.isfinite(world.at_end_since[e][at]) & np.isnan(world.pace[e][at])]
-        world.speed[e][stops], world.decided[e][stops] = 0.0, True
-        arrived = world.time + world.last_step if world.last_step > 0.0 else np.inf
-        world.at_end_since[e][at] = np.where(over, np.minimum(world.at_end_since[e][at], arrived), np.inf)
     world.distance[e][at] = distance
     _settle(world, e, track, at)
 
