@@ -64,6 +64,21 @@ def test_right_turn_is_smooth_and_ends_in_the_eastern_arm():
     assert path.distance[-1] == pytest.approx(200 + 2 * 3.25 + 7 * np.pi / 2, abs=1e-3)
 
 
+def test_between_samples_s_is_that_of_the_reference_line():
+    network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
+    path = network.path_of_lane(network.index_of("1"), -1, 0.0, True, ((network.index_of("2"), 1, 20.0),))
+    assert path is not None
+    # In the middle of the turn the road bends, and its lane is longer or shorter than its reference line.
+    turn = np.flatnonzero(np.abs(path.curvature) > 0.1)[10:-10]
+    distance = path.distance[turn][:, None] + np.array([0.0, 0.05, 0.0999])
+    s = np.apply_along_axis(path.s_at, 1, distance)
+    road = network.roads[int(path.road[turn[0]])]
+    x, y, _ = road.at(s.ravel(), np.interp(distance.ravel(), path.distance, path.center))
+    at_x, at_y, _, _ = path.at(distance.ravel(), np.zeros(distance.size))
+    np.testing.assert_allclose(np.hypot(x - at_x, y - at_y), 0.0, atol=2e-3)
+    np.testing.assert_allclose(path.ahead(distance[:, 0], s[:, 1] - s[:, 0]), distance[:, 1])
+
+
 def test_without_a_route_the_way_goes_straight_on():
     network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
     path = network.path_of_lane(network.index_of("1"), -1, 0.0, True)

@@ -51,6 +51,25 @@ coordinateSystem="road" relativeDistanceType="{kind}"/>"""
         assert run(path).speed[0][-1] == pytest.approx(speed)
 
 
+@pytest.mark.parametrize(("jump", "condition"), [
+    ("250", '<RelativeDistanceCondition entityRef="Lead" value="20" rule="greaterThan" freespace="true" '
+            'coordinateSystem="entity" relativeDistanceType="euclidianDistance"/>'),
+    ("102", '<CollisionCondition><EntityRef entityRef="Lead"/></CollisionCondition>'),
+])  # fmt: skip
+def test_boxes_overlap_as_they_stand_where_one_was_moved_earlier_in_the_step(tmp_path, jump, condition):
+    path = scenario_file(
+        tmp_path,
+        init=placed(speed="0", s="102" if jump == "250" else "50") + placed("Lead", "100", "0"),
+        story=story_of(
+            event("e", teleport(jump), time_trigger("1")) + event("f", speed_action("5"), of_entity(condition))
+        ),
+        entities=car("Ego") + car("Lead"),
+    )
+    recording = run(path)
+    moved = int(np.argmax(np.abs(np.diff(recording.x[0])) > 1.0)) + 1
+    assert recording.speed[0][moved - 1 : moved + 1] == pytest.approx([0.0, 5.0])
+
+
 def test_there_is_no_free_space_along_a_road_to_what_is_abreast(tmp_path):
     distance = """<RelativeDistanceCondition entityRef="Lead" value="0" rule="equalTo" freespace="true"
 coordinateSystem="road" relativeDistanceType="longitudinal"/>"""

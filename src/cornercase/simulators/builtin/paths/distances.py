@@ -12,6 +12,7 @@ from cornercase._common.geometry import box_corners
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.contacts import overlap
 from cornercase.simulators.builtin.world.free_space import beside_on_road, free_space_on_road, free_space_to_place
 from cornercase.simulators.builtin.world.gaps import (
     along_roads,
@@ -163,7 +164,7 @@ def _free_distance(world: World, e: int, other: int) -> FloatArray:
                 part = np.clip(((points[:, p] - a) * edge).sum(axis=1) / length, 0.0, 1.0)
                 nearest = a + part[:, None] * edge
                 apart = np.minimum(apart, np.hypot(*(points[:, p] - nearest).T))
-    return np.where(world.touching[e, other], 0.0, apart)
+    return np.where(overlap(world, e, other), 0.0, apart)
 
 
 def _corners(world: World, e: int) -> FloatArray:

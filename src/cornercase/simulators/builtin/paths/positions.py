@@ -202,9 +202,9 @@ def _moved(world: World, base: Pose, ds: FloatArray) -> Pose:
         route = 0 if world.actor is None else int(world.route[world.actor, i])
         track = lane_track(world, int(road[i]), int(lane[i]), float(base.s[i]), bool(ds[i] >= 0.0), route)
         if track is not None:
-            distance = track.distance_of(base.s[i : i + 1]) + abs(ds[i])
+            distance = track.path.ahead(track.distance_of(base.s[i : i + 1]), np.abs(ds[i : i + 1]))
             k = int(track.path.sample_at(distance)[0])
-            road[i], lane[i], s[i] = track.path.road[k], track.path.lane[k], track.path.s[k]
+            road[i], lane[i], s[i] = track.path.road[k], track.path.lane[k], track.path.s_at(distance)[0]
     return Pose(base.x, base.y, base.heading, road, lane, s, base.offset)
 
 

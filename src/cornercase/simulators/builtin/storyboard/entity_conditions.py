@@ -15,6 +15,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.paths.distances import Gap, read_gap
 from cornercase.simulators.builtin.paths.positions import entities_in, entity_index, read_position
+from cornercase.simulators.builtin.world.contacts import overlap
 from cornercase.simulators.builtin.world.gaps import along_roads, longitudinal_reach
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import (
@@ -162,7 +163,7 @@ def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTes
     def holds(world: World, e: int) -> BoolArray:
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for other in others:
-            result |= world.touching[e, other]
+            result |= overlap(world, e, other)
         return result
 
     return holds

@@ -81,7 +81,7 @@ class LaneTrack(Track):
         shrunk = 1.0 - np.interp(along, path.bend_at, path.bend) * left
         # Near the center of a bend, where the reference line does not lead on, the lane itself does.
         near = shrunk < _SHRUNK
-        ahead = np.interp(along + way / np.where(near, 1.0, shrunk), path.reference, path.distance)
+        ahead = path.ahead(distance, way / np.where(near, 1.0, shrunk))
         return np.where(near, np.clip(distance + way, 0.0, self.length), ahead)
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
@@ -117,8 +117,6 @@ class LaneTrack(Track):
         sample = self.path.sample_at(distance)
         road, lane, s, t = pose.road.copy(), pose.lane.copy(), pose.s.copy(), pose.offset.copy()
         road[rows], lane[rows] = self.path.road[sample], self.path.lane[sample]
-        beyond = distance - self.path.distance[sample]
-        along = np.where(self.path.along[sample], 1.0, -1.0)
-        s[rows] = self.path.s[sample] + along * beyond
-        t[rows] = along * offset
+        s[rows] = self.path.s_at(distance)
+        t[rows] = np.where(self.path.along[sample], offset, -offset)
         return replace(pose, road=road, lane=lane, s=s, offset=t)

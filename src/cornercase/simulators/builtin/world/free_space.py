@@ -8,7 +8,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.simulators.builtin.tracks.track import Pose
-from cornercase.simulators.builtin.world.contacts import entity_corners
+from cornercase.simulators.builtin.world.contacts import entity_corners, overlap
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
@@ -50,7 +50,7 @@ def free_space_on_road(world: World, entity: int, other: int, lateral: bool, oth
     abreast = (behind.any(axis=2) & ~behind.all(axis=2)).any(axis=1)
     flat = apart.reshape(world.scenarios, -1)
     least = flat[np.arange(world.scenarios), np.abs(flat).argmin(axis=1)]
-    return np.where(same, np.where(abreast | world.touching[entity, other], 0.0, least), otherwise)
+    return np.where(same, np.where(abreast | overlap(world, entity, other), 0.0, least), otherwise)
 
 
 def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, otherwise: FloatArray) -> FloatArray:

@@ -155,7 +155,7 @@ def go_on(world: World, entity: int, number: int) -> None:
     at = np.flatnonzero(world.running & (world.track[entity] == number) & near)
     routes, path = _route_ahead(world, entity, near & world.running), track.path
     sample = path.sample_at(distance[at])
-    s = path.s[sample] + np.where(path.along[sample], 1.0, -1.0) * (distance[at] - path.distance[sample])
+    s = path.s_at(distance[at])
     keys = np.stack([path.road[sample], path.lane[sample], path.along[sample], routes[at]])
     for one in np.unique(keys, axis=1).T if at.size else ():
         road, lane, along, route = int(one[0]), int(one[1]), bool(one[2]), int(one[3])

@@ -13,7 +13,7 @@ from cornercase.simulators.builtin.tracks.track import FREE, Track
 from cornercase.simulators.builtin.world.lanes import go_on
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.towing import hold_trailers, pull_trailers
-from cornercase.simulators.builtin.world.whereabouts import on_road
+from cornercase.simulators.builtin.world.whereabouts import on_lane, on_road
 
 # An entity this close to the end of a road, in m, is at the end.
 _ON_END: Final = 1e-3
@@ -200,23 +200,21 @@ def pull_entity(
 
 def _stop_at_ends(world: World) -> None:
     """Stop who is at the end of its road once the last step has moved it neither on nor sideways, as in esmini."""
-    arrived = world.time + world.last_step if world.last_step > 0.0 else np.inf
-    for e, since in enumerate(world.at_end_since):
-        for k, track in enumerate(world.tracks[e]):
-            if not isinstance(track, LaneTrack):
-                continue
-            at = np.flatnonzero(world.running & world.present[e] & (world.track[e] == k))
-            distance, speed, was_there = world.distance[e][at], world.speed[e][at], np.isfinite(since[at])
-            back = (speed < 0.0) | ((speed == 0.0) & was_there)
-            there = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & back)
-            still = np.hypot(world.gone[0][e][at], world.gone[1][e][at]) < _STILL
-            stops = at[there & was_there & still]
-            world.speed[e][stops], world.decided[e][stops] = 0.0, True
-            since[at] = np.where(there, np.minimum(since[at], arrived), np.inf)
+    was_there = world.at_end_since < world.time + 0.5 * world.last_step
+    still = was_there & (np.hypot(*world.gone) < _STILL) & world.running & world.present
+    for e in np.flatnonzero(still.any(axis=1)):
+        stops = still[e] & on_lane(world, int(e))
+        world.speed[e][stops], world.decided[e][stops] = 0.0, True
 
 
 def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:
     distance = _along(track, world.distance[e][at], world.offset[e][at], way)
+    if isinstance(track, LaneTrack):
+        since = world.at_end_since[e][at]
+        back = (way < 0.0) | ((way == 0.0) & np.isfinite(since))
+        there = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & back)
+        arrived = world.time + world.last_step if world.last_step > 0.0 else np.inf
+        world.at_end_since[e][at] = np.where(there, np.minimum(since, arrived), np.inf)
     world.distance[e][at] = distance
     _settle(world, e, track, at)
 
