@@ -13,6 +13,8 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 STEP: Final = 0.1
 # A path that would need more samples has them further apart.
 _MOST_SAMPLES: Final = 1_000_000
+# rad; a line that turns by more from one point to the next has a corner there.
+_KINK: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +113,13 @@ class LanePath:
         samples = min(int(np.ceil(travelled[-1] / STEP)) + 1, _MOST_SAMPLES)
         distance = np.linspace(0.0, travelled[-1], max(3, samples))
         nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
-        x, y = np.interp(distance, travelled, x), np.interp(distance, travelled, y)
-        heading = np.unwrap(np.arctan2(np.gradient(y, distance), np.gradient(x, distance)))
+        # On a bend a place between two points lies beside their chord.
+        gap, (across, bent) = np.append(np.diff(travelled), 1.0)[nearest], _course(x, y, travelled)
+        across, bent = np.interp(distance, travelled, across), np.interp(distance, travelled, bent)
+        beside = _beside_chord(bent, (distance - travelled[nearest]) / gap, gap)
+        x = np.interp(distance, travelled, x) + beside * np.sin(across)
+        y = np.interp(distance, travelled, y) - beside * np.cos(across)
+        heading, curvature = _course(x, y, distance)
         sign = np.where(along[nearest], 1.0, -1.0)
         way = np.interp(distance, travelled, reference)
         return cls(
@@ -120,7 +127,7 @@ class LanePath:
             x,
             y,
             heading,
-            np.gradient(heading, distance),
+            curvature,
             s[nearest] + sign * (way - reference[nearest]),
             road[nearest],
             lane[nearest],
@@ -185,7 +192,19 @@ class LanePath:
         x = self.x[k] + part * (self.x[k + 1] - self.x[k])
         y = self.y[k] + part * (self.y[k + 1] - self.y[k])
         curvature = self.curvature[k] + part * (self.curvature[k + 1] - self.curvature[k])
+        offset = offset - _beside_chord(curvature, part, step)
         return x - offset * np.sin(heading), y + offset * np.cos(heading), heading, curvature
+
+
+def _course(x: FloatArray, y: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Heading, unwrapped, and curvature of a line through points at distances along it, each (Q,)."""
+    heading = np.unwrap(np.arctan2(np.gradient(y, distance), np.gradient(x, distance)))
+    return heading, np.gradient(heading, distance)
+
+
+def _beside_chord(curvature: FloatArray, part: FloatArray, gap: FloatArray | float) -> FloatArray:
+    """How far to the right of a chord of length `gap` its arc lies, at parts of it, in m; a kink has no arc."""
+    return np.where(np.abs(curvature) * gap < _KINK, 0.5 * curvature * part * (1.0 - part) * gap**2, 0.0)
 
 
 def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
