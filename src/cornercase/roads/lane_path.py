@@ -155,13 +155,37 @@ class LanePath:
         return np.clip(np.searchsorted(self.distance, distance, "right") - 1, 0, self.x.size - 1)
 
     def s_at(self, distance: FloatArray) -> FloatArray:
-        """Coordinate s in m, at distances along the path, on the road of the sample before each, shape (N,)."""
+        """Coordinate s on the road of the sample before each place.
+
+        Parameters
+        ----------
+        distance : ndarray of float64, shape (N,)
+            m along the path.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            m.
+        """
         sample = self.sample_at(distance)
         beyond = np.interp(distance, self.distance, self.reference) - self.reference[sample]
         return np.asarray(self.s[sample] + np.where(self.along[sample], beyond, -beyond))
 
     def ahead(self, distance: FloatArray, way: FloatArray) -> FloatArray:
-        """Distance along the path that lies so much further along the reference lines, both in m, shape (N,)."""
+        """Find places that lie further along the reference lines.
+
+        Parameters
+        ----------
+        distance : ndarray of float64, shape (N,)
+            m along the path.
+        way : ndarray of float64, shape (N,)
+            m along the reference lines; negative against the path.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            m along the path, within its ends.
+        """
         along = np.interp(distance, self.distance, self.reference)
         return np.interp(along + way, self.reference, self.distance)
 
