@@ -17,7 +17,7 @@ import cornercase as cc
 from agreement import disagreement, last_instant, tracks_of, tracks_of_file
 from conftest import ran
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator, EsminiSimulator
+from cornercase.simulators import BuiltinSimulator, WorkerSimulator
 from storyboards import storyboard, write_roads
 
 DRAWN = [f"s0-{k:04}" for k in range(100)]
@@ -81,14 +81,20 @@ def test_random_storyboards_are_valid_and_run(roads, seed):
     assert storyboard(Random(seed)) == path.read_text()
 
 
+@pytest.fixture(scope="module")
+def esmini():
+    simulator = WorkerSimulator("esmini", {"duration": 20.0, "controllers": False, "undriven": True}, timeout=120.0)
+    yield simulator
+    simulator.close()
+
+
 @pytest.mark.skipif("CORNERCASE_ESMINI" not in os.environ, reason="CORNERCASE_ESMINI does not name esmini's library")
 @pytest.mark.parametrize("name", DRAWN)
-def test_random_storyboards_run_as_in_esmini(roads, name):
+def test_random_storyboards_run_as_in_esmini(roads, esmini, name):
     path = roads / f"{name}.xosc"
     seed, number = name[1:].split("-")
     path.write_text(storyboard(Random(f"{seed}-{int(number)}")), encoding="utf-8")
-    theirs = EsminiSimulator(duration=20.0, controllers=False, undriven=True)
-    (expected,) = ran(theirs, [ConcreteScenario(path, {})])
+    (expected,) = ran(esmini, [ConcreteScenario(path, {})])
     tracks = tracks_of(expected)
     (recording,) = ran(BuiltinSimulator(duration=min(last_instant(tracks) + 1.0, 20.0)), [ConcreteScenario(path, {})])
     held(name, disagreement(tracks, recording))
