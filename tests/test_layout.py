@@ -25,6 +25,7 @@ LARGE = {
     "dtw/cpu.py _four_rows": "compiled: machine code takes numbers and arrays, no objects",
     "dtw/cpu.py _one_row": "compiled: machine code takes numbers and arrays, no objects",
     "exploration/exploring.py explore": "part of the API: one parameter for each option of the command",
+    "roads/lane_path.py of_points": "one parameter for each array of the path",
     "simulators/carla/simulator.py __init__": "one parameter for each option of the simulator",
     "simulators/carmaker/simulator.py __init__": "one parameter for each option of the simulator",
 }

@@ -75,3 +75,22 @@ def test_machine_code_that_was_cut_is_compiled_again(tmp_path, ending, left):
     whole = {path: path.read_bytes() for path in tmp_path.rglob("*.nb?")}
     assert said(started(tmp_path, 0.0, "euclidean-1")) == first
     assert whole == {path: path.read_bytes() for path in tmp_path.rglob("*.nb?")}
+
+
+def test_a_kernel_is_compiled_again_when_one_that_it_calls_has_changed(tmp_path):
+    (tmp_path / "inner.py").write_text(
+        "from cornercase._common.compiling import kernel\n@kernel()\ndef inner(x):\n    return x + 1\n"
+    )
+    (tmp_path / "outer.py").write_text(
+        "from cornercase._common.compiling import kernel\nfrom inner import inner\n@kernel()\ndef outer(x):\n"
+        "    return inner(x)\nprint(outer(1), sum(outer.stats.cache_hits.values()))\n"
+    )
+
+    def printed():
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        command = [sys.executable, str(tmp_path / "outer.py")]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    assert [printed(), printed()] == [["2", "0"], ["2", "1"]]
+    (tmp_path / "inner.py").write_text((tmp_path / "inner.py").read_text().replace("x + 1", "x + 2"))
+    assert printed() == ["3", "0"]

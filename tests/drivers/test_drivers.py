@@ -21,8 +21,8 @@ from cornercase.drivers import (
     BehaviourDriver,
     DrivenPath,
 )
+from cornercase.drivers.contact import first_contact, meeting
 from cornercase.drivers.route import plan_route
-from cornercase.drivers.yielding import first_contact, meeting
 
 
 @pytest.mark.parametrize("name", PRESETS)

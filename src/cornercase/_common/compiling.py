@@ -5,8 +5,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,7 +24,14 @@ class _SharedCache(FunctionCache):
     numba reads the index of a function, adds to it and writes it back: of two processes that compile different
     versions of the function at once, one can end up with the other's machine code under its own key. Files that were
     cut, when the disk was full or the machine died, count as missing.
+
+    numba keeps machine code as long as the file of the function is the same. Here all modules beside it have to be,
+    as a kernel holds what it calls and the constants that it uses.
     """
+
+    def __init__(self, function):
+        super().__init__(function)
+        self._cache_file._source_stamp = _contents(Path(function.__code__.co_filename).parent)
 
     def load_overload(self, sig, target_context):
         with held_lock(self._lock_path()):
@@ -38,6 +47,15 @@ class _SharedCache(FunctionCache):
 
     def _lock_path(self):
         return Path(self.cache_path) / "cornercase.lock"
+
+
+@cache
+def _contents(folder: Path) -> str:
+    """Digest of all modules in a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -1,0 +1,151 @@
+"""Where and when the driven entity's box would touch another's.
+
+Places are those that the driven entity comes to, the other goes along straight legs.
+"""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+
+from cornercase._common.compiling import kernel
+
+_kernel = kernel(error_model="numpy")
+
+
+@_kernel
+def meeting(places, row, ego, margin, other, horizon):
+    """When the other would touch the driven entity, if that were at a place.
+
+    Separating axes: on each of the four, the projections overlap during one interval; the boxes do in what
+    is common to all.
+
+    Parameters
+    ----------
+    places : ndarray of float64, shape (K, 6)
+        Distance, centre x and y, cosine and sine of the heading, time of arrival.
+    row : int
+    ego : tuple of float
+        Half length and half width of the driven entity, in m.
+    margin : float
+        m on either side by which the driven entity counts as wider.
+    other : tuple
+        Legs (L, 6) as in `_foresee`, half length, half width, speed.
+    horizon : float
+        s; 0 for the other where it is now.
+
+    Returns
+    -------
+    tuple of (float, float, int)
+        First and last instant of contact within the horizon in s, and the leg of the first; (inf, -inf, 0)
+        for never.
+    """
+    legs, half_length, half_width, speed = other
+    own_length, own_width = ego[0], ego[1] + margin
+    enters, leaves, at = math.inf, -math.inf, 0
+    for leg in range(legs.shape[0]):
+        if leg > 0 and legs[leg, 4] >= horizon:
+            break
+        first, last = 0.0, max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
+        dx, dy = legs[leg, 0] - places[row, 1], legs[leg, 1] - places[row, 2]
+        reach = own_length + own_width + half_length + half_width + abs(speed) * last
+        if abs(dx) > reach or abs(dy) > reach:
+            continue
+        sideways = dy * legs[leg, 2] - dx * legs[leg, 3]
+        if abs(sideways) > own_length + own_width + half_width:
+            continue
+        cos = places[row, 3] * legs[leg, 2] + places[row, 4] * legs[leg, 3]
+        sin = places[row, 3] * legs[leg, 3] - places[row, 4] * legs[leg, 2]
+        for axis in range(4):
+            if axis == 0:
+                apart = dx * places[row, 3] + dy * places[row, 4]
+                radius = own_length + half_length * abs(cos) + half_width * abs(sin)
+                rate = speed * cos
+            elif axis == 1:
+                apart = dy * places[row, 3] - dx * places[row, 4]
+                radius = own_width + half_length * abs(sin) + half_width * abs(cos)
+                rate = speed * sin
+            elif axis == 2:
+                apart = dx * legs[leg, 2] + dy * legs[leg, 3]
+                radius = half_length + own_length * abs(cos) + own_width * abs(sin)
+                rate = speed
+            else:
+                apart = sideways
+                radius = half_width + own_length * abs(sin) + own_width * abs(cos)
+                rate = 0.0
+            if abs(rate) < 1e-9:
+                if abs(apart) > radius:
+                    last = -1.0
+            else:
+                one, two = (-radius - apart) / rate, (radius - apart) / rate
+                first, last = max(first, min(one, two)), min(last, max(one, two))
+            if first > last:
+                break
+        if first <= last:
+            if enters == math.inf:
+                enters, at = legs[leg, 4] + first, leg
+            leaves = legs[leg, 4] + last
+    return enters, leaves, at
+
+
+@_kernel
+def first_contact(places, most, ego, margin, other, horizon):
+    """First place ahead at which the driven entity would touch the other.
+
+    Parameters
+    ----------
+    places, ego, margin, other, horizon
+        As in `meeting`; row 0 of the places is left out.
+    most : float
+        m between the centres at two places that follow each other, at most.
+
+    Returns
+    -------
+    int
+        Row; -1 for none.
+    """
+    k = 0
+    while k + 1 < len(places):
+        k += 1
+        rows = rows_apart(places, most, k, ego, margin, other, horizon)
+        if rows > 0:
+            k += rows - 1
+        elif meeting(places, k, ego, margin, other, horizon)[0] <= horizon:
+            return k
+    return -1
+
+
+@_kernel
+def rows_apart(places, most, k, ego, margin, other, horizon):
+    """How many places, from one on, are too far from the other to be touched.
+
+    Parameters
+    ----------
+    places, ego, margin, other, horizon
+        As in `meeting`.
+    most : float
+        m between the centres at two places that follow each other, at most.
+    k : int
+        Row of the first of them.
+
+    Returns
+    -------
+    int
+        0 where the boxes may touch at the first.
+    """
+    legs, half_length, half_width, speed = other
+    own, least = math.hypot(ego[0], ego[1] + margin), math.inf
+    for leg in range(legs.shape[0]):
+        if leg > 0 and legs[leg, 4] >= horizon:
+            break
+        dx, dy = legs[leg, 0] - places[k, 1], legs[leg, 1] - places[k, 2]
+        across = abs(dy * legs[leg, 2] - dx * legs[leg, 3]) - half_width
+        begin = dx * legs[leg, 2] + dy * legs[leg, 3]
+        end = begin + speed * max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
+        along = max(min(begin, end), -max(begin, end)) - half_length
+        least = min(least, max(across, along) - own)
+    if not least > 1e-6:
+        return 0
+    return 1 + int(min((least - 1e-6) / most, float(len(places))))
