@@ -217,6 +217,139 @@ def test_a_hostile_study_is_refused_in_one_sentence(sent, name):
         assert not (sent.parent / "tables").exists()
 
 
+def remade(table, columns):
+    """A table without its keys and checks."""
+    return (
+        f"CREATE TABLE other ({columns})",
+        f"INSERT INTO other SELECT * FROM {table}",
+        f"DROP TABLE {table}",
+        f"ALTER TABLE other RENAME TO {table}",
+    )
+
+
+SCENARIOS = remade("scenarios", "id, round, point, parameters, state, error, recording")
+NO_CLUSTERS = "DELETE FROM analyses", "DELETE FROM arrays"
+TEXTS = (
+    *SCENARIOS,
+    *remade("courses", "scenario, metric, score, course"),
+    "UPDATE scenarios SET id = '../../' || id",
+    "UPDATE courses SET scenario = '../../' || scenario",
+    *NO_CLUSTERS,
+)
+
+
+@pytest.mark.parametrize(
+    ("statements", "words"),
+    [
+        (TEXTS, "a scenario is numbered '../../"),
+        (
+            ("UPDATE scenarios SET id = -id", "UPDATE courses SET scenario = -scenario", *NO_CLUSTERS),
+            "is numbered '-12'",
+        ),
+        ((*SCENARIOS, "INSERT INTO scenarios SELECT * FROM scenarios"), "a scenario is there twice"),
+        (
+            (*remade("courses", "scenario, metric, score, course"), "INSERT INTO courses SELECT * FROM courses"),
+            "a scenario has two scores by distance",
+        ),
+    ],
+)
+def test_scenarios_have_numbers_of_their_own(sent, statements, words):
+    change(sent, *statements)
+    for one in (("export", sent, "-o", sent.parent / "tables"), ("show", sent)):
+        result = command(*one)
+        assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+    assert words in result.stderr
+
+
+def test_an_analysis_of_no_scenario_is_refused(sent):
+    nothing = {
+        "ids": np.zeros(0, int),
+        "labels": np.zeros(0, int),
+        "embedding": np.zeros((0, 2)),
+        "distances": np.zeros((0, 0)),
+    }
+    change(sent, *(("UPDATE arrays SET data = ? WHERE name = ?", (pack_arrays({k: v}), k)) for k, v in nothing.items()))
+    for one in (("show", sent), ("report", sent, "-o", sent.parent / "r.html")):
+        result = command(*one)
+        assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+        assert "an analysis of no scenario" in result.stderr
+
+
+def test_a_course_that_is_longer_than_its_recording_is_refused(sent):
+    change(sent, (COURSE, (pack_arrays({"course": np.zeros(10_000)}),)))
+    for one in (("report", sent, "-o", sent.parent / "r.html"), ("export", sent, "-o", sent.parent / "tables")):
+        result = command(*one)
+        assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+        assert "10000 instants of distance in the scenario 1, of which the recording has 21" in result.stderr
+
+
+def varies(sent, **values):
+    with Study.open(sent, readonly=True) as study:
+        space = study.space.to_json()
+    space["parameters"][0].update(values)
+    set_meta(sent, space=space)
+
+
+@pytest.mark.parametrize("step", [1e-300, 5e-324])
+def test_a_parameter_with_more_steps_than_can_be_counted_is_refused(sent, step):
+    varies(sent, step=step)
+    result = command("show", sent)
+    assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+    assert "the parameter v has more steps than can be counted" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"critical": 10**400}, "too large"),
+        ({"critical": float("nan")}, "not finite"),
+        ({"weights": {"distance": float("inf")}}, "not finite"),
+        ({"settings": {"drivers": "x"}}, "drivers"),
+        ({"ego": "\ud800"}, "surrogates"),
+    ],
+)
+def test_facts_that_cannot_be_used_are_refused(sent, values, words):
+    set_meta(sent, **values)
+    for one in (("show", sent), ("report", sent, "-o", sent.parent / "r.html")):
+        result = command(*one)
+        assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+        assert words in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("values", "code"),
+    [
+        ({"settings": {"drivers": {"Ego": "a\x00b"}}}, 2),
+        # It is a part of a description, where it is written out.
+        ({"scenario": "a\x00b.xosc"}, 0),
+        ({"simulator": "imported", "files": ["a.csv"]}, 2),
+    ],
+)
+def test_names_that_xml_cannot_hold_are_refused_or_written_out(whole, sent, values, code):
+    set_meta(sent, **values)
+    result = command("reduce", sent, "--scenario", whole.parent / "scenario.xosc", "-o", sent.parent / "reduced")
+    assert (result.returncode, len(result.stderr.strip().splitlines())) == (code, bool(code)), result.stderr
+    assert (sent.parent / "reduced").exists() == (not code)
+
+
+@pytest.mark.parametrize(
+    ("name", "made_up", "words"),
+    [
+        ("ttc", lambda info: info.update(method="another"), "in no known way"),
+        ("reduction", lambda info: info["kept"][0].update(values={}), "KeyError"),
+        ("reduction", lambda info: info["kept"][0]["values"].update(v="x"), "a kept scenario with another v"),
+    ],
+)
+def test_an_analysis_that_was_made_up_is_refused(sent, name, made_up, words):
+    with Study.open(sent, readonly=True) as study:
+        info = study.reduction() if name == "reduction" else study.analysis(name)[1]
+    made_up(info)
+    change(sent, ("UPDATE analyses SET info = ? WHERE name = ?", (json.dumps(info), name)))
+    result = command("report", sent, "-o", sent.parent / "r.html")
+    assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+    assert words in result.stderr
+
+
 @pytest.mark.parametrize(
     "statement",
     [

@@ -142,6 +142,7 @@ def read_analysis(study: Study, by: str) -> Analysis:
         require(
             ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n, "scenarios that were not run"
         )
+        require(n > 0, "an analysis of no scenario")
         require(labels.shape == (n,) and bool((labels >= -1).all()) and labels.max(initial=-1) < n, "labels of others")
         require(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an embedding of others")
         return Analysis(by, ids, _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info))
@@ -153,6 +154,7 @@ def _numbers(plain: list[int]) -> IntArray:
 
 def _clustering(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clustering:
     numbers = {name: float(info[name]) for name in ("gamma", "eps", "scale", "explained", "error")}
+    require(info["method"] in ("dbscan", "hdbscan"), "clusters that were found in no known way")
     return Clustering(
         labels=arrays["labels"],
         embedding=arrays["embedding"],

@@ -98,6 +98,12 @@ def read_reduction(study: Study) -> ReducedSet | None:
             hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
         )
         corners = {one for facets in reduced.hulls.values() for facet in facets for one in facet}
+        for one in reduced.kept:
+            for parameter in study.space.parameters:
+                value = parameter.read(one.values)
+                require(
+                    bool(parameter.choices) == isinstance(value, str), f"a kept scenario with another {parameter.name}"
+                )
         require(corners | set(reduced.ids) <= ids, "its reduced set has scenarios that were not run")
         return reduced
 

@@ -28,7 +28,7 @@ from cornercase.reduction.manifest import make_manifest, save_reduction
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.reduction.selection import choose_scenarios
 from cornercase.scenario import Scenario, find_scenario, with_roads, write_concrete
-from cornercase.study import IMPORTED, Study, open_study
+from cornercase.study import IMPORTED, Study, damage_told, open_study
 
 _WHY: Final = {
     "hull": "on the hull of cluster {cluster} in the parameter space",
@@ -202,9 +202,11 @@ def _kept_scenario(ran: Ran, one: Kept, scenario: int, reason: str) -> KeptScena
     meta = ran.study.meta
     # An imported recording is run again where it came from; the manifest says which one it was.
     imported = meta.simulator == IMPORTED
+    with damage_told(ran.study.path):
+        file = meta.files[scenario - 1] if imported else f"{portable_name(meta.title)}-{scenario:05}.xosc"
     return KeptScenario(
         id=scenario,
-        file=meta.files[scenario - 1] if imported else f"{portable_name(meta.title)}-{scenario:05}.xosc",
+        file=file,
         cluster=one.cluster,
         role=one.role,
         why=_WHY[reason].format(cluster=one.cluster),

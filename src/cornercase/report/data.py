@@ -130,6 +130,10 @@ def read_report_data(study: Study) -> ReportData:
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
     scores = {metric.name: study.scores(metric.name) for metric in metrics}
     values = np.array([[_number(one, row) for one in study.space.parameters] for row in rows], dtype=np.float64)
+    recordings = {row.id: study.recording(row.id) for row in rows}
+    courses = {one.name: {row.id: study.course(row.id, one.name) for row in rows} for one in metrics}
+    for row in rows:
+        study.require_as_long(row.id, recordings[row.id], {name: each[row.id] for name, each in courses.items()})
     return ReportData(
         study=study.path.name,
         summary=summary,
@@ -137,10 +141,10 @@ def read_report_data(study: Study) -> ReportData:
         failed=tuple(study.failed()),
         metrics=metrics,
         scores=scores,
-        recordings={row.id: study.recording(row.id) for row in rows},
+        recordings=recordings,
         courses={
-            metric.name: {row.id: metric.capped(study.course(row.id, metric.name)) for row in rows}
-            for metric in metrics
+            one.name: {scenario: one.capped(course) for scenario, course in courses[one.name].items()}
+            for one in metrics
         },
         values=values,
         influential=_influential(values, scores[metrics[0].name]),

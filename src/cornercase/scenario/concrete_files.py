@@ -9,6 +9,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import portable_name, read_file, written_whole
+from cornercase._common.texts import plain_text
 from cornercase.scenario.declared_types import typed_value, value_text
 from cornercase.scenario.openscenario import DRIVER_PROPERTY, Scenario
 from cornercase.scenario.parameter import Value
@@ -48,16 +49,16 @@ def write_concrete(
     root = tree.getroot()
     header = root.find("FileHeader")
     if description is not None and header is not None:
-        header.set("description", description)
+        _set(header, "description", plain_text(description), target)
     for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
         name = declaration.get("name", "")
         if name in values:
-            declaration.set("value", _typed_text(values[name], declaration, scenario.path))
+            _set(declaration, "value", _typed_text(values[name], declaration, scenario.path), target)
     for name, driver in (drivers or {}).items():
         scenario.require_entity(name, "driven entity")
         for element in root.iterfind("Entities/ScenarioObject"):
             if element.get("name") == name:
-                _set_driver(element, driver)
+                _set_driver(element, driver, target)
 
     logic_file = root.find("RoadNetwork/LogicFile")
     if logic_file is not None and logic_file.get("filepath"):
@@ -101,15 +102,23 @@ def _typed_text(value: Value, declaration: etree._Element, path: Path) -> str:
         raise InputError(f"{path}: the parameter {declaration.get('name')} is '{value}', {why}.") from None
 
 
-def _set_driver(scenario_object: etree._Element, driver: str) -> None:
+def _set(element: etree._Element, attribute: str, text: str, target: Path) -> None:
+    try:
+        element.set(attribute, text)
+    except ValueError:
+        raise InputError(f"{target}: cannot be written, since XML cannot hold {plain_text(text)!r}.") from None
+
+
+def _set_driver(scenario_object: etree._Element, driver: str, target: Path) -> None:
     for controller in scenario_object.iterfind("ObjectController/Controller"):
         for item in controller.iterfind("Properties/Property"):
             if item.get("name") == DRIVER_PROPERTY:
-                item.set("value", driver)
+                _set(item, "value", driver, target)
                 return
     holder = etree.SubElement(scenario_object, "ObjectController")
     controller = etree.SubElement(holder, "Controller", name=f"driver of {scenario_object.get('name')}")
-    etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY, value=driver)
+    item = etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY)
+    _set(item, "value", driver, target)
 
 
 def copy_beside(source: Path, target: Path, root: str) -> None:

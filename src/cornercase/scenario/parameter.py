@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.scenario.distributions import Distribution
 
 Value = float | str
+
+# Doubles count no further.
+_MOST_STEPS: Final = 2.0**53
 
 
 @dataclass(frozen=True)
@@ -43,8 +47,8 @@ class Parameter:
     Raises
     ------
     InputError
-        A bound or the step is no finite number, the step is not above 0, or the bounds are not in order; a range with a
-        step may have a single value.
+        A bound or the step is no finite number, the step is not above 0, or the bounds are not in order, where a
+        range with a step may have a single value; or there are more steps than can be counted.
     """
 
     name: str
@@ -69,6 +73,8 @@ class Parameter:
                 f"`low` {self.low:g}, `high` {self.high:g}: the lower bound of the parameter {self.name} must be below"
                 " the upper."
             )
+        if self.step is not None and not (self.high - self.low) / self.step < _MOST_STEPS:
+            raise InputError(f"`step` {self.step:g}: the parameter {self.name} has more steps than can be counted.")
 
     def __repr__(self) -> str:
         law = "" if self.distribution is None else f", {self.distribution.kind}"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
 from html import escape
 from pathlib import Path
@@ -17,7 +16,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.study.codec import unpack_arrays, unpack_recording
-from cornercase.study.damage import damage_told, require
+from cornercase.study.damage import damage_told, loaded, require
 from cornercase.study.database import Database
 from cornercase.study.export import write_scenarios, write_table
 from cornercase.study.meta import StudyMeta
@@ -54,7 +53,7 @@ class StudyContents:
         self._database = database
         self.path = database.path
         self.meta = StudyMeta.from_json(
-            {key: json.loads(value) for key, value in database.found("SELECT key, value FROM meta")}
+            {key: loaded(value) for key, value in database.found("SELECT key, value FROM meta")}
         )
         self.space = self.meta.space
 
@@ -99,10 +98,13 @@ class StudyContents:
         """
         found = self._database.found("SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id")
         with damage_told(self.path):
-            return [self._row(*one) for one in found]
+            rows = [self._row(*one) for one in found]
+            require(len({row.id for row in rows}) == len(rows), "a scenario is there twice")
+            return rows
 
     def _row(self, number: int, turn: int, point: bytes, values: str, state: str, error: str | None) -> Row:
-        row = Row(number, turn, np.frombuffer(point, "<f8").copy(), json.loads(values), state, error)
+        require(isinstance(number, int) and number > 0, f"a scenario is numbered {str(number)[:60]!r}")
+        row = Row(number, turn, np.frombuffer(point, "<f8").copy(), loaded(values), state, error)
         require(row.point.shape == (self.space.dimension,), f"the scenario {number} has another number of parameters")
         require(bool(np.isfinite(row.point).all()), f"the scenario {number} lies nowhere in the space")
         plain = all(isinstance(one, str | int | float) for one in row.values.values())
@@ -165,12 +167,13 @@ class StudyContents:
         """
         self._require_metric(metric)
         found = self._database.found(
-            "SELECT score FROM scenarios LEFT JOIN courses ON id = scenario AND metric = ?"
+            "SELECT id, score FROM scenarios LEFT JOIN courses ON id = scenario AND metric = ?"
             " WHERE state = 'done' ORDER BY id",
             metric,
         )
         with damage_told(self.path):
-            return np.array([float(score) for (score,) in found], dtype=np.float64)
+            require(len(dict(found)) == len(found), f"a scenario has two scores by {metric}")
+            return np.array([float(score) for _, score in found], dtype=np.float64)
 
     def spread(self, metric: str) -> FloatArray | None:
         """Lowest and highest score of the runs of each scenario that was run.
@@ -191,14 +194,15 @@ class StudyContents:
         """
         self._require_metric(metric)
         found = self._database.found(
-            "SELECT scores FROM scenarios LEFT JOIN repeats ON id = scenario AND metric = ?"
+            "SELECT id, scores FROM scenarios LEFT JOIN repeats ON id = scenario AND metric = ?"
             " WHERE state = 'done' ORDER BY id",
             metric,
         )
-        if all(text is None for (text,) in found):
+        if all(text is None for _, text in found):
             return None
         with damage_told(self.path):
-            scores = [json.loads(text) for (text,) in found]
+            require(len(dict(found)) == len(found), f"a scenario has two sets of scores by {metric}")
+            scores = [loaded(text) for _, text in found]
             return np.array([[min(one), max(one)] for one in scores], dtype=np.float64)
 
     def course(self, scenario: int, metric: str) -> FloatArray:
@@ -307,7 +311,7 @@ class StudyContents:
         # The largest is that of the distances between all scenarios.
         most = _LARGEST_OTHERS + 8 * sum(self._counts().values()) ** 2
         with damage_told(self.path):
-            return {key: unpack_arrays(data, most)[key] for key, data in packed.items()}, json.loads(found[0][0])
+            return {key: unpack_arrays(data, most)[key] for key, data in packed.items()}, loaded(found[0][0])
 
     def reduction(self) -> dict[str, Any] | None:
         """Read what is known of the reduced set, as in its manifest.
@@ -319,7 +323,7 @@ class StudyContents:
         """
         found = self._database.found("SELECT info FROM analyses WHERE name = 'reduction'")
         with damage_told(self.path):
-            return dict(json.loads(found[0][0])) if found else None
+            return dict(loaded(found[0][0])) if found else None
 
     def elapsed(self) -> dict[str, float]:
         """Time spent by stage.
@@ -399,7 +403,34 @@ class StudyContents:
     def _recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
         """Give id, recording and courses of each scenario that is done."""
         for row in self.done():
-            yield row.id, self.recording(row.id), {name: self.course(row.id, name) for name in self.meta.metrics}
+            recording = self.recording(row.id)
+            courses = {name: self.course(row.id, name) for name in self.meta.metrics}
+            self.require_as_long(row.id, recording, courses)
+            yield row.id, recording, courses
+
+    def require_as_long(self, scenario: int, recording: Recording, courses: Mapping[str, FloatArray]) -> None:
+        """Refuse courses that have other instants than the recording.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+        recording : Recording
+        courses : mapping of str to ndarray of float64, shape (T,)
+            By metric.
+
+        Raises
+        ------
+        InputError
+            One is shorter or longer.
+        """
+        with damage_told(self.path):
+            for name, course in courses.items():
+                require(
+                    len(course) == len(recording.time),
+                    f"{len(course)} instants of {name} in the scenario {scenario}, of which the recording has"
+                    f" {len(recording.time)}",
+                )
 
     def _counts(self) -> dict[str, int]:
         """Count the scenarios in each state."""

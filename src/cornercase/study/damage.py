@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -66,6 +67,28 @@ def require(holds: bool, what: str) -> None:
     """
     if not holds:
         raise ValueError(what)
+
+
+def loaded(text: str) -> Any:
+    """Read JSON of a study; within `damage_told`.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    object
+        Plain values.
+
+    Raises
+    ------
+    ValueError
+        It is none, or a text in it is none that a file can hold: half a character.
+    """
+    plain = json.loads(text)
+    json.dumps(plain, ensure_ascii=False).encode("utf-8")
+    return plain
 
 
 def made(kind: type[T], plain: Mapping[str, Any]) -> T:

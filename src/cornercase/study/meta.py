@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -138,7 +139,7 @@ class StudyMeta:
 
         Raises
         ------
-        ValueError, LookupError, TypeError or AttributeError
+        ValueError, LookupError, TypeError, AttributeError or OverflowError
             It is of something else.
         """
         # A field that is plain or empty stands there as None.
@@ -153,6 +154,11 @@ class StudyMeta:
                 raise ValueError(f"its {name} are no texts")
         if not given["metrics"] or not all(isinstance(one, int | float) for one in given.get("weights", {}).values()):
             raise ValueError("it has no metrics, or weights that are no numbers")
+        numbers = (given.get("critical", 0.0), *given.get("weights", {}).values())
+        if not all(math.isfinite(float(one)) for one in numbers):
+            raise ValueError("its critical or its weights are not finite")
+        if not isinstance(given.get("settings", {}).get("drivers", {}), dict):
+            raise ValueError("its drivers are no names by entity")
         given |= {name: tuple(given[name]) for name in ("metrics", "files") if name in given}
         return cls(**given | {"space": ParameterSpace.from_json(plain["space"])})
 
