@@ -506,8 +506,13 @@ def test_a_carmaker_that_does_not_end_is_ended_by_force(cmapi, project, monkeypa
 
 
 def _begun_processes():
-    alive = (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
-    return {one.pid for one in psutil.Process().children() if one.status() not in alive}
+    alive = set()
+    for one in psutil.Process().children():
+        # What has ended since is gone.
+        with suppress(psutil.NoSuchProcess):
+            if one.status() not in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD):
+                alive.add(one.pid)
+    return alive
 
 
 def test_a_way_that_is_not_there_is_refused(project):

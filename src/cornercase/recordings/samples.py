@@ -16,7 +16,7 @@ from cornercase.recordings.recording import Collision, Recording
 
 # Pairs of an entity and an instant: 1 GB.
 _MOST: Final = 20_000_000
-_FARTHEST: Final = 1e8
+_FARTHEST: Final = 1e9
 
 
 @dataclass

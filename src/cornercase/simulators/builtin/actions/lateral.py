@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.geometry import looks_ahead
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
@@ -79,6 +79,9 @@ class LaneChangeAction(Action):
         self._done[where] = 0.0
         # With a route it counts as on its new lane from the start.
         world.changes_lanes[e][where] = (world.route[e] == 0)[where]
+        # It begins along its lane, whatever an earlier action has turned it by.
+        world.turn[e][where] = 0.0
+        settle_on_track(world, e, where)
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
@@ -168,8 +171,10 @@ class LaneOffsetAction(Action):
             target = np.where(looks_along(world, pose), self._value, -self._value)
         else:
             # Its left is the left of the entity that it refers to.
-            apart = world.heading[self._reference] - (world.heading[e] - world.turn[e])
-            side = np.where(looks_ahead(apart), self._value, -self._value)
+            pose = lane_of(world, e)
+            along = looks_along(world, replace(pose, heading=world.heading[e] - world.turn[e]))
+            same = looks_along(world, lane_of(world, self._reference)) == along
+            side = np.where(same, self._value, -self._value)
             target = offset_from(world, e, self._reference) + side
         self._to[where] = target[where]
         self._duration[where] = time_by_acceleration(self._shape, self._to - self._from, self._most)[where]

@@ -117,7 +117,7 @@ class SynchronizeAction(Action):
         time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), _NEVER)
         done |= comes & (time < dt)
 
-        final = self._final_speed(world)
+        final, waited = self._final_speed(world), self._mode == _WAITING
         if final is None:
             wanted = self._arrive(world, dt, way, time, comes)
         else:
@@ -125,8 +125,8 @@ class SynchronizeAction(Action):
             wanted = np.where(done, final, wanted)
         # An entity with a driver is asked for a speed that it can reach.
         speed = np.clip(wanted, 0.0, world.entities[e].max_speed)
-        # Who arrives without a final speed keeps its own, unless its master does not come.
-        change = where if final is not None else where & ~(done & comes)
+        # Who arrives without a final speed keeps its own, unless its master has just stopped coming.
+        change = where if final is not None else where & ~(done & (comes | waited))
         own = np.where(np.isfinite(wanted), wanted, world.speed[e])
         world.set_speed(e, change, np.where(world.driven[e], speed, own))
         return where & done
