@@ -67,6 +67,18 @@ continuous="true" coordinateSystem="road"><DynamicConstraints maxAcceleration="0
     assert np.diff(recording.speed[0]).min() >= 0.0
 
 
+def test_a_relative_lane_offset_is_to_the_left_along_the_others_own_road_whatever_bend_lies_between(tmp_path):
+    init = private("Ego", teleport("75", "1"), speed_action("5")) + private("Other", teleport("330"), speed_action("0"))
+    story = story_of(event("e", relative_offset(0.5), time_trigger("1")))
+    path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Other"))
+    write_roads(tmp_path)
+    path.write_text(path.read_text().replace("road.xodr", "curve.xodr"))
+    (recording,) = ran(BuiltinSimulator(time_step=DT, duration=10.0), [ConcreteScenario(path)])
+    # The road begins at the origin along 0.3 rad; the other one is in the middle of a lane of 3.5 m to its right.
+    across = recording.y[0][-1] * np.cos(0.3) - recording.x[0][-1] * np.sin(0.3)
+    assert across == pytest.approx(-1.75 + 0.5, abs=1e-3)
+
+
 def test_a_lateral_distance_springs_back_without_the_other_ones_lane_change(tmp_path):
     # The gap is what a spring of 0.4 times the largest acceleration closes, critically damped, whoever drives beside.
     action = """<PrivateAction><LateralAction><LateralDistanceAction entityRef="Other" distance="2" freespace="false"
