@@ -130,3 +130,27 @@ def story_of(events: str, actor: str = "Ego") -> str:
 def event(name: str, action: str, trigger: str, priority: str = "parallel") -> str:
     return f"""<Event name="{name}" priority="{priority}" maximumExecutionCount="1"><Action name="{name}-action">{action}
 </Action><StartTrigger>{trigger}</StartTrigger></Event>"""
+
+
+def private(entity, *actions):
+    return f'<Private entityRef="{entity}">{"".join(actions)}</Private>'
+
+
+def moving(s="50", speed="10", entity="Ego", lane="-1"):
+    return private(entity, teleport(s, lane), speed_action(speed))
+
+
+def run(path, duration=10.0, **values):
+    (result,) = BuiltinSimulator(duration=duration).run([ConcreteScenario(path, values)])
+    assert not isinstance(result, Exception), result
+    return result
+
+
+def trajectory(shape, reference="<None/>", mode="position", closed="false"):
+    return f"""<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="{closed}">
+<Shape>{shape}</Shape></Trajectory></TrajectoryRef><TimeReference>{reference}</TimeReference><TrajectoryFollowingMode
+followingMode="{mode}"/></FollowTrajectoryAction></RoutingAction></PrivateAction>"""
+
+
+def place(x, y, more=""):
+    return f'<Position><WorldPosition x="{x}" y="{y}" {more}/></Position>'

@@ -5,16 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conftest import car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
+from conftest import car, event, private, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 from storyboards import write_roads
 
 DT = 0.05
-
-
-def private(entity, *actions):
-    return f'<Private entityRef="{entity}">{"".join(actions)}</Private>'
 
 
 def run(folder, action, *, other_lane="-1", duration=8.0, actor="Ego", at="1"):

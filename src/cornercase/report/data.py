@@ -130,10 +130,12 @@ def read_report_data(study: Study) -> ReportData:
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
     scores = {metric.name: study.scores(metric.name) for metric in metrics}
     values = np.array([[_number(one, row) for one in study.space.parameters] for row in rows], dtype=np.float64)
-    recordings = {row.id: study.recording(row.id) for row in rows}
-    courses = {one.name: {row.id: study.course(row.id, one.name) for row in rows} for one in metrics}
-    for row in rows:
-        study.require_as_long(row.id, recordings[row.id], {name: each[row.id] for name, each in courses.items()})
+    recordings: dict[int, Recording] = {}
+    courses: dict[str, dict[int, FloatArray]] = {one.name: {} for one in metrics}
+    for scenario, recording, each in study.recorded():
+        recordings[scenario] = recording
+        for one in metrics:
+            courses[one.name][scenario] = one.capped(each[one.name])
     return ReportData(
         study=study.path.name,
         summary=summary,
@@ -142,10 +144,7 @@ def read_report_data(study: Study) -> ReportData:
         metrics=metrics,
         scores=scores,
         recordings=recordings,
-        courses={
-            one.name: {scenario: one.capped(course) for scenario, course in courses[one.name].items()}
-            for one in metrics
-        },
+        courses=courses,
         values=values,
         influential=_influential(values, scores[metrics[0].name]),
         critical=_critical(study, len(rows)),

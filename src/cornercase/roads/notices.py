@@ -49,17 +49,16 @@ def name_without_effect(
                 [one for one in root.iter() if local_name(one) == "lane" and one.attrib.get("type") in _RESERVED]),
     ]  # fmt: skip
     if network is not None:
-        found += _contradictions(root, file, network)
         roads = {str(one.attrib.get("id")): one for one in children(root) if local_name(one) == "road"}
+        found += _contradictions(roads, file, network)
         for one, other, apart in network.gaps():
             why = f"they lie {apart:.3g} m apart, so that no way leads from one to the other"
             found.append(_notice(f"link between the roads {one} and {other}", why, file, [roads[one], roads[other]]))
     return (*(notice for notice in found if notice.lines), *LEDGER.notices(root, file, read))
 
 
-def _contradictions(root: etree._Element, file: Path, network: RoadNetwork) -> list[Notice]:
-    """Name roads that are longer than their geometry, and lanes without a width."""
-    elements = {str(one.attrib.get("id")): one for one in children(root) if local_name(one) == "road"}
+def _contradictions(elements: dict[str, etree._Element], file: Path, network: RoadNetwork) -> list[Notice]:
+    """Name roads, whose elements are given by id, that are longer than their geometry, and lanes without a width."""
     short, narrow = [], []
     for road in network.roads:
         first, last = road.geometries[0], road.geometries[-1]
@@ -80,10 +79,9 @@ def _contradictions(root: etree._Element, file: Path, network: RoadNetwork) -> l
 
 def _narrowest(road: Road, section: int) -> float:
     """Smallest width of the lanes of a section by its cubics, in m."""
-    start, lanes = road.sections[section]
-    end = road.sections[section + 1][0] if section + 1 < len(road.sections) else road.length
-    s = np.linspace(0.0, max(end - start, 0.0), 20)
-    return min((float(evaluate_polynomials(lane.widths, s).min()) for lane in lanes.values()), default=0.0)
+    s = np.linspace(0.0, max(float(np.diff(road.seams)[section]), 0.0), 20)
+    lanes = road.sections[section][1].values()
+    return min((float(evaluate_polynomials(lane.widths, s).min()) for lane in lanes), default=0.0)
 
 
 def _notice(what: str, why: str, file: Path, where: list[etree._Element]) -> Notice:

@@ -50,8 +50,7 @@ def require_sound(road: Road, where: str) -> None:
                 " let them meet."
             )
     _require_near(road.offsets, road.length, f"{where}: its <laneOffset>")
-    ends = [*(start for start, _ in road.sections[1:]), road.length]
-    for (start, lanes), end in zip(road.sections, ends, strict=True):
+    for (start, lanes), end in zip(road.sections, road.seams[1:].tolist(), strict=True):
         for number, lane in lanes.items():
             _require_near(lane.borders or lane.widths, end - start, f"{where}: the lane {number} at s = {start:g} m")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, suppress
 from html import escape
 from pathlib import Path
@@ -395,42 +395,38 @@ class StudyContents:
         folder = Path(folder)
         table = self.table()
         # A damaged study leaves no part of an export behind: all is read before any is written.
-        for _ in self._recorded():
+        for _ in self.recorded():
             pass
         write_table(folder, table, parquet)
-        write_scenarios(folder, self._recorded())
+        write_scenarios(folder, self.recorded())
 
-    def _recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
-        """Give id, recording and courses of each scenario that is done."""
-        for row in self.done():
-            recording = self.recording(row.id)
-            courses = {name: self.course(row.id, name) for name in self.meta.metrics}
-            self.require_as_long(row.id, recording, courses)
-            yield row.id, recording, courses
+    def recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
+        """Read what is known over time of each scenario that was run.
 
-    def require_as_long(self, scenario: int, recording: Recording, courses: Mapping[str, FloatArray]) -> None:
-        """Refuse courses that have other instants than the recording.
-
-        Parameters
-        ----------
-        scenario : int
+        Yields
+        ------
+        int
             Its id.
-        recording : Recording
-        courses : mapping of str to ndarray of float64, shape (T,)
-            By metric.
+        Recording
+        dict of str to ndarray of float64, shape (T,)
+            Course by metric.
 
         Raises
         ------
         InputError
-            One is shorter or longer.
+            A course is shorter or longer than its recording.
         """
-        with damage_told(self.path):
-            for name, course in courses.items():
-                require(
-                    len(course) == len(recording.time),
-                    f"{len(course)} instants of {name} in the scenario {scenario}, of which the recording has"
-                    f" {len(recording.time)}",
-                )
+        for row in self.done():
+            recording = self.recording(row.id)
+            courses = {name: self.course(row.id, name) for name in self.meta.metrics}
+            with damage_told(self.path):
+                for name, course in courses.items():
+                    require(
+                        len(course) == len(recording.time),
+                        f"{len(course)} instants of {name} in the scenario {row.id}, of which the recording has"
+                        f" {len(recording.time)}",
+                    )
+            yield row.id, recording, courses
 
     def _counts(self) -> dict[str, int]:
         """Count the scenarios in each state."""

@@ -35,6 +35,8 @@ class LaneTrack(Track):
         m.
     span : tuple of (float, float)
         Distances in m between which it is followed; beyond them another one leads on.
+    goes_over : bool
+        Whether another one leads on at all.
     """
 
     def __init__(self, path: LanePath) -> None:
@@ -47,6 +49,7 @@ class LaneTrack(Track):
             -np.inf if path.begins else min(_BACK, 0.5 * begin),
             np.inf if path.ends else self.length - min(_AHEAD, 0.5 * (self.length - end)),
         )
+        self.goes_over = not (path.begins and path.ends)
 
     @classmethod
     def of_lane(

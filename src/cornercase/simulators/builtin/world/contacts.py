@@ -16,9 +16,11 @@ def find_contacts(world: World) -> None:
     ----------
     world : World
     """
-    for a in range(len(world.entities)):
-        for b in range(a + 1, len(world.entities)):
-            world.touching[a, b] = world.touching[b, a] = overlap(world, a, b)
+    every = list(range(len(world.entities)))
+    x, y = _centers(world, every)
+    for a in every:
+        for b in every[a + 1 :]:
+            world.touching[a, b] = world.touching[b, a] = _overlap(world, [a, b], x[[a, b]], y[[a, b]])
 
 
 def overlap(world: World, first: int, second: int) -> BoolArray:
@@ -35,16 +37,26 @@ def overlap(world: World, first: int, second: int) -> BoolArray:
     ndarray of bool, shape (N,)
     """
     pair = [first, second]
-    length, width, ahead = (
-        np.array([[getattr(world.entities[e], name)] for e in pair]) for name in ("length", "width", "center_x")
-    )
-    heading = world.heading[pair]
-    x = np.where(world.present[pair], world.x[pair] + ahead * np.cos(heading), np.nan)
-    y = np.where(world.present[pair], world.y[pair] + ahead * np.sin(heading), np.nan)
+    return _overlap(world, pair, *_centers(world, pair))
+
+
+def _centers(world: World, entities: list[int]) -> tuple[FloatArray, FloatArray]:
+    """Centres of the boxes of K entities, each (K, N) in m; NaN where one is not there."""
+    ahead = np.array([[world.entities[e].center_x] for e in entities])
+    heading, there = world.heading[entities], world.present[entities]
+    x, y = world.x[entities] + ahead * np.cos(heading), world.y[entities] + ahead * np.sin(heading)
+    return np.where(there, x, np.nan), np.where(there, y, np.nan)
+
+
+def _overlap(world: World, pair: list[int], x: FloatArray, y: FloatArray) -> BoolArray:
+    """Whether the boxes of two entities with these centres, each (2, N), overlap, shape (N,)."""
+    length = np.array([[world.entities[e].length] for e in pair])
+    width = np.array([[world.entities[e].width] for e in pair])
     result = np.zeros(world.scenarios, dtype=np.bool_)
     near = np.flatnonzero(np.hypot(x[0] - x[1], y[0] - y[1]) <= 0.5 * np.hypot(length, width).sum())
     if near.size:
-        result[near] = boxes_overlap(*box_corners(x[:, near], y[:, near], heading[:, near], length, width))
+        heading = world.heading[pair][:, near]
+        result[near] = boxes_overlap(*box_corners(x[:, near], y[:, near], heading, length, width))
     return result
 
 

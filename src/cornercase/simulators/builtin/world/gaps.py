@@ -77,18 +77,16 @@ def _on_track(
     With `beside`, a trajectory leads to places however far beside it, too.
     """
     result = np.full(world.scenarios, np.inf)
-    for k, track in enumerate(world.tracks[entity]):
-        rows = np.flatnonzero((world.track[entity] == k) & np.isfinite(target.x + target.y))
-        if rows.size:
-            places = known.setdefault(k, np.full(world.scenarios, np.nan))
-            new = rows[np.isnan(places[rows])]
-            if new.size:
-                along = track.nearest(target.x[new], target.y[new], new, world.distance[entity][new])
-                x, y, _ = track.at(along, np.zeros(len(new)), new)
-                near = np.hypot(x - target.x[new], y - target.y[new]) < _ASTRAY
-                leads = near | (beside and not isinstance(track, LaneTrack))
-                places[new] = np.where(leads, along, np.inf)
-            result[rows] = places[rows] - world.distance[entity][rows]
+    for k, track, rows in world.followed(entity, np.isfinite(target.x + target.y)):
+        places = known.setdefault(k, np.full(world.scenarios, np.nan))
+        new = rows[np.isnan(places[rows])]
+        if new.size:
+            along = track.nearest(target.x[new], target.y[new], new, world.distance[entity][new])
+            x, y, _ = track.at(along, np.zeros(len(new)), new)
+            near = np.hypot(x - target.x[new], y - target.y[new]) < _ASTRAY
+            leads = near | (beside and not isinstance(track, LaneTrack))
+            places[new] = np.where(leads, along, np.inf)
+        result[rows] = places[rows] - world.distance[entity][rows]
     return result
 
 
@@ -130,22 +128,18 @@ def offset_of(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatA
     """
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
     result = (y - world.y[entity]) * cos - (x - world.x[entity]) * sin + world.offset[entity]
-    for k, track in enumerate(world.tracks[entity]):
-        rows = np.flatnonzero((world.track[entity] == k) & np.isfinite(x))
-        if rows.size:
-            along = track.nearest(x[rows], y[rows], rows)
-            at_x, at_y, heading = track.at(along, np.zeros(len(rows)), rows)
-            result[rows] = (y[rows] - at_y) * np.cos(heading) - (x[rows] - at_x) * np.sin(heading)
+    for _, track, rows in world.followed(entity, np.isfinite(x)):
+        along = track.nearest(x[rows], y[rows], rows)
+        at_x, at_y, heading = track.at(along, np.zeros(len(rows)), rows)
+        result[rows] = (y[rows] - at_y) * np.cos(heading) - (x[rows] - at_x) * np.sin(heading)
     return np.asarray(result)
 
 
 def _beside_its_track(world: World, entity: int) -> tuple[FloatArray, FloatArray]:
     """Where an entity is once what it goes sideways in the coming step is done, each (N,)."""
     x, y = world.x[entity].copy(), world.y[entity].copy()
-    for k, track in enumerate(world.tracks[entity]):
-        rows = np.flatnonzero((world.track[entity] == k) & world.present[entity] & ~world.moved[entity])
-        if rows.size:
-            x[rows], y[rows], _ = track.at(world.distance[entity][rows], world.offset[entity][rows], rows)
+    for _, track, rows in world.followed(entity, world.present[entity] & ~world.moved[entity]):
+        x[rows], y[rows], _ = track.at(world.distance[entity][rows], world.offset[entity][rows], rows)
     return x, y
 
 

@@ -175,9 +175,8 @@ def go_on(world: World, entity: int, number: int) -> None:
 def _route_ahead(world: World, entity: int, where: BoolArray) -> IntArray:
     """Route of an entity without the roads that it has passed, to which a new path would lead back, shape (N,)."""
     result: IntArray = world.route[entity].copy()
-    for k, track in enumerate(world.tracks[entity]):
-        at = np.flatnonzero(where & (world.track[entity] == k) & (world.route[entity] > 0))
-        if not (at.size and isinstance(track, LaneTrack)):
+    for _, track, at in world.followed(entity, where & (world.route[entity] > 0)):
+        if not isinstance(track, LaneTrack):
             continue
         passed = track.path.passed[track.path.sample_at(world.distance[entity][at])]
         for route, count in sorted({*zip(world.route[entity][at].tolist(), passed.tolist(), strict=True)}):

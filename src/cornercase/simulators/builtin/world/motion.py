@@ -39,12 +39,10 @@ def move_entities(world: World, dt: float) -> None:
         way = np.where(np.isnan(world.pace[e]), world.speed[e], world.pace[e]) * dt
         way = np.sign(way) * np.sqrt(np.maximum(way**2 - world.sideways[e] ** 2, 0.0))
         way = np.where(rows & ~world.moved[e], way, 0.0)
-        for k, track in enumerate(world.tracks[e]):
-            at = np.flatnonzero(rows & ~world.moved[e] & (world.track[e] == k))
-            if at.size:
-                _advance(world, e, track, at, way[at])
+        for _, track, at in world.followed(e, rows & ~world.moved[e]):
+            _advance(world, e, track, at, way[at])
         for k, track in enumerate([*world.tracks[e]]):
-            if isinstance(track, LaneTrack) and np.isfinite(track.span).any():
+            if isinstance(track, LaneTrack) and track.goes_over:
                 go_on(world, e, k)
         free = rows & (world.track[e] == FREE)
         if not free.any():
@@ -126,10 +124,8 @@ def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
     where : ndarray of bool, shape (N,)
         Scenarios.
     """
-    for k, track in enumerate(world.tracks[entity]):
-        at = np.flatnonzero(where & (world.track[entity] == k))
-        if at.size:
-            _settle(world, entity, track, at)
+    for _, track, at in world.followed(entity, where):
+        _settle(world, entity, track, at)
 
 
 def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
@@ -146,10 +142,8 @@ def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -
         m; negative backwards.
     """
     world.moved[entity] |= where
-    for k, track in enumerate(world.tracks[entity]):
-        at = np.flatnonzero(where & world.running & (world.track[entity] == k))
-        if at.size:
-            _advance(world, entity, track, at, way[at])
+    for _, track, at in world.followed(entity, where & world.running):
+        _advance(world, entity, track, at, way[at])
 
 
 def put_ahead(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
@@ -165,11 +159,9 @@ def put_ahead(world: World, entity: int, where: BoolArray, way: FloatArray) -> N
     way : ndarray of float64, shape (N,)
         m; negative backwards.
     """
-    for k, track in enumerate(world.tracks[entity]):
-        at = np.flatnonzero(where & (world.track[entity] == k))
-        if at.size:
-            world.distance[entity][at] = _along(track, world.distance[entity][at], world.offset[entity][at], way[at])
-            _settle(world, entity, track, at)
+    for _, track, at in world.followed(entity, where):
+        world.distance[entity][at] = _along(track, world.distance[entity][at], world.offset[entity][at], way[at])
+        _settle(world, entity, track, at)
 
 
 def pull_entity(
@@ -185,17 +177,14 @@ def pull_entity(
     x, y, heading, speed : ndarray of float64, shape (N,)
         Motion at the end of the step in m, rad and m/s.
     """
-    every = np.arange(world.scenarios)
     world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
     world.moved[entity] = True
-    for k, track in enumerate(world.tracks[entity]):
-        at = every[(world.track[entity] == k) & world.running]
-        if at.size:
-            along = track.nearest(x[at], y[at], at, world.distance[entity][at])
-            on_x, on_y, ahead = track.at(along, np.zeros(len(at)), at)
-            world.distance[entity][at] = along
-            world.offset[entity][at] = (y[at] - on_y) * np.cos(ahead) - (x[at] - on_x) * np.sin(ahead)
-            world.turn[entity][at] = within_half_turn(heading[at] - ahead)
+    for _, track, at in world.followed(entity, world.running):
+        along = track.nearest(x[at], y[at], at, world.distance[entity][at])
+        on_x, on_y, ahead = track.at(along, np.zeros(len(at)), at)
+        world.distance[entity][at] = along
+        world.offset[entity][at] = (y[at] - on_y) * np.cos(ahead) - (x[at] - on_x) * np.sin(ahead)
+        world.turn[entity][at] = within_half_turn(heading[at] - ahead)
 
 
 def _stop_at_ends(world: World) -> None:

@@ -5,13 +5,14 @@ Arrays are (entity, scenario), so that one entity's row is contiguous over the s
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import FREE, Track
@@ -225,6 +226,13 @@ class World:
         self.last_step = 0.0
         self.begun = False
         self.errors: dict[int, str] = {}
+
+    def followed(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
+        """Tracks that an entity follows in scenarios of the mask: number, track, and in which of them."""
+        for number, track in enumerate(self.tracks[entity]):
+            rows = np.flatnonzero(where & (self.track[entity] == number))
+            if rows.size:
+                yield number, track, rows
 
     def fail(self, where: BoolArray, why: str) -> None:
         """End the scenarios of a mask with an error."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from cornercase._common.geometry import looks_ahead
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads import RoadNetwork
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.state import World
@@ -55,13 +56,11 @@ def lane_of(world: World, entity: int) -> Pose:
         return pose
     place = world.network.locate(world.x[entity], world.y[entity])
     pose = Pose(pose.x, pose.y, pose.heading, *place)
-    for k, track in enumerate(world.tracks[entity]):
+    # As in esmini, only who changes lanes comes to another lane, however far an offset leads aside.
+    near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < _BESIDE)
+    for _, track, rows in world.followed(entity, near & world.present[entity]):
         if isinstance(track, LaneTrack):
-            # As in esmini, only who changes lanes comes to another lane, however far an offset leads aside.
-            near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < _BESIDE)
-            rows = np.flatnonzero((world.track[entity] == k) & near & world.present[entity])
-            if rows.size:
-                pose = track.lane_pose(pose, rows, world.distance[entity][rows], world.offset[entity][rows])
+            pose = track.lane_pose(pose, rows, world.distance[entity][rows], world.offset[entity][rows])
     return pose
 
 
@@ -111,11 +110,7 @@ def road_heading(world: World, pose: Pose) -> FloatArray:
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None
-    heading = np.zeros(world.scenarios)
-    for road in np.unique(pose.road):
-        rows = pose.road == road
-        heading[rows] = world.network.roads[int(road)].reference(pose.s[rows])[2]
-    return heading
+    return _heading_of(world.network, pose.road, pose.s)
 
 
 def looks_along(world: World, pose: Pose) -> BoolArray:
@@ -157,9 +152,17 @@ def speed_along_road(world: World, entity: int) -> FloatArray:
         x, y, heading = world.x[entity][at], world.y[entity][at], world.heading[entity][at]
         road, s = world.network.road_from(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
         world.last_road[entity][at], world.last_s[entity][at] = road, s
-        for one in np.unique(road):
-            direction[at[road == one]] = world.network.roads[int(one)].reference(s[road == one])[2]
+        direction[at] = _heading_of(world.network, road, s)
     return np.asarray(np.abs(world.gone[0][entity] * np.cos(direction) + world.gone[1][entity] * np.sin(direction)))
+
+
+def _heading_of(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
+    """Direction of the roads' s at places on them, shape (R,)."""
+    heading = np.zeros(len(s))
+    for one in np.unique(road):
+        rows = road == one
+        heading[rows] = network.roads[int(one)].reference(s[rows])[2]
+    return heading
 
 
 def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray) -> FloatArray:
@@ -229,9 +232,8 @@ def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
     """
     assert pose.road is not None
     result = np.zeros(world.scenarios, dtype=np.bool_)
-    for k, track in enumerate(world.tracks[entity]):
-        rows = np.flatnonzero((world.track[entity] == k) & world.present[entity])
-        if not (rows.size and isinstance(track, LaneTrack)):
+    for _, track, rows in world.followed(entity, world.present[entity]):
+        if not isinstance(track, LaneTrack):
             continue
         path = track.path
         sample = path.sample_at(world.distance[entity][rows])

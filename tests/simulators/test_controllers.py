@@ -1,0 +1,150 @@
+"""Drivers that take charge of entities of the builtin simulator, along lanes and trajectories."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conftest import (
+    car,
+    event,
+    place,
+    private,
+    ran,
+    same_recording,
+    scenario_file,
+    speed_action,
+    story_of,
+    teleport,
+    time_trigger,
+    trajectory,
+)  # fmt: skip
+from cornercase._common.errors import InputError
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import BuiltinSimulator
+
+DT = 0.05
+
+
+def controller(action: str) -> str:
+    return f"<PrivateAction><ControllerAction>{action}</ControllerAction></PrivateAction>"
+
+
+def assign(driver: str | None, activate: str = 'activateLongitudinal="true"') -> str:
+    named = "" if driver is None else f'<Property name="cornercase.driver" value="{driver}"/>'
+    return controller(
+        f'<AssignControllerAction {activate}><Controller name="c"><Properties>{named}</Properties></Controller>'
+        "</AssignControllerAction>"
+    )
+
+
+def controlled(folder, action: str, drivers=None):
+    """Two cars 10 m/s fast on one lane; the first gets an action at 1 s and is told to go 20 m/s at 2 s."""
+    init = "".join(
+        f'<Private entityRef="{name}">{teleport(s)}{speed_action("10")}</Private>'
+        for name, s in (("A", "10"), ("B", "90"))
+    )
+    story = story_of(
+        event("c", action, time_trigger("1")) + event("f", speed_action("20"), time_trigger("2")), actor="A"
+    )
+    path = scenario_file(folder, init=init, story=story, stop=time_trigger("5"), entities=car("A") + car("B"))
+    (recording,) = BuiltinSimulator(drivers=drivers).run([ConcreteScenario(path)])
+    return recording
+
+
+def test_a_controller_takes_over_when_it_is_assigned_and_activated(tmp_path):
+    """The storyboard jumps to 20 m/s; a driver accelerates towards them, and only once it is in charge."""
+    alone = controlled(tmp_path, assign(None))
+    assert alone.speed[0][alone.time > 2.1].min() == 20.0
+    driven = controlled(tmp_path, assign("normal"))
+    jump = np.diff(driven.speed[0]).max()
+    assert 0.0 < jump < 1.0
+    assert driven.speed[0].max() < 20.0
+    assert np.array_equal(driven.speed[0][driven.time < 1.0], alone.speed[0][alone.time < 1.0])
+    idle = controlled(tmp_path, assign("normal", ""))
+    assert same_recording(idle, alone)
+    off = controller('<ActivateControllerAction longitudinal="false"/>')
+    idle = controlled(tmp_path, f'{assign("normal")}</Action><Action name="off">{off}')
+    assert same_recording(idle, alone)
+
+
+def test_who_runs_a_file_keeps_the_driver_that_they_chose(tmp_path):
+    chosen = controlled(tmp_path, controller('<ActivateControllerAction longitudinal="false"/>'), {"A": "cautious"})
+    assert chosen.speed[0].max() < 20.0
+    again = controlled(tmp_path, assign("aggressive"), {"A": "cautious"})
+    assert same_recording(chosen, again)
+    with pytest.raises(InputError, match="asks for the driver 'os:system'"):
+        controlled(tmp_path, assign("os:system"))
+
+
+def test_a_driver_does_not_see_who_is_hidden(tmp_path):
+    """Behind a standing car the driver stops; behind one that is hidden from the traffic it does not."""
+    hide = '<PrivateAction><VisibilityAction graphics="true" sensors="true" traffic="{}"/></PrivateAction>'
+    ends = {}
+    for seen in ("true", "false"):
+        init = (
+            f'<Private entityRef="A">{teleport("10")}{speed_action("10")}</Private>'
+            f'<Private entityRef="B">{teleport("90")}{hide.format(seen)}</Private>'
+        )
+        path = scenario_file(tmp_path, init=init, stop=time_trigger("20"), entities=car("A") + car("B"))
+        (recording,) = ran(BuiltinSimulator(drivers={"A": "normal"}), [ConcreteScenario(path)])
+        ends[seen] = recording.x[0, -1]
+    assert ends["true"] < 88.0
+    assert ends["false"] > 150.0
+
+
+# Ahead of the ego a car stands, across a bend that each concrete scenario takes otherwise.
+BEND = """<ClothoidSpline><ClothoidSplineSegment curvatureStart="0" curvatureEnd="0" length="30"><PositionStart>
+<WorldPosition x="0" y="-2" h="0"/></PositionStart></ClothoidSplineSegment><ClothoidSplineSegment curvatureStart="0"
+curvatureEnd="$bend" length="60"/></ClothoidSpline>"""
+
+
+def bend_file(folder, shape=BEND, reference="<None/>"):
+    position = place(70, -1, 'h="1.57"')
+    across = f"<PrivateAction><TeleportAction>{position}</TeleportAction></PrivateAction>"
+    follow = trajectory(shape, reference, "follow")
+    return scenario_file(
+        folder,
+        init=private("Ego", follow, speed_action("10")) + private("Other", across, speed_action("0")),
+        entities=car("Ego") + car("Other"),
+        parameters='<ParameterDeclaration name="bend" parameterType="double" value="0.001"/>',
+    )
+
+
+def test_a_driver_brakes_along_a_trajectory_that_runs_otherwise_in_each_scenario(tmp_path):
+    path = bend_file(tmp_path)
+    bends = (0.0005, 0.002, 0.08)
+    concretes = [ConcreteScenario(path, {"bend": bend}) for bend in bends]
+    simulator = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
+    together = ran(simulator, concretes)
+    for concrete, recording in zip(concretes, together, strict=True):
+        assert not recording.collisions
+        (alone,) = simulator.run([concrete])
+        assert same_recording(alone, recording)
+    straight, _, away = together
+    assert straight.speed[0][-1] < 0.1
+    assert straight.x[0][-1] > 40.0
+    # The sharp bend leads past the car.
+    assert away.speed[0][away.time < 15.0].min() > 5.0
+    # Where nobody drives it goes on.
+    (undriven,) = ran(BuiltinSimulator(time_step=DT, duration=20.0), concretes[:1])
+    assert undriven.collisions
+
+
+def test_a_driver_slows_down_for_the_bend_of_a_trajectory(tmp_path):
+    path = bend_file(tmp_path)
+    simulator = BuiltinSimulator(time_step=DT, duration=20.0, drivers={"Ego": "normal"})
+    (recording,) = ran(simulator, [ConcreteScenario(path, {"bend": 0.2})])
+    # 3 m/s² across at a radius of 5 m.
+    assert recording.speed[0].min() == pytest.approx(np.sqrt(3.0 * 5.0), rel=0.1)
+
+
+def test_a_trajectory_with_times_leaves_the_driver_nothing_to_decide(tmp_path):
+    timed = '<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>'
+    legs = "".join(f'<Vertex time="{t}">{place(x, -2)}</Vertex>' for t, x in ((0, 0), (3, 40), (8, 90)))
+    path = bend_file(tmp_path, f"<Polyline>{legs}</Polyline>", timed)
+    recordings = [
+        next(iter(BuiltinSimulator(time_step=DT, duration=7.9, drivers=drivers).run([ConcreteScenario(path, {})])))
+        for drivers in ({}, {"Ego": "normal"})
+    ]
+    assert same_recording(*recordings)

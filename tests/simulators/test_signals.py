@@ -1,0 +1,92 @@
+"""Traffic signals and their controllers in the builtin simulator."""
+
+from __future__ import annotations
+
+import pytest
+
+from conftest import (
+    event,
+    moving,
+    ran,
+    run,
+    scenario_file,
+    speed_action,
+    story_of,
+    time_trigger,
+)  # fmt: skip
+from cornercase._common.errors import InputError
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import BuiltinSimulator
+
+DT = 0.05
+
+
+def test_a_traffic_signal_is_what_it_was_switched_to(tmp_path):
+    switch = """<GlobalAction><InfrastructureAction><TrafficSignalAction><TrafficSignalStateAction name="7" state="{}"/>
+</TrafficSignalAction></InfrastructureAction></GlobalAction>"""
+    green = """<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByValueCondition>
+<TrafficSignalCondition name="7" state="green"/></ByValueCondition></Condition></ConditionGroup>"""
+    story = story_of(
+        event("red", switch.format("red"), time_trigger("1"))
+        + event("green", switch.format("green"), time_trigger("2"))
+        + event("go", speed_action("25"), green)
+    )
+    recording = run(scenario_file(tmp_path, init=moving(), story=story, stop=time_trigger("4")))
+    fast = recording.time[recording.speed[0] > 20]
+    assert fast[0] == pytest.approx(2.0 + 2 * DT, abs=1.5 * DT)
+
+
+SIGNALS = """<TrafficSignals><TrafficSignalController name="main">
+<Phase name="red" duration="$red"><TrafficSignalState trafficSignalId="7" state="red"/></Phase>
+<Phase name="green" duration="1"><TrafficSignalState trafficSignalId="7" state="green"/></Phase></TrafficSignalController>
+<TrafficSignalController name="side" delay="0.5" reference="main">
+<Phase name="red" duration="$red"><TrafficSignalState trafficSignalId="8" state="red"/></Phase>
+<Phase name="green" duration="1"><TrafficSignalState trafficSignalId="8" state="green"/></Phase></TrafficSignalController>
+</TrafficSignals></RoadNetwork>"""
+
+
+def by_value(condition):
+    return f"""<ConditionGroup><Condition name="c" delay="0" conditionEdge="rising"><ByValueCondition>{condition}
+</ByValueCondition></Condition></ConditionGroup>"""
+
+
+@pytest.mark.parametrize(
+    ("condition", "at"),
+    [
+        ('<TrafficSignalCondition name="7" state="green"/>', {2.0: 2.0, 3.0: 3.0}),
+        ('<TrafficSignalCondition name="8" state="green"/>', {2.0: 2.5, 3.0: 3.5}),
+        ('<TrafficSignalControllerCondition trafficSignalControllerRef="main" phase="green"/>', {2.0: 2.0, 3.0: 3.0}),
+    ],
+)
+@pytest.mark.parametrize("begun", [None, 0.7])
+def test_signals_go_through_the_phases_of_their_controllers(tmp_path, condition, at, begun):
+    # An action that begins the red phase at 0.7 s lets green come so much later, but only of its own controller.
+    restart = """<GlobalAction><InfrastructureAction><TrafficSignalAction><TrafficSignalControllerAction phase="red"
+trafficSignalControllerRef="main"/></TrafficSignalAction></InfrastructureAction></GlobalAction>"""
+    events = event("go", speed_action("25"), by_value(condition))
+    events += "" if begun is None else event("restart", restart, time_trigger(str(begun)))
+    red = '<ParameterDeclaration name="red" parameterType="double" value="2"/>'
+    path = scenario_file(tmp_path, init=moving(), story=story_of(events), parameters=red)
+    text = path.read_text()
+    path.write_text(text.replace("</RoadNetwork>", SIGNALS, 1))
+    concretes = [ConcreteScenario(path, {"red": value}) for value in at]
+    together = ran(BuiltinSimulator(time_step=DT, duration=6.0), concretes)
+    later = begun if begun is not None and '"8"' not in condition else 0.0
+    for recording, expected in zip(together, at.values(), strict=True):
+        fast = recording.time[recording.speed[0] > 20]
+        assert fast[0] == pytest.approx(expected + later + DT, abs=1.5 * DT)
+
+
+@pytest.mark.parametrize(
+    ("condition", "why"),
+    [
+        ('<TrafficSignalControllerCondition trafficSignalControllerRef="mian" phase="red"/>', "did you mean 'main'"),
+        ('<TrafficSignalControllerCondition trafficSignalControllerRef="main" phase="blue"/>', "has no phase 'blue'"),
+    ],
+)
+def test_a_controller_or_phase_that_is_not_there_is_refused(tmp_path, condition, why):
+    story = story_of(event("go", speed_action("25"), by_value(condition)))
+    path = scenario_file(tmp_path, init=moving(), story=story)
+    path.write_text(path.read_text().replace("</RoadNetwork>", SIGNALS.replace("$red", "2"), 1))
+    with pytest.raises(InputError, match=why):
+        run(path)
