@@ -56,7 +56,8 @@ def results(name: str, folder: Path) -> dict[str, object]:
 
 
 def same(found: object, held: object, place: str) -> None:
-    """Numbers may differ in their last digits, as machines do."""
+    """Numbers may differ in their last digits, as machines do; more where a surrogate was fitted by gradients."""
+    loose = 1e-4 if "/critical/" in place else 1e-6
     if isinstance(held, dict):
         assert isinstance(found, dict), place
         assert list(found) == list(held), place
@@ -68,11 +69,11 @@ def same(found: object, held: object, place: str) -> None:
         for k, value in enumerate(held):
             same(found[k], value, f"{place}/{k}")
     elif isinstance(held, float):
-        assert found == pytest.approx(held, rel=1e-6, abs=1e-9), place
+        assert found == pytest.approx(held, rel=loose, abs=1e-9), place
     elif isinstance(held, str) and is_number(held):
         assert isinstance(found, str), place
         assert is_number(found), place
-        assert float(found) == pytest.approx(float(held), rel=1e-6, abs=1e-9), place
+        assert float(found) == pytest.approx(float(held), rel=loose, abs=1e-9), place
     else:
         assert found == held, place
 
