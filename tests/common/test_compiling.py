@@ -6,9 +6,12 @@ import json
 import os
 import subprocess
 import sys
+from types import FunctionType
 
 import numpy as np
 import pytest
+
+from cornercase._common.kernel_contents import contents
 
 PROGRAM = """
 import json, sys, time
@@ -77,20 +80,54 @@ def test_machine_code_that_was_cut_is_compiled_again(tmp_path, ending, left):
     assert whole == {path: path.read_bytes() for path in tmp_path.rglob("*.nb?")}
 
 
-def test_a_kernel_is_compiled_again_when_one_that_it_calls_has_changed(tmp_path):
-    (tmp_path / "inner.py").write_text(
-        "from cornercase._common.compiling import kernel\n@kernel()\ndef inner(x):\n    return x + 1\n"
-    )
-    (tmp_path / "outer.py").write_text(
-        "from cornercase._common.compiling import kernel\nfrom inner import inner\n@kernel()\ndef outer(x):\n"
-        "    return inner(x)\nprint(outer(1), sum(outer.stats.cache_hits.values()))\n"
-    )
+OUTER = """
+import enum
+import math
+import numpy as np
+import codes
+from cornercase._common.compiling import kernel
+from inner import inner
+LIMIT = 5.0
+@kernel({options})
+def outer(x):
+    {comment}
+    if x > LIMIT:
+        return codes.TABLE[codes.Code.FIRST]
+    return inner(x)
+print(outer(1.0), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def test_a_kernel_is_compiled_again_when_what_it_holds_has_changed(tmp_path):
+    """Whether it stands in its own module or in another one; and not when a comment has."""
+    inner = "from cornercase._common.compiling import kernel\n@kernel()\ndef inner(x):\n    return later(x)\n"
+    inner += "@kernel()\ndef later(x):\n    return x + 1\n"
+    codes = "import enum\nimport numpy as np\nTABLE = np.array([1.0, 2.0])\nclass Code(enum.IntEnum):\n    FIRST = 0\n"
+    files = {"inner.py": inner, "codes.py": codes, "outer.py": OUTER.format(options="", comment="#")}
 
     def printed():
+        for name, text in files.items():
+            (tmp_path / name).write_text(text)
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
         command = [sys.executable, str(tmp_path / "outer.py")]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
 
-    assert [printed(), printed()] == [["2", "0"], ["2", "1"]]
-    (tmp_path / "inner.py").write_text((tmp_path / "inner.py").read_text().replace("x + 1", "x + 2"))
-    assert printed() == ["3", "0"]
+    assert [printed(), printed()] == [["2.0", "0"], ["2.0", "1"]]
+    files["inner.py"] = inner.replace("x + 1", "x + 2")
+    assert [printed(), printed()] == [["3.0", "0"], ["3.0", "1"]]
+    files["outer.py"] = OUTER.format(options="", comment="# more\n    # of it")
+    assert printed() == ["3.0", "1"]
+    files["outer.py"] = files["outer.py"].replace("LIMIT = 5.0", "LIMIT = 0.5")
+    assert [printed(), printed()] == [["1.0", "0"], ["1.0", "1"]]
+    files["codes.py"] = codes.replace("1.0,", "4.0,")
+    assert [printed(), printed()] == [["4.0", "0"], ["4.0", "1"]]
+    files["codes.py"] = files["codes.py"].replace("FIRST = 0", "FIRST = 1")
+    assert [printed(), printed()] == [["2.0", "0"], ["2.0", "1"]]
+    files["outer.py"] = files["outer.py"].replace("@kernel()", "@kernel(fastmath=True)")
+    assert [printed(), printed()] == [["2.0", "0"], ["2.0", "1"]]
+
+
+def test_a_global_without_a_digest_is_refused():
+    function = FunctionType(compile("limits", "", "eval"), {"limits": [1.0], "__name__": __name__})
+    with pytest.raises(TypeError, match="no digest"):
+        contents(function, {})

@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
 from numba import njit
 from numba.core.caching import FunctionCache
 
+from cornercase._common.kernel_contents import contents
 from cornercase._common.locks import held_lock
 
 
@@ -25,15 +24,17 @@ class _SharedCache(FunctionCache):
     versions of the function at once, one can end up with the other's machine code under its own key. Files that were
     cut, when the disk was full or the machine died, count as missing.
 
-    numba keeps machine code as long as the file of the function is the same. Here all modules beside it have to be,
-    as a kernel holds what it calls and the constants that it uses.
+    numba keeps machine code as long as the file of the function is the same. Here everything that the machine code
+    holds has to be: the function, what it calls and the constants that it uses, in whatever module they are.
     """
 
-    def __init__(self, function):
+    def __init__(self, function, options):
         super().__init__(function)
-        self._cache_file._source_stamp = _contents(Path(function.__code__.co_filename).parent)
+        self._options = options
+        self._cache_file._source_stamp = None
 
     def load_overload(self, sig, target_context):
+        self._stamp()
         with held_lock(self._lock_path()):
             try:
                 return super().load_overload(sig, target_context)
@@ -42,20 +43,17 @@ class _SharedCache(FunctionCache):
                 return None
 
     def save_overload(self, sig, data):
+        self._stamp()
         with held_lock(self._lock_path()):
             super().save_overload(sig, data)
 
+    def _stamp(self):
+        # Not when the function is defined, as what it calls may be defined after it.
+        if self._cache_file._source_stamp is None:
+            self._cache_file._source_stamp = contents(self._py_func, self._options)
+
     def _lock_path(self):
         return Path(self.cache_path) / "cornercase.lock"
-
-
-@cache
-def _contents(folder: Path) -> str:
-    """Digest of all modules in a folder."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -76,7 +74,7 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
         compiled = njit(nogil=True, **options)(function)
         # Without a folder to write to, it is compiled in each process.
         with suppress(RuntimeError):
-            compiled._cache = _SharedCache(function)
+            compiled._cache = _SharedCache(function, options)
         return cast(Callable[..., Any], compiled)
 
     return decorate

@@ -1,0 +1,116 @@
+"""What the machine code of a kernel depends on: its own code, all that it calls, and the constants that it uses."""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+
+def contents(function: Callable[..., Any], options: dict[str, Any]) -> str:
+    """Digest of all that the machine code of a function is made from.
+
+    What its closure holds is left out; numba tells versions of a function by it.
+
+    Parameters
+    ----------
+    function : function
+        As it is before it is compiled; what it calls has been defined.
+    options : dict
+        With which it is compiled.
+
+    Returns
+    -------
+    str
+        Another one whenever the function, what it calls or a constant of theirs has changed, in whatever module.
+
+    Raises
+    ------
+    TypeError
+        The function uses a global of which no digest can be made.
+    """
+    digest = hashlib.sha256(repr(sorted(options.items())).encode())
+    for part in _Parts().of(function, frozenset()):
+        digest.update(len(part).to_bytes(8, "little") + part)
+    return digest.hexdigest()
+
+
+# Of what these define only the name counts: numba keeps nothing of another version of itself, and knows the functions
+# of the others by their names.
+_FOREIGN = sys.stdlib_module_names | {"numba", "numpy"}
+
+
+class _Parts:
+    """Walk through a function and what it uses; each function counts once, as they may call one another."""
+
+    def __init__(self) -> None:
+        self.seen: set[Any] = set()
+
+    def of(self, value: Any, names: frozenset[str]) -> Iterator[bytes]:
+        """Yield what a value consists of; of a module, what it holds of `names`."""
+        if isinstance(value, Dispatcher):
+            yield repr(sorted(value.targetoptions.items())).encode()
+            value = value.py_func
+        if isinstance(value, bool | int | float | complex | str | bytes | np.generic | np.dtype | None):
+            yield f"{type(value).__name__} {value!r}".encode()
+        elif isinstance(value, tuple):
+            yield f"{type(value).__name__} {len(value)}".encode()
+            for one in value:
+                yield from self.of(one, names)
+        elif isinstance(value, np.ndarray):
+            yield f"{value.dtype.str} {value.shape}".encode() + value.tobytes()
+        elif isinstance(value, enum.EnumMeta):
+            members: dict[str, Any] = dict(value.__members__)
+            yield repr([(name, member.value) for name, member in members.items()]).encode()
+        elif isinstance(value, ModuleType):
+            if not _foreign(value.__name__):
+                yield from self._named(vars(value), names)
+        elif not hasattr(value, "__module__"):
+            raise TypeError(f"a kernel uses {value!r}, of which no digest can be made.")
+        elif _foreign(value.__module__):
+            yield f"{value.__module__} {getattr(value, '__qualname__', value)}".encode()
+        elif value not in self.seen:
+            self.seen.add(value)
+            yield from self._function(value) if isinstance(value, FunctionType) else self._file(value.__module__)
+
+    def _named(self, known: dict[str, Any], names: frozenset[str]) -> Iterator[bytes]:
+        for name in sorted(names & known.keys()):
+            yield name.encode()
+            yield from self.of(known[name], names)
+
+    def _function(self, function: FunctionType) -> Iterator[bytes]:
+        names: set[str] = set()
+        yield from _code(function.__code__, names)
+        yield from self._named(function.__globals__, frozenset(names))
+        yield repr(function.__defaults__).encode()
+
+    def _file(self, module: str) -> Iterator[bytes]:
+        """Yield the module of what is compiled in a way of its own, as numba's intrinsics are."""
+        if module not in self.seen:
+            self.seen.add(module)
+            yield Path(str(sys.modules[module].__file__)).read_bytes()
+
+
+def _foreign(module: str) -> bool:
+    return module.partition(".")[0] in _FOREIGN
+
+
+def _code(code: CodeType, names: set[str]) -> Iterator[bytes]:
+    """Yield instructions and constants, and add the names that occur; not where they stand in a file."""
+    names.update(code.co_names)
+    yield f"{code.co_varnames} {code.co_freevars} {code.co_names} {code.co_argcount}".encode()
+    yield code.co_code + code.co_exceptiontable
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _code(constant, names)
+        elif isinstance(constant, frozenset):
+            yield repr(sorted(map(repr, constant))).encode()
+        else:
+            yield repr(constant).encode()
