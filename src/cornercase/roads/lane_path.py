@@ -13,8 +13,8 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 STEP: Final = 0.1
 # A path that would need more samples has them further apart.
 _MOST_SAMPLES: Final = 1_000_000
-# rad; a line that turns by more from one point to the next has a corner there.
-_KINK: Final = 0.1
+KINK: Final = 0.1
+"""rad; a line that turns by more from one point to the next has a corner there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,7 @@ def _course(x: FloatArray, y: FloatArray, distance: FloatArray) -> tuple[FloatAr
 
 def _beside_chord(curvature: FloatArray, part: FloatArray, gap: FloatArray | float) -> FloatArray:
     """How far to the right of a chord of length `gap` its arc lies, at parts of it, in m; a kink has no arc."""
-    return np.where(np.abs(curvature) * gap < _KINK, 0.5 * curvature * part * (1.0 - part) * gap**2, 0.0)
+    return np.where(np.abs(curvature) * gap < KINK, 0.5 * curvature * part * (1.0 - part) * gap**2, 0.0)
 
 
 def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:

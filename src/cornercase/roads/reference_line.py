@@ -121,7 +121,7 @@ def _arc(along: FloatArray, curvature: float) -> tuple[FloatArray, FloatArray, F
 
 def _spiral(along: FloatArray, start: float, end: float, length: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     rate = (end - start) / length
-    if abs(rate) * length**2 < _STRAIGHT:
+    if turns_evenly(start, end, length):
         return _arc(along, 0.5 * (start + end))
     sign, scale = np.sign(rate), np.sqrt(np.pi / abs(rate))
     before = start / rate
@@ -131,6 +131,21 @@ def _spiral(along: FloatArray, start: float, end: float, length: float) -> tuple
     c, s = scale * (c1 - c0), scale * sign * (s1 - s0)
     cos, sin = np.cos(phase), np.sin(phase)
     return cos * c - sin * s, sin * c + cos * s, start * along + 0.5 * rate * along**2
+
+
+def turns_evenly(start: float, end: float, length: float) -> bool:
+    """Whether a spiral is treated as an arc.
+
+    Parameters
+    ----------
+    start, end, length : float
+        Curvatures at its ends in 1/m, and how long it is in m.
+
+    Returns
+    -------
+    bool
+    """
+    return abs((end - start) / length) * length**2 < _STRAIGHT
 
 
 def _derivative(coefficients: tuple[float, ...] | list[float]) -> list[float]:

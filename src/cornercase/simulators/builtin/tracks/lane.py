@@ -12,14 +12,15 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.roads import LanePath, RoadNetwork
 from cornercase.simulators.builtin.tracks.track import Pose, Track
 
+SHRUNK: Final = 0.1
+"""Where a lane is shorter than this part of the reference line, an entity moves along the lane alone."""
+
 # A track may pass a point several times. So many of its nearest samples are compared; those whose distance is larger
 # than the smallest by at most so many m count as passing, too.
 _PASSES: Final = 16
 _SAME: Final = 0.3
 # Points lie no further out than this, in m.
 _ANYWHERE: Final = 1e12
-# Where a lane is shorter than a tenth of the reference line, an entity moves along the lane alone.
-_SHRUNK: Final = 0.1
 # So far before the place where a path is cut, in m, an entity goes over to one that leads on.
 _AHEAD: Final = 1000.0
 _BACK: Final = 250.0
@@ -83,7 +84,7 @@ class LaneTrack(Track):
         left = np.interp(distance, path.distance, path.center) + offset
         shrunk = 1.0 - np.interp(along, path.bend_at, path.bend) * left
         # Near the center of a bend, where the reference line does not lead on, the lane itself does.
-        near = shrunk < _SHRUNK
+        near = shrunk < SHRUNK
         ahead = path.ahead(distance, way / np.where(near, 1.0, shrunk))
         return np.where(near, np.clip(distance + way, 0.0, self.length), ahead)
 

@@ -9,11 +9,11 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, Trajectory
 
-# Half of the stretch over which the heading turns at a corner of a polyline, in m; esmini's figure.
-_CORNER: Final = 2.0
+CORNER: Final = 2.0
+"""Half of the stretch over which the heading turns at a corner of a polyline, in m; esmini's figure."""
 
-# Vertices that are closer, in m or s, are at one place or instant.
-_TINY: Final = 1e-6
+TINY: Final = 1e-6
+"""Vertices that are closer, in m or s, are at one place or instant."""
 
 
 class Polyline(Trajectory):
@@ -34,10 +34,19 @@ class Polyline(Trajectory):
     begin_speed : ndarray of float64, shape (N,), optional
         Speed at the first vertex in m/s: with it, the acceleration is constant on each leg, so that the next vertex is
         reached in time; without it, the speed is.
+
+    Attributes
+    ----------
+    distance, facing : ndarray of float64, shape (N, V)
+        Distance along the line in m, and heading in rad with full turns added, at its vertices.
+    directions : ndarray of float64, shape (N, V - 1)
+        Directions of its legs in rad.
+    speeds, rates : ndarray of float64, shape (N, V), optional
+        Speeds at its vertices in m/s, and accelerations in m/s² on the legs that begin there, by its clock.
     """
 
     _arrays = (
-        "x", "y", "heading", "_time", "distance", "_length", "lengths", "_direction", "_facing", "_speeds", "_rates",
+        "x", "y", "heading", "_time", "distance", "_length", "lengths", "directions", "facing", "speeds", "rates",
     )  # fmt: skip
 
     def __init__(
@@ -52,24 +61,27 @@ class Polyline(Trajectory):
     ) -> None:
         if closed:
             x, y, heading = (np.concatenate([a, a[:, :1]], axis=1) for a in (x, y, heading))
-        self.x, self.y, self.heading, self._time = x, y, heading, time
+        # Rows of these and of what is made of them are read where they lie.
+        x, y, heading = (np.ascontiguousarray(a) for a in (x, y, heading))
+        self.x, self.y, self.heading = x, y, heading
+        self._time = None if time is None else np.ascontiguousarray(time)
         self.version = 0
-        self._closed, self._turning = closed, turning
+        self.closed, self.turning = closed, turning
         legs = np.hypot(np.diff(x), np.diff(y))
         self.distance = np.concatenate([np.zeros((len(x), 1)), np.cumsum(legs, axis=1)], axis=1)
         self._length = self.distance[:, -1]
         self.lengths = np.full(len(x), np.inf) if closed else self._length
-        self._direction = _directions(x, y, legs)
+        self.directions = _directions(x, y, legs)
         # At the last vertex, a line without headings goes on as it came.
-        ends = np.concatenate([self._direction, self._direction[:, -1:]], axis=1)
+        ends = np.concatenate([self.directions, self.directions[:, -1:]], axis=1)
         facing = np.where(np.isnan(heading), ends, heading)
         # Which way half a turn goes depends on the last digit: straight up or down is a little to the right, as in
         # esmini.
-        nudged = np.where(np.isnan(heading) & (np.abs(np.cos(ends)) < _TINY), ends - _TINY * np.sin(ends), facing)
-        self._facing = _unwound(facing, nudged)
-        self._speeds, self._rates = None, None
+        nudged = np.where(np.isnan(heading) & (np.abs(np.cos(ends)) < TINY), ends - TINY * np.sin(ends), facing)
+        self.facing = _unwound(facing, nudged)
+        self.speeds, self.rates = None, None
         if time is not None:
-            self._speeds, self._rates = _motion(legs, np.diff(time), begin_speed)
+            self.speeds, self.rates = _motion(legs, np.diff(time), begin_speed)
 
     @property
     def time(self) -> FloatArray | None:
@@ -83,7 +95,7 @@ class Polyline(Trajectory):
         y = y0 + part * (self.y[rows, leg + 1] - y0)
         beyond = distance - along
         if beyond.any() or offset.any():
-            direction = self._direction[rows, leg]
+            direction = self.directions[rows, leg]
             cos, sin = np.cos(direction), np.sin(direction)
             x, y = x + beyond * cos - offset * sin, y + beyond * sin + offset * cos
         return x, y, self._heading(distance, rows)
@@ -105,25 +117,25 @@ class Polyline(Trajectory):
         distance = self._round(distance, rows)
         _, leg, _ = self._leg(distance, rows)
         # On a leg the vertex at its beginning counts.
-        vertex = np.where(distance > self._length[rows] - _TINY, self.heading.shape[1] - 1, leg)
+        vertex = np.where(distance > self._length[rows] - TINY, self.heading.shape[1] - 1, leg)
         return np.asarray(~np.isnan(self.heading[rows, vertex]))
 
     def direction(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         distance = self._round(distance, rows)
-        return np.asarray(self._direction[rows, self._leg(distance, rows)[1]])
+        return np.asarray(self.directions[rows, self._leg(distance, rows)[1]])
 
     def _round(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         """Distances within one round of a closed line."""
-        return np.mod(distance, self._length[rows]) if self._closed else distance
+        return np.mod(distance, self._length[rows]) if self.closed else distance
 
     def distance_at(self, time: FloatArray) -> FloatArray:
         assert self._time is not None
-        assert self._speeds is not None
-        assert self._rates is not None
+        assert self.speeds is not None
+        assert self.rates is not None
         every = np.arange(len(time))
         leg = (self._time[:, 1:-1] <= time[:, None]).sum(axis=1)
         elapsed = np.maximum(time - self._time[every, leg], 0.0)
-        speed, rate = self._speeds[every, leg], self._rates[every, leg]
+        speed, rate = self.speeds[every, leg], self.rates[every, leg]
         begin, way = self.distance[every, leg], self.distance[every, leg + 1] - self.distance[every, leg]
         span = self._time[every, leg + 1] - self._time[every, leg]
         even = begin + np.clip(elapsed / np.where(span > 0.0, span, np.inf), 0.0, 1.0) * way
@@ -136,15 +148,15 @@ class Polyline(Trajectory):
 
     def clock_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
         assert self._time is not None
-        assert self._speeds is not None
+        assert self.speeds is not None
         every = np.arange(len(distance))
         _, leg, part = self._leg(distance, every)
         t0, t1 = self._time[every, leg], self._time[every, leg + 1]
-        v0, v1 = self._speeds[every, leg], self._speeds[every, leg + 1]
+        v0, v1 = self.speeds[every, leg], self.speeds[every, leg + 1]
         return t0 + part * (t1 - t0), v0 + part * (v1 - v0)
 
     def _leg(
-        self, distance: FloatArray, rows: IntArray, beyond: float = _TINY
+        self, distance: FloatArray, rows: IntArray, beyond: float = TINY
     ) -> tuple[FloatArray, IntArray, FloatArray]:
         """Distance within the line, the leg there, and how much of it is gone; one begins `beyond` its vertex."""
         table = self.distance[rows]
@@ -157,16 +169,16 @@ class Polyline(Trajectory):
 
     def _heading(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         along, leg, part = self._leg(distance, rows)
-        now, after = self._facing[rows, leg], self._facing[rows, leg + 1]
+        now, after = self.facing[rows, leg], self.facing[rows, leg + 1]
         table, each, last = self.distance[rows], np.arange(len(rows)), self.distance.shape[1] - 2
-        at_end = along > table[:, -1] - _TINY
-        if self._turning == ALONG_LEGS:
+        at_end = along > table[:, -1] - TINY
+        if self.turning == ALONG_LEGS:
             return np.asarray(now + np.where(at_end, 1.0, part) * (after - now))
         heading = now
-        if self._turning == AT_CORNERS:
-            before = self._facing[rows, np.maximum(leg - 1, 0)]
+        if self.turning == AT_CORNERS:
+            before = self.facing[rows, np.maximum(leg - 1, 0)]
             span = table[each, leg + 1] - table[each, leg]
-            reach = np.maximum(np.minimum(_CORNER, 0.5 * span), _TINY)
+            reach = np.maximum(np.minimum(CORNER, 0.5 * span), TINY)
             gone = along - table[each, leg]
             left = span - gone
             begins, ends = gone < reach, left < reach
@@ -191,17 +203,17 @@ def _directions(x: FloatArray, y: FloatArray, legs: FloatArray) -> FloatArray:
     """Directions of legs; one without length has that of the leg before it, or of the first that has one."""
     dx, dy = np.diff(x), np.diff(y)
     direction = np.arctan2(dy, dx)
-    every, first = np.arange(len(x)), (legs > _TINY).argmax(axis=1)
+    every, first = np.arange(len(x)), (legs > TINY).argmax(axis=1)
     known = direction[every, first]
     for k in range(direction.shape[1]):
-        known = np.where(legs[:, k] > _TINY, direction[:, k], known)
+        known = np.where(legs[:, k] > TINY, direction[:, k], known)
         direction[:, k] = known
     return np.asarray(np.unwrap(direction, axis=1))
 
 
 def _motion(legs: FloatArray, spans: FloatArray, begin: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Speeds at vertices, and accelerations of the legs that begin there, each (N, V)."""
-    lasts = spans > _TINY
+    lasts = spans > TINY
     mean = np.where(lasts, legs / np.where(lasts, spans, 1.0), 0.0)
     if begin is None:
         # As in esmini, who begins on the last leg has a speed that falls towards its end, until the first step.
@@ -213,7 +225,7 @@ def _motion(legs: FloatArray, spans: FloatArray, begin: FloatArray | None) -> tu
         speed = speeds[-1] + rate * span
         # Too much time to go on with any speed: it stops at the next vertex, before the time.
         turns = (speed < 0.0) != (speeds[-1] < 0.0)
-        moves = legs[:, k] > _TINY
+        moves = legs[:, k] > TINY
         braking = -(speeds[-1] ** 2) / (2.0 * np.where(moves, legs[:, k], 1.0))
         rates.append(np.where(moves & lasts[:, k], np.where(turns, braking, rate), 0.0))
         speeds.append(np.where(moves & ~turns, np.where(lasts[:, k], speed, speeds[-1]), 0.0))

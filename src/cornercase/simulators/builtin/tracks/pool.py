@@ -1,0 +1,164 @@
+"""All tracks of a batch, as kernels read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.addresses import address_of
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
+from cornercase.simulators.builtin.tracks.polyline import Polyline
+from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES, Track
+
+LANE: Final = 0
+"""Kind of a track along lanes."""
+LINE: Final = 1
+"""Kind of a track through vertices."""
+OTHER: Final = 2
+"""Kind of a track that kernels do not know."""
+
+# Columns of `Tracks.address`. The arrays of a lane have an element for each sample, or for each bend; those of a line a
+# row of vertices or legs for each scenario.
+X, Y, DISTANCE, HEADING = 0, 1, 2, 3
+CURVATURE, REFERENCE, CENTER, S = 4, 5, 6, 7
+ROAD, NUMBER, ALONG = 8, 9, 10
+BEND_AT, BEND = 11, 12
+DIRECTION, FACING, TIME, SPEED, RATE = 4, 5, 6, 7, 8
+_COLUMNS: Final = 13
+
+_LANE_ARRAYS: Final = {
+    X: "x", Y: "y", DISTANCE: "distance", HEADING: "heading", CURVATURE: "curvature", REFERENCE: "reference",
+    CENTER: "center", S: "s", ROAD: "road", NUMBER: "lane", ALONG: "along", BEND_AT: "bend_at", BEND: "bend",
+}  # fmt: skip
+_LINE_ARRAYS: Final = {
+    X: "x", Y: "y", DISTANCE: "distance", HEADING: "heading", DIRECTION: "directions", FACING: "facing",
+    TIME: "time", SPEED: "speeds", RATE: "rates",
+}  # fmt: skip
+_TYPES: Final = {ROAD: np.int64, NUMBER: np.int64, ALONG: np.bool_}
+
+TURNINGS: Final = (ALONG_LEGS, AT_CORNERS, AT_VERTICES)
+"""Where the heading turns along a line, in the order of `Tracks.turning`."""
+
+
+class Tracks(NamedTuple):
+    """Tables of G tracks of E entities; what is changed in place on a track shows at once.
+
+    Attributes
+    ----------
+    row : ndarray of int64, shape (E, K)
+        Which of the tracks each track of each entity is; -1 where it has fewer.
+    kind : ndarray of int64, shape (G,)
+        `LANE`, `LINE` or `OTHER`.
+    address : ndarray of int64, shape (G, 13)
+        Where its arrays lie.
+    size : ndarray of int64, shape (G,)
+        Samples of a lane, vertices of a line.
+    bends : ndarray of int64, shape (G,)
+        Places along a lane at which the bend of the reference line is known.
+    length : ndarray of float64, shape (G,)
+        Length of a lane in m; NaN for others, which differ from scenario to scenario.
+    span : ndarray of float64, shape (G, 2)
+        Distances in m between which a lane is followed; beyond them another one leads on.
+    closed, timed : ndarray of bool, shape (G,)
+        Whether a line goes on from its end to its start, and whether it has a clock.
+    turning : ndarray of int64, shape (G,)
+        Where the heading turns along a line, as place in `TURNINGS`.
+    """
+
+    row: IntArray
+    kind: IntArray
+    address: IntArray
+    size: IntArray
+    bends: IntArray
+    length: FloatArray
+    span: FloatArray
+    closed: BoolArray
+    timed: BoolArray
+    turning: IntArray
+
+
+class TrackPool:
+    """Keeps the tracks of all entities of a batch together for kernels.
+
+    Attributes
+    ----------
+    tracks : Tracks
+        As of the last `gather`.
+    """
+
+    def __init__(self) -> None:
+        self._counts: list[int] | None = None
+        self._rows: dict[int, int] = {}
+        # The tables hold addresses of what these hold.
+        self._held: list[object] = []
+        self.tracks = _tables(0)
+
+    def gather(self, followed: Sequence[Sequence[Track]]) -> Tracks:
+        """Return tables of the tracks of each entity: the same as before where none has come.
+
+        Parameters
+        ----------
+        followed : sequence of sequence of Track
+            By entity; of a pool asked before, only longer than then.
+
+        Returns
+        -------
+        Tracks
+        """
+        counts = [len(tracks) for tracks in followed]
+        if counts == self._counts:
+            return self.tracks
+        new = {id(track): track for tracks in followed for track in tracks if id(track) not in self._rows}
+        self._rows.update(zip(new, range(len(self._rows), len(self._rows) + len(new)), strict=True))
+        tables = _tables(len(new))
+        for g, track in enumerate(new.values()):
+            self._enter(tables, g, track)
+        row = np.full((len(followed), max([*counts, 1])), -1)
+        for e, tracks in enumerate(followed):
+            row[e, : len(tracks)] = [self._rows[id(track)] for track in tracks]
+        joined = (np.concatenate(pair) for pair in zip(self.tracks[1:], tables[1:], strict=True))
+        self.tracks, self._counts = Tracks(row, *joined), counts
+        return self.tracks
+
+    def _enter(self, tables: Tracks, g: int, track: Track) -> None:
+        self._held.append(track)
+        if isinstance(track, LaneTrack):
+            path = track.path
+            tables.kind[g], tables.size[g], tables.bends[g] = LANE, path.x.size, path.bend_at.size
+            tables.length[g], tables.span[g] = track.length, track.span
+            # A path never changes, so that a copy will do where its arrays are laid out otherwise.
+            for column, name in _LANE_ARRAYS.items():
+                kind = _TYPES.get(column, np.float64)
+                self._hold(tables, g, column, np.ascontiguousarray(getattr(path, name), dtype=kind))
+        elif isinstance(track, Polyline):
+            tables.kind[g], tables.size[g] = LINE, track.x.shape[1]
+            tables.closed[g], tables.timed[g] = track.closed, track.time is not None
+            tables.turning[g] = TURNINGS.index(track.turning)
+            for column, name in _LINE_ARRAYS.items():
+                if (array := getattr(track, name)) is not None:
+                    self._hold(tables, g, column, array)
+
+    def _hold(self, tables: Tracks, g: int, column: int, array: npt.NDArray[Any]) -> None:
+        self._held.append(array)
+        tables.address[g, column] = address_of(array)
+
+
+def _tables(count: int) -> Tracks:
+    """Tables of so many tracks that kernels do not know, of no entity."""
+    whole = [np.zeros(count, dtype=np.int64) for _ in range(3)]
+    return Tracks(
+        np.full((0, 1), -1),
+        np.full(count, OTHER),
+        np.zeros((count, _COLUMNS), dtype=np.int64),
+        whole[0],
+        whole[1],
+        np.full(count, np.nan),
+        np.full((count, 2), np.nan),
+        np.zeros(count, dtype=np.bool_),
+        np.zeros(count, dtype=np.bool_),
+        whole[2],
+    )

@@ -1,0 +1,160 @@
+"""Compiled tracks against those that they are twins of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import road_networks as rn
+from cornercase._common.typing import FloatArray
+from cornercase.roads import RoadNetwork, road_heading, road_tables
+from cornercase.simulators.builtin.tracks import lane_kernels, line_kernels, pool
+from cornercase.simulators.builtin.tracks.lane import LaneTrack
+from cornercase.simulators.builtin.tracks.place_kernels import place_on
+from cornercase.simulators.builtin.tracks.polyline import Polyline
+from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES
+
+_coordinate = st.one_of(st.integers(-5, 5).map(float), st.floats(-200.0, 200.0))
+
+
+@st.composite
+def _lines(draw: st.DrawFn) -> Polyline:
+    scenarios, vertices = draw(st.integers(1, 3)), draw(st.integers(2, 6))
+
+    def table(values: st.SearchStrategy[float]) -> FloatArray:
+        return np.array(draw(st.lists(values, min_size=scenarios * vertices, max_size=scenarios * vertices))).reshape(
+            scenarios, vertices
+        )
+
+    time = np.sort(table(st.one_of(st.integers(0, 4).map(float), st.floats(0.0, 20.0))), axis=1)
+    heading = table(st.one_of(st.just(np.nan), st.floats(-7.0, 7.0)))
+    begin = np.full(scenarios, draw(st.floats(0.0, 20.0))) if draw(st.booleans()) else None
+    timed = draw(st.booleans())
+    turning = draw(st.sampled_from([ALONG_LEGS, AT_CORNERS, AT_VERTICES]))
+    closed = not timed and draw(st.booleans())
+    return Polyline(table(_coordinate), table(_coordinate), heading, time if timed else None, closed, turning, begin)
+
+
+@given(_lines(), st.lists(st.floats(-0.5, 1.5), min_size=1, max_size=8), st.sampled_from([0.0, 1.5, -3.0]))
+@settings(max_examples=200, deadline=None)
+def test_lines_are_the_same_compiled(line: Polyline, shares: list[float], offset: float) -> None:
+    tracks = pool.TrackPool().gather([[line]])
+    assert tracks.kind.tolist() == [pool.LINE]
+    rows = np.arange(len(line.x))
+    length = line.distance[:, -1]
+    vertices = [line.distance[:, k] + d for k in range(line.x.shape[1]) for d in (-1e-6, 0.0, 5e-7, 1e-6, 3.0)]
+    for distance in [*(share * length for share in shares), *vertices]:
+        offsets = np.full(len(rows), offset)
+        same = np.stack(line.at(distance, offsets, rows), axis=1)
+        direction, oriented = line.direction(distance, rows), line.oriented(distance, rows)
+        for n in rows.tolist():
+            place = place_on(tracks, 0, n, distance[n], offset)
+            np.testing.assert_allclose(place, same[n], rtol=1e-12, atol=1e-12)
+            assert line_kernels.direction_on(tracks, 0, n, distance[n]) == direction[n]
+            assert line_kernels.oriented_on(tracks, 0, n, distance[n]) == oriented[n]
+    for n in rows.tolist():
+        assert line_kernels.line_length(tracks, 0, n) == line.lengths[n]
+    assert line_kernels.has_clock(tracks, 0) == (line.time is not None)
+    if line.time is None:
+        return
+    instants = [line.time[:, k] + d for k in range(line.x.shape[1]) for d in (-0.3, 0.0, 0.3)]
+    for time in [*instants, *(share * 20.0 + 0.0 * length for share in shares)]:
+        there = line.distance_at(time)
+        for n in rows.tolist():
+            assert line_kernels.last_time(tracks, 0, n) == line.time[n, -1]
+            found = line_kernels.distance_at(tracks, 0, n, time[n])
+            assert found == pytest.approx(there[n], rel=1e-12, abs=1e-12)
+
+
+_ROOT = Path(__file__).parents[2]
+_FILES = ("examples/x_intersection/x_intersection.xodr", "tests/data/everything/road.xodr")
+_SPIRAL, _BARELY = '<spiral curvStart="-0.01" curvEnd="0.05"/>', '<spiral curvStart="0.01" curvEnd="0.01"/>'
+_CURVE = '<paramPoly3 pRange="{}" aU="0" bU="{}" cU="1e-3" dU="-1e-5" aV="0" bV="0.2" cV="2e-3" dV="3e-5"/>'
+
+
+def _tracks_of(network: RoadNetwork) -> list[LaneTrack]:
+    """A track along each lane, both ways."""
+    found = [
+        LaneTrack.of_lane(network, k, lane, start + 1e-3, along, ())
+        for k, road in enumerate(network.roads)
+        for start, lanes in road.sections
+        for lane in lanes
+        for along in (True, False)
+    ]
+    return [track for track in found if track is not None]
+
+
+def _check_lane(tracks: pool.Tracks, g: int, track: LaneTrack, random: np.random.Generator) -> None:
+    path, length = track.path, track.length
+    near = path.distance[random.integers(0, path.distance.size, 20)]
+    distance = np.concatenate([random.uniform(-10.0, length + 10.0, 60), near, [0.0, length, -0.0, -5.0, length + 5.0]])
+    offset, way = random.uniform(-8.0, 8.0, distance.size), random.normal(0.0, 3.0, distance.size)
+    offset[::3], way[::4] = 0.0, 0.0
+    rows = np.arange(distance.size)
+    x, y, heading = track.at(distance, offset, rows)
+    onward = track.advance(distance, offset, way)
+    sample, s = path.sample_at(distance), path.s_at(distance)
+    for i, (d, off, w) in enumerate(zip(distance, offset, way, strict=True)):
+        place = place_on(tracks, g, 0, d, off)
+        np.testing.assert_allclose(place, (x[i], y[i], heading[i]), rtol=1e-12, atol=1e-12)
+        assert lane_kernels.advance_lane(tracks, g, d, off, w) == onward[i]
+        where = (path.road[sample[i]], path.lane[sample[i]], s[i], path.along[sample[i]])
+        assert lane_kernels.lane_place(tracks, g, d) == where
+        assert lane_kernels.goes_over(tracks, g, d) == (d < track.span[0] or d > track.span[1])
+    assert tracks.length[g] == track.length
+
+
+@pytest.mark.parametrize("file", _FILES)
+def test_lanes_are_the_same_compiled(file: str) -> None:
+    lanes = _tracks_of(RoadNetwork.read(_ROOT / file))
+    tracks = pool.TrackPool().gather([lanes])
+    random = np.random.default_rng(1)
+    for g in range(0, len(lanes), max(len(lanes) // 12, 1)):
+        _check_lane(tracks, g, lanes[g], random)
+
+
+def test_lanes_inside_of_narrow_bends_are_the_same_compiled(tmp_path: Path) -> None:
+    for shape in ('<arc curvature="0.2"/>', _SPIRAL):
+        network = rn.network(tmp_path, rn.road("bend", 25.0, shape=shape, left=rn.lane(1), right=rn.lane(-1)))
+        lanes = _tracks_of(network)
+        tracks = pool.TrackPool().gather([lanes])
+        for g, lane in enumerate(lanes):
+            _check_lane(tracks, g, lane, np.random.default_rng(g))
+
+
+def test_directions_of_roads_are_the_same_compiled(tmp_path: Path) -> None:
+    shapes = {
+        "<line/>": True, '<arc curvature="-0.02"/>': True, _SPIRAL: True, _BARELY: True,
+        _CURVE.format("arcLength", 1): True, _CURVE.format("normalized", 30.0): True,
+        '<poly3 a="0" b="0" c="0.001" d="0"/>': False,
+    }  # fmt: skip
+    roads = rn.network(tmp_path, *(rn.road(str(k), 30.0, shape=shape) for k, shape in enumerate(shapes))).roads
+    several = [road for file in _FILES for road in RoadNetwork.read(_ROOT / file).roads]
+    tables = road_tables([*roads, *several])
+    assert tables.known[: len(roads)].tolist() == list(shapes.values())
+    for k, road in enumerate([*roads, *several]):
+        seams = [geometry.s for geometry in road.geometries]
+        s = np.concatenate([np.linspace(-3.0, road.length + 3.0, 15), seams])
+        for at, heading in zip(s, road.reference(s)[2], strict=True):
+            if tables.known[k]:
+                assert road_heading(tables, k, at) == pytest.approx(heading, rel=1e-14, abs=1e-15)
+
+
+def test_tables_follow_what_comes_and_changes() -> None:
+    def line(y: float) -> Polyline:
+        return Polyline(np.array([[0.0, 10.0]] * 2), np.full((2, 2), y), np.full((2, 2), np.nan))
+
+    one, two = line(0.0), line(5.0)
+    held = pool.TrackPool()
+    tracks = held.gather([[one], []])
+    assert tracks.row.tolist() == [[0], [-1]]
+    assert held.gather([[one], []]) is tracks
+    tracks = held.gather([[one], [two, one]])
+    assert tracks.row.tolist() == [[0, -1], [1, 0]]
+    one.adopt(line(3.0), np.array([False, True]))
+    assert [place_on(tracks, 0, n, 4.0, 0.0)[:2] for n in range(2)] == [(4.0, 0.0), (4.0, 3.0)]
+    assert place_on(tracks, 1, 1, 4.0, 1.0)[:2] == (4.0, 6.0)
