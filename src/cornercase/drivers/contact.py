@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from cornercase._common.compiling import kernel
+from cornercase.drivers.way import lay
 
 _kernel = kernel(error_model="numpy")
 
@@ -91,7 +92,7 @@ def meeting(places, row, ego, margin, other, horizon):
 
 
 @_kernel
-def first_contact(places, most, ego, margin, other, horizon):
+def first_contact(places, most, ego, margin, other, horizon, way=None):
     """First place ahead at which the driven entity would touch the other.
 
     Parameters
@@ -100,15 +101,21 @@ def first_contact(places, most, ego, margin, other, horizon):
         As in `meeting`; row 0 of the places is left out.
     most : float
         m between the centres at two places that follow each other, at most.
+    way : Way, optional
+        That the places are laid out along; if not given, they are all laid out already.
 
     Returns
     -------
     int
         Row; -1 for none.
     """
-    k = 0
-    while k + 1 < len(places):
+    k, count = 0, len(places)
+    if way is not None:
+        count = way.rows
+    while k + 1 < count:
         k += 1
+        if way is not None:
+            lay(way, k)
         rows = rows_apart(places, most, k, ego, margin, other, horizon)
         if rows > 0:
             k += rows - 1
@@ -136,7 +143,8 @@ def rows_apart(places, most, k, ego, margin, other, horizon):
         0 where the boxes may touch at the first.
     """
     legs, half_length, half_width, speed = other
-    own, least = math.hypot(ego[0], ego[1] + margin), math.inf
+    width = ego[1] + margin
+    own, least = math.sqrt(ego[0] * ego[0] + width * width), math.inf
     for leg in range(legs.shape[0]):
         if leg > 0 and legs[leg, 4] >= horizon:
             break

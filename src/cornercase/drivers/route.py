@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import FloatArray, IntArray
 from cornercase.drivers.base import DrivenPath
 
-# Boxes are tested at places this far apart, in m; contacts are refined in between.
-_STEP = 0.5
+STEP: Final = 0.5
+"""m between the samples of a route, or the next less that divides its length.
+
+Boxes are tested at places this far apart; contacts are refined in between.
+"""
+
 _FASTEST = 100.0
 
 
@@ -41,7 +45,9 @@ class Route(NamedTuple):
     sharpest: FloatArray
 
 
-def plan_route(path: DrivenPath, *, lateral_acceleration: float, deceleration: float) -> Route:
+def plan_route(
+    path: DrivenPath, *, lateral_acceleration: float, deceleration: float, rows: IntArray | None = None
+) -> Route:
     """Resample a path and find how fast its curves can be taken.
 
     At each place the speed v satisfies v² |κ| ≤ a_lat, and v² ≤ v_c² + 2 b d for each place at a distance d
@@ -52,23 +58,38 @@ def plan_route(path: DrivenPath, *, lateral_acceleration: float, deceleration: f
     path : DrivenPath
     lateral_acceleration, deceleration : float
         a_lat and b in m/s².
+    rows : ndarray of int64, shape (R,), optional
+        Of a path that runs otherwise in each scenario, those to plan; all if not given.
 
     Returns
     -------
     Route
+        With R rows in place of N, if `rows` are given.
     """
-    rows = [
-        _plan_row(row, lateral_acceleration, deceleration, _samples(path))
-        for row in zip(*map(np.atleast_2d, (path.distance, path.x, path.y, path.heading, path.curvature)), strict=True)
+    arrays = [np.atleast_2d(array) for array in (path.distance, path.x, path.y, path.heading, path.curvature)]
+    if rows is not None:
+        arrays = [array[rows] for array in arrays]
+    planned = [
+        _plan_row(row, lateral_acceleration, deceleration, count_samples(path)) for row in zip(*arrays, strict=True)
     ]
-    step, *curves = (np.array(column) for column in zip(*rows, strict=True))
+    step, *curves = (np.array(column) for column in zip(*planned, strict=True))
     x, y, cos, sin, squared_speed = curves
     longest, sharpest = (np.hypot(np.diff(a), np.diff(b)).max(axis=1) for a, b in ((x, y), (cos, sin)))
     return Route(step, x, y, cos, sin, squared_speed, longest, sharpest)
 
 
-def _samples(path: DrivenPath) -> int:
-    return max(2, int(np.ceil(path.distance.max() / _STEP)) + 1)
+def count_samples(path: DrivenPath) -> int:
+    """Say how many samples a row of a path's `Route` has.
+
+    Parameters
+    ----------
+    path : DrivenPath
+
+    Returns
+    -------
+    int
+    """
+    return max(2, int(np.ceil(path.distance.max() / STEP)) + 1)
 
 
 def _plan_row(

@@ -1,24 +1,42 @@
 """What a driver sees, and what it remembers of it."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator, call-arg, no-any-return"
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from cornercase._common.compiling import kernel
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray
 from cornercase.drivers.base import Situation
+from cornercase.drivers.traffic import (
+    CENTER_X,
+    FIRST_SEEN,
+    HALF_LENGTH,
+    HALF_WIDTH,
+    HEADING,
+    KNOWN,
+    LAST_SEEN,
+    NOTICED,
+    SPEED,
+    TURN,
+    X,
+    Y,
+)
 
 # The eye is behind the windscreen: this part of the box's length ahead of the box's centre.
 EYE_AHEAD = 0.25
 
 # Time constant in s of the rate of turn as perceived.
 TURN_MEAN = 0.2
+
+# Comparisons closer than this, relative to what is compared, are made again by the exact way.
+_CLOSE = 1e-9
+
+_kernel = kernel(error_model="numpy")
 
 
 def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) -> BoolArray:
@@ -42,153 +60,135 @@ def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) 
     ndarray of bool, shape (N, A)
     """
     s = situation
-    eye = _Eye(_dense(s.x), _dense(s.y), _dense(s.heading), s.center_x + EYE_AHEAD * s.length)
-    motion = _Motion(*map(_dense, (s.others_x, s.others_y, s.others_heading, s.others_speed)))
-    sizes = (_dense(s.others_length), _dense(s.others_width), _dense(s.others_center_x))
-    seen: BoolArray = _in_sight(eye, 0.5 * field_of_view, sight_range, motion, sizes)
+    own = np.array([0.5 * s.length, 0.5 * s.width, s.center_x])
+    boxes = np.stack((0.5 * s.others_length, 0.5 * s.others_width, s.others_center_x))
+    pose = np.stack((s.x, s.y, s.heading), axis=1)
+    others = np.stack((s.others_x, s.others_y, s.others_heading), axis=1)
+    seen: BoolArray = _look_each(field_of_view, sight_range, own, boxes, pose, others)
     return seen
 
 
-class Perceived(NamedTuple):
-    """What a driver knows of A others in N scenarios, each array (N, A).
-
-    Attributes
-    ----------
-    first_seen, last_seen : ndarray of float64
-        Times in s.
-    noticed : ndarray of bool
-        Seen now, or not yet forgotten.
-    known : ndarray of bool
-        Noticed, and seen for the reaction time.
-    x, y, heading, speed, turn : ndarray of float64
-        Perceived motion of the reference points in m, rad, m/s and rad/s; meaningful where noticed. The rate of turn
-        is a running mean.
-    """
-
-    first_seen: FloatArray
-    last_seen: FloatArray
-    noticed: BoolArray
-    known: BoolArray
-    x: FloatArray
-    y: FloatArray
-    heading: FloatArray
-    speed: FloatArray
-    turn: FloatArray
+@_kernel
+def _look_each(field_of_view, sight_range, own, boxes, pose, others):
+    scenarios, count = len(pose), others.shape[2]
+    seen, now = np.empty((scenarios, count), dtype=np.bool_), np.empty((count, 4))
+    for n in range(scenarios):
+        eye = eye_of(own, pose[n, 0], pose[n, 1], math.cos(pose[n, 2]), math.sin(pose[n, 2]))
+        look(field_of_view, sight_range, eye, boxes, others[n], now, seen[n])
+    return seen
 
 
-class _Eye(NamedTuple):
-    """Reference point and heading of who looks, each (N,), and how far ahead of that point its eye is."""
-
-    x: FloatArray
-    y: FloatArray
-    heading: FloatArray
-    ahead: float
-
-
-class _Motion(NamedTuple):
-    """True motion of the others, each (N, A)."""
-
-    x: FloatArray
-    y: FloatArray
-    heading: FloatArray
-    speed: FloatArray
-
-
-class Perception:
-    """What a driver is aware of, for N scenarios and A others.
-
-    An entity is known once it has been seen for the reaction time. When it gets out of sight it is taken to
-    go on straight at its last speed for as long as the memory lasts, and is then forgotten; a shorter loss of
-    sight does not start the reaction time again.
+@_kernel
+def eye_of(own, x, y, cos, sin):
+    """Place and direction of a driver's eye.
 
     Parameters
     ----------
-    scenarios, others : int
-    reaction_time, memory : float
-        s.
+    own : ndarray of float64, shape (3,)
+        Its box, as in `Fleet.own`.
+    x, y, cos, sin : float
+        The driven entity's reference point in m, cosine and sine of its heading.
 
-    Attributes
-    ----------
-    state : Perceived
+    Returns
+    -------
+    tuple of float
+        x, y, cosine and sine.
     """
-
-    def __init__(self, scenarios: int, others: int, reaction_time: float, memory: float) -> None:
-        shape = (scenarios, others)
-        self._reaction_time, self._memory = reaction_time, memory
-        self.state = Perceived(
-            first_seen=np.full(shape, np.inf),
-            last_seen=np.full(shape, -np.inf),
-            noticed=np.zeros(shape, dtype=np.bool_),
-            known=np.zeros(shape, dtype=np.bool_),
-            x=np.full(shape, np.nan),
-            y=np.full(shape, np.nan),
-            heading=np.full(shape, np.nan),
-            speed=np.full(shape, np.nan),
-            turn=np.zeros(shape),
-        )
-
-    def update(self, situation: Situation, seen: BoolArray) -> None:
-        """Take in what is seen, (N, A), in the active scenarios."""
-        s = situation
-        motion = _Motion(*map(_dense, (s.others_x, s.others_y, s.others_heading, s.others_speed)))
-        _perceive(
-            s.time, s.time_step, self._reaction_time, self._memory, _dense(s.active), _dense(seen), motion, self.state
-        )
+    ahead = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
+    return x + ahead * cos, y + ahead * sin, cos, sin
 
 
-def _dense(values):
-    return np.ascontiguousarray(values)
+@_kernel
+def look(field_of_view, sight_range, eye, boxes, others, now, seen):
+    """Find which others a driver sees, in one scenario.
 
-
-@kernel(error_model="numpy")
-def _in_sight(eye, half_view, sight_range, motion, sizes):
-    scenarios, others = motion.x.shape
-    length, width, center_x = sizes
-    seen = np.zeros((scenarios, others), dtype=np.bool_)
-    box = np.empty((others, 4))
-    for n in range(scenarios):
-        cos, sin = math.cos(eye.heading[n]), math.sin(eye.heading[n])
-        eye_x, eye_y = eye.x[n] + eye.ahead * cos, eye.y[n] + eye.ahead * sin
-        for a in range(others):
-            box[a, 2], box[a, 3] = math.cos(motion.heading[n, a]), math.sin(motion.heading[n, a])
-            box[a, 0] = motion.x[n, a] + center_x[a] * box[a, 2]
-            box[a, 1] = motion.y[n, a] + center_x[a] * box[a, 3]
-        for a in range(others):
-            for point in range(5):
-                along, across = 0.0, 0.0
-                if point < 4:
-                    along = 0.5 * length[a] * (1.0 if point < 2 else -1.0)
-                    across = 0.5 * width[a] * (1.0 if point % 2 == 0 else -1.0)
-                to_x = box[a, 0] + along * box[a, 2] - across * box[a, 3] - eye_x
-                to_y = box[a, 1] + along * box[a, 3] + across * box[a, 2] - eye_y
-                if not math.hypot(to_x, to_y) <= sight_range:
-                    continue
-                if abs(math.atan2(cos * to_y - sin * to_x, cos * to_x + sin * to_y)) > half_view:
-                    continue
-                hidden = False
-                for b in range(others):
-                    if b != a and _meets(eye_x, eye_y, to_x, to_y, box[b], 0.5 * length[b], 0.5 * width[b]):
-                        hidden = True
-                        break
-                if not hidden:
-                    seen[n, a] = True
+    Parameters
+    ----------
+    field_of_view, sight_range : float
+        As in `in_sight`.
+    eye : tuple of float
+        As of `eye_of`.
+    boxes : ndarray of float64, shape (4, A)
+        As in `Fleet.boxes`.
+    others : ndarray of float64, shape (4, A)
+        As in `Scene`.
+    now : ndarray of float64, shape (A, 4)
+        Filled, as in `Workspace.boxes`; NaN where none is within range.
+    seen : ndarray of bool, shape (A,)
+        Filled.
+    """
+    eye_x, eye_y, cos, sin = eye
+    count = others.shape[1]
+    for a in range(count):
+        reach = sight_range + abs(boxes[CENTER_X, a]) + boxes[HALF_LENGTH, a] + boxes[HALF_WIDTH, a]
+        away_x, away_y = others[X, a] - eye_x, others[Y, a] - eye_y
+        if away_x * away_x + away_y * away_y <= reach * reach * (1.0 + _CLOSE):
+            now[a, 2], now[a, 3] = math.cos(others[HEADING, a]), math.sin(others[HEADING, a])
+            now[a, 0] = others[X, a] + boxes[CENTER_X, a] * now[a, 2]
+            now[a, 1] = others[Y, a] + boxes[CENTER_X, a] * now[a, 3]
+        else:
+            # Out of reach it is not seen, and hides nothing of what is within range.
+            now[a, 0] = math.nan
+    half_view = 0.5 * field_of_view
+    edge = math.cos(half_view) if half_view < math.pi else -2.0
+    for a in range(count):
+        seen[a] = False
+        if math.isnan(now[a, 0]):
+            continue
+        for point in range(5):
+            along, across = 0.0, 0.0
+            if point < 4:
+                along = boxes[HALF_LENGTH, a] * (1.0 if point < 2 else -1.0)
+                across = boxes[HALF_WIDTH, a] * (1.0 if point % 2 == 0 else -1.0)
+            to_x = now[a, 0] + along * now[a, 2] - across * now[a, 3] - eye_x
+            to_y = now[a, 1] + along * now[a, 3] + across * now[a, 2] - eye_y
+            if not _in_view(cos * to_x + sin * to_y, cos * to_y - sin * to_x, to_x, to_y, sight_range, half_view, edge):
+                continue
+            hidden = False
+            for b in range(count):
+                if b != a and _meets(eye_x, eye_y, to_x, to_y, now, b, boxes[HALF_LENGTH, b], boxes[HALF_WIDTH, b]):
+                    hidden = True
                     break
-    return seen
+            if not hidden:
+                seen[a] = True
+                break
 
 
-@kernel(error_model="numpy")
-def _meets(eye_x, eye_y, to_x, to_y, box, half_length, half_width):
-    """Whether the line from the eye meets a box (slabs); a box around the eye itself hides nothing."""
-    if math.isnan(box[0]):
+@_kernel
+def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
+    """Whether a point is within range and field of view; only where that is close are root and angle asked for."""
+    squared = to_x * to_x + to_y * to_y
+    if squared > sight_range * sight_range * (1.0 + _CLOSE):
         return False
-    from_x, from_y = eye_x - box[0], eye_y - box[1]
+    if squared > sight_range * sight_range * (1.0 - _CLOSE) and math.hypot(to_x, to_y) > sight_range:
+        return False
+    away = math.sqrt(squared)
+    inner = along - away * edge
+    if abs(inner) > _CLOSE * away:
+        return inner > 0.0
+    return abs(math.atan2(across, along)) <= half_view
+
+
+@_kernel
+def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
+    """Whether the line from the eye meets a box (slabs); a box around the eye itself hides nothing."""
+    if math.isnan(now[b, 0]):
+        return False
+    from_x, from_y = eye_x - now[b, 0], eye_y - now[b, 1]
     enters, leaves = 0.0, 1.0
     inside = True
     for axis in range(2):
         if axis == 0:
-            start, step, half = from_x * box[2] + from_y * box[3], to_x * box[2] + to_y * box[3], half_length
+            start, step, half = (
+                from_x * now[b, 2] + from_y * now[b, 3],
+                to_x * now[b, 2] + to_y * now[b, 3],
+                half_length,
+            )
         else:
-            start, step, half = from_y * box[2] - from_x * box[3], to_y * box[2] - to_x * box[3], half_width
+            start, step, half = from_y * now[b, 2] - from_x * now[b, 3], to_y * now[b, 2] - to_x * now[b, 3], half_width
+        # Nearly all boxes are on one side of the line.
+        if min(start, start + step) > half + _CLOSE or max(start, start + step) < -half - _CLOSE:
+            return False
         if step == 0.0 and abs(start) > half:
             return False
         inside = inside and abs(start) <= half
@@ -198,29 +198,47 @@ def _meets(eye_x, eye_y, to_x, to_y, box, half_length, half_width):
     return enters < leaves and not inside
 
 
-@kernel(error_model="numpy")
-def _perceive(time, time_step, reaction_time, memory, active, seen, true, state):
-    first_seen, last_seen, noticed, known, x, y, heading, speed, turn = state
-    scenarios, others = seen.shape
-    for n in range(scenarios):
-        if not active[n]:
-            continue
-        for a in range(others):
-            if seen[n, a]:
-                if not time - last_seen[n, a] <= memory + 1e-9:
-                    first_seen[n, a] = time
-                    turn[n, a] = 0.0
-                else:
-                    since = max(time - last_seen[n, a], time_step)
-                    change = (true.heading[n, a] - heading[n, a] + math.pi) % (2.0 * math.pi) - math.pi
-                    turn[n, a] += (change / since - turn[n, a]) * min(since / TURN_MEAN, 1.0)
-                last_seen[n, a] = time
-                x[n, a], y[n, a] = true.x[n, a], true.y[n, a]
-                heading[n, a], speed[n, a] = true.heading[n, a], true.speed[n, a]
+@_kernel
+def perceive(behaviour, scene, seen):
+    """Take in what is seen, in one scenario.
+
+    An entity is known once it has been seen for the reaction time. When it gets out of sight it is taken to
+    go on straight at its last speed for as long as the memory lasts, and is then forgotten; a shorter loss of
+    sight does not start the reaction time again.
+
+    Parameters
+    ----------
+    behaviour : Behaviour
+    scene : Scene
+        What the driver remembers, and is aware of, is updated.
+    seen : ndarray of bool, shape (A,)
+        Who is in sight.
+    """
+    time, time_step, others, memory, awareness = (
+        scene.time, scene.time_step, scene.others, scene.memory, scene.awareness,
+    )  # fmt: skip
+    # The tolerance absorbs rounding errors in the sums of time steps.
+    memorable = behaviour.memory + 1e-9
+    for a in range(others.shape[1]):
+        if seen[a]:
+            if not time - memory[LAST_SEEN, a] <= memorable:
+                memory[FIRST_SEEN, a] = time
+                memory[TURN, a] = 0.0
             else:
-                way = speed[n, a] * time_step
-                x[n, a] += way * math.cos(heading[n, a])
-                y[n, a] += way * math.sin(heading[n, a])
-            # The tolerance absorbs rounding errors in the sums of time steps.
-            noticed[n, a] = time - last_seen[n, a] <= memory + 1e-9 and not math.isnan(true.x[n, a])
-            known[n, a] = noticed[n, a] and last_seen[n, a] - first_seen[n, a] >= reaction_time - 1e-9
+                since = max(time - memory[LAST_SEEN, a], time_step)
+                change = others[HEADING, a] - memory[HEADING, a] + math.pi
+                # The remainder of what is less than the divisor is itself, and takes long to be found.
+                if not 0.0 <= change < 2.0 * math.pi:
+                    change %= 2.0 * math.pi
+                change -= math.pi
+                memory[TURN, a] += (change / since - memory[TURN, a]) * min(since / TURN_MEAN, 1.0)
+            memory[LAST_SEEN, a] = time
+            memory[X, a], memory[Y, a] = others[X, a], others[Y, a]
+            memory[HEADING, a], memory[SPEED, a] = others[HEADING, a], others[SPEED, a]
+        elif time - memory[LAST_SEEN, a] <= memorable:
+            way = memory[SPEED, a] * time_step
+            memory[X, a] += way * math.cos(memory[HEADING, a])
+            memory[Y, a] += way * math.sin(memory[HEADING, a])
+        noticed = time - memory[LAST_SEEN, a] <= memorable and not math.isnan(others[X, a])
+        awareness[NOTICED, a] = noticed
+        awareness[KNOWN, a] = noticed and memory[LAST_SEEN, a] - memory[FIRST_SEEN, a] >= behaviour.reaction_time - 1e-9

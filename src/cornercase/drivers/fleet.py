@@ -1,0 +1,228 @@
+"""Drivers whose decisions are compiled, alone and gathered for a simulator's own compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers.base import DrivenPath, Driver, Situation
+from cornercase.drivers.deciding import accelerate_each
+from cornercase.drivers.parameters import Behaviour
+from cornercase.drivers.route import count_samples, plan_route
+from cornercase.drivers.traffic import (
+    AHEAD_FOR,
+    BEHAVIOUR,
+    CENTER_X,
+    FIRST_SEEN,
+    FOREIGN,
+    HALF_LENGTH,
+    HALF_WIDTH,
+    LAST_SEEN,
+    SINCE,
+    TURN,
+    VULNERABLE,
+    Fleet,
+    Routes,
+)
+
+_VULNERABLE_KINDS = ("pedestrian", "bicycle")
+
+
+class CompiledDriver(Driver):
+    """A driver whose decisions are compiled: a fleet of one, or the row of a larger one."""
+
+    kind: ClassVar[int]
+    """What decides, as in `Fleet.kind`."""
+
+    parameters: tuple[float, ...]
+    """Of it."""
+
+    def start(self, scenarios: int, others: int) -> None:
+        """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
+        self._fleet = _empty_fleet(1, scenarios, others)
+        self._fleet.kind[0] = self.kind
+        self._fleet.parameters[0, : len(self.parameters)] = self.parameters
+        # The path is kept with its route: while it exists, no other object can have its id.
+        self._routes: dict[int, tuple[DrivenPath, int]] = {}
+
+    def join(self, fleet: Fleet, row: int) -> None:
+        """Move what it knows into a row of a fleet, and keep a view of that.
+
+        Parameters
+        ----------
+        fleet : Fleet
+        row : int
+        """
+        whole, mine = slice(row, row + 1), self._fleet
+        view = Fleet(
+            kind=fleet.kind[whole],
+            parameters=fleet.parameters[whole],
+            own=fleet.own[whole],
+            boxes=fleet.boxes[whole],
+            memory=fleet.memory[whole],
+            awareness=fleet.awareness[whole],
+            routes=mine.routes,
+        )
+        view.kind[:], view.parameters[:] = mine.kind, mine.parameters
+        view.memory[:], view.awareness[:] = mine.memory, mine.awareness
+        self._fleet = view
+
+    def acceleration(self, situation: Situation) -> FloatArray:
+        """Acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
+        s, fleet = situation, self._fleet
+        fleet.own[0] = 0.5 * s.length, 0.5 * s.width, s.center_x
+        fleet.boxes[0, HALF_LENGTH], fleet.boxes[0, HALF_WIDTH] = 0.5 * s.others_length, 0.5 * s.others_width
+        fleet.boxes[0, CENTER_X] = s.others_center_x
+        fleet.boxes[0, VULNERABLE] = _vulnerable(s.others_kind)
+        track = self._planned(s.path)
+        driven = np.stack((s.distance, s.x, s.y, s.heading, s.speed, s.target_speed), axis=1)
+        others = np.stack((s.others_x, s.others_y, s.others_heading, s.others_speed), axis=1)
+        active = np.ascontiguousarray(s.active)
+        result: FloatArray = accelerate_each(self._fleet, track, s.time, s.time_step, driven, others, active)
+        return result
+
+    def _planned(self, path: DrivenPath) -> int:
+        """Number of the route along a path, among this driver's own."""
+        if self.kind != BEHAVIOUR:
+            return 0
+        if id(path) not in self._routes:
+            self._routes[id(path)] = (path, len(self._routes))
+            self._fleet = with_route(self._fleet, 0, self._routes[id(path)][1], path)
+        return self._routes[id(path)][1]
+
+
+def form_fleet(
+    drivers: Sequence[Driver],
+    driven: Sequence[int],
+    scenarios: int,
+    length: FloatArray,
+    width: FloatArray,
+    center_x: FloatArray,
+    kinds: Sequence[str],
+) -> Fleet:
+    """Gather drivers, so that compiled code and their own `acceleration` go on from the same state.
+
+    What the drivers know moves into the fleet's arrays, of which they keep views.
+
+    Parameters
+    ----------
+    drivers : sequence of Driver, length D
+        Started, with N scenarios and all other entities.
+    driven : sequence of int, length D
+        Row of the entity that each of them drives.
+    scenarios : int
+        N.
+    length, width, center_x : ndarray of float64, shape (E,)
+        Boxes of all entities in m.
+    kinds : sequence of str, length E
+        Vehicle category, ``"pedestrian"`` or ``"misc"``.
+
+    Returns
+    -------
+    Fleet
+        Without routes.
+    """
+    fleet = _empty_fleet(len(drivers), scenarios, max(len(kinds) - 1, 0))
+    boxes = np.stack((0.5 * length, 0.5 * width, center_x, _vulnerable(kinds)))
+    for d, (driver, e) in enumerate(zip(drivers, driven, strict=True)):
+        fleet.own[d] = boxes[:VULNERABLE, e]
+        fleet.boxes[d] = np.delete(boxes, e, axis=1)
+        # A class of one's own that derives from a built-in driver decides otherwise.
+        if isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration:
+            driver.join(fleet, d)
+    return fleet
+
+
+def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: BoolArray | None = None) -> Fleet:
+    """Plan a driver's route along a track, in place of what it had planned for that track.
+
+    Parameters
+    ----------
+    fleet : Fleet
+    driver, track : int
+        Row of the driver, and number of the track.
+    path : DrivenPath
+    where : ndarray of bool, shape (N,), optional
+        Scenarios in which a path that runs otherwise in each has changed since; by default all.
+
+    Returns
+    -------
+    Fleet
+        With new arrays of routes, or with those of the given one, in which the route now stands.
+    """
+    samples, rows = count_samples(path), len(np.atleast_2d(path.distance))
+    routes, chosen = fleet.routes, np.arange(rows)
+    first = routes.row[driver, track] if track < routes.row.shape[1] else -1
+    if first >= 0 and (routes.rows[driver, track], routes.samples[first]) == (rows, samples):
+        if where is not None and rows > 1:
+            chosen = np.flatnonzero(where)
+    else:
+        if first >= 0:
+            routes = _without(routes, driver, track)
+        first = len(routes.begin)
+        routes = _with_room(routes, driver, track, rows, samples)
+    if len(chosen):
+        behaviour = Behaviour(*fleet.parameters[driver])
+        lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
+        plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=chosen)
+        places = routes.begin[first + chosen][:, None] + np.arange(samples)
+        routes.points[places] = np.stack((plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed), axis=-1)
+        routes.measures[first + chosen] = np.stack((plan.step, plan.longest, plan.sharpest), axis=-1)
+    return fleet._replace(routes=routes)
+
+
+def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
+    """Add rows of so many points each, behind all others, as the route of a driver along a track."""
+    more = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
+    row, counts = np.pad(routes.row, more, constant_values=-1), np.pad(routes.rows, more)
+    row[driver, track], counts[driver, track] = len(routes.begin), rows
+    return Routes(
+        row=row,
+        rows=counts,
+        begin=np.append(routes.begin, len(routes.points) + samples * np.arange(rows)),
+        samples=np.append(routes.samples, np.full(rows, samples)),
+        measures=np.concatenate((routes.measures, np.empty((rows, 3)))),
+        points=np.concatenate((routes.points, np.empty((rows * samples, 5)))),
+    )
+
+
+def _without(routes: Routes, driver: int, track: int) -> Routes:
+    """Leave out the route of a driver along a track."""
+    first, rows = int(routes.row[driver, track]), int(routes.rows[driver, track])
+    gone = slice(first, first + rows)
+    points = int(routes.samples[gone].sum())
+    begin = int(routes.begin[first])
+    row = np.where(routes.row > first, routes.row - rows, routes.row)
+    row[driver, track] = -1
+    return Routes(
+        row=row,
+        rows=routes.rows,
+        begin=np.delete(np.where(routes.begin > begin, routes.begin - points, routes.begin), gone),
+        samples=np.delete(routes.samples, gone),
+        measures=np.delete(routes.measures, gone, axis=0),
+        points=np.delete(routes.points, slice(begin, begin + points), axis=0),
+    )
+
+
+def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
+    memory = np.full((drivers, scenarios, AHEAD_FOR + 1, others), np.nan)
+    memory[:, :, TURN], memory[:, :, AHEAD_FOR] = 0.0, 0.0
+    memory[:, :, FIRST_SEEN], memory[:, :, LAST_SEEN], memory[:, :, SINCE] = np.inf, -np.inf, np.inf
+    none = np.empty(0, dtype=np.int64)
+    unplanned = np.full((drivers, 1), -1, dtype=np.int64)
+    return Fleet(
+        kind=np.full(drivers, FOREIGN, dtype=np.int64),
+        parameters=np.zeros((drivers, len(Behaviour._fields))),
+        own=np.zeros((drivers, 3)),
+        boxes=np.zeros((drivers, VULNERABLE + 1, others)),
+        memory=memory,
+        awareness=np.zeros((drivers, scenarios, 3, others), dtype=np.bool_),
+        routes=Routes(unplanned, unplanned + 1, none, none, np.empty((0, 3)), np.empty((0, 5))),
+    )
+
+
+def _vulnerable(kinds: Sequence[str]) -> BoolArray:
+    return np.array([kind in _VULNERABLE_KINDS for kind in kinds], dtype=np.bool_)

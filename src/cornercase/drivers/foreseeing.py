@@ -1,0 +1,76 @@
+"""Where another entity will be, in straight legs."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from cornercase._common.compiling import kernel
+from cornercase.drivers.traffic import HEADING, SPEED, TURN, X, Y
+
+STANDING: Final = 0.2
+"""Below this speed in m/s an entity stands."""
+
+TURNING: Final = 2.0
+"""Time in s for which an entity that turns is expected to go on turning."""
+
+TURN_LEGS: Final = 8
+"""Straight legs into which that is divided."""
+
+STRAIGHT: Final = 0.05
+"""Rate of turn in rad/s up to which an entity is taken to go straight."""
+
+_kernel = kernel(error_model="numpy")
+
+
+@_kernel
+def foresee(memory, o, cos, sin, center_x, horizon, legs):
+    """Fill the table of straight legs that another is expected to go.
+
+    It keeps its rate of turn for some time, then goes straight on.
+
+    Parameters
+    ----------
+    memory : ndarray of float64, shape (9, A)
+        As in `Fleet.memory`.
+    o : int
+        Which of the others.
+    cos, sin : float
+        Of its heading.
+    center_x : float
+        Centre of its box in m.
+    horizon : float
+        s for which it is foreseen.
+    legs : ndarray of float64, shape (L, 6)
+        As in `Workspace`; filled.
+
+    Returns
+    -------
+    int
+        How many legs there are.
+    """
+    x, y, heading, speed, turn = memory[X, o], memory[Y, o], memory[HEADING, o], memory[SPEED, o], memory[TURN, o]
+    if not (abs(turn) > STRAIGHT and abs(speed) >= STANDING):
+        legs[0, 0], legs[0, 1] = x + center_x * cos, y + center_x * sin
+        legs[0, 2], legs[0, 3] = cos, sin
+        legs[0, 4], legs[0, 5] = 0.0, horizon
+        return 1
+    for k in range(TURN_LEGS + 1):
+        duration = TURNING / TURN_LEGS
+        # The first leg begins with the present heading of the box.
+        if k > 0:
+            towards = heading + 0.5 * turn * duration
+            if k == TURN_LEGS:
+                duration = horizon - k * duration
+                towards = heading
+            cos, sin = math.cos(towards), math.sin(towards)
+        legs[k, 0], legs[k, 1] = x + center_x * cos, y + center_x * sin
+        legs[k, 2], legs[k, 3] = cos, sin
+        legs[k, 4] = legs[k - 1, 5] if k > 0 else 0.0
+        legs[k, 5] = legs[k, 4] + duration
+        x, y = x + speed * duration * cos, y + speed * duration * sin
+        heading += turn * duration
+    return TURN_LEGS + 1

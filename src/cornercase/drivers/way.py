@@ -1,0 +1,197 @@
+"""Where and when the driven entity will be: places along its route, each laid out only when it is asked for."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from cornercase._common.compiling import kernel
+from cornercase._common.typing import FloatArray
+from cornercase.drivers.route import STEP
+from cornercase.drivers.traffic import CENTER_X, HALF_LENGTH, HALF_WIDTH
+
+LOOKAHEAD: Final = 150.0
+"""m."""
+
+MOST_PLACES: Final = int(2.0 * LOOKAHEAD / STEP) + 4
+"""Rows of a table of places; the samples of a route are at least half as far apart as they should be."""
+
+_kernel = kernel(error_model="numpy")
+
+
+class Way(NamedTuple):
+    """The way ahead of a driven entity.
+
+    Row 0 of its places is where the entity is, the others are the route's samples ahead of it.
+
+    Attributes
+    ----------
+    places : ndarray of float64, shape (K, 6)
+        As in `Workspace`; each row is right once `lay` has been called for it.
+    arrivals : ndarray of float64, shape (2,)
+        Row up to which times of arrival are known, and the square of the speed there: few are ever asked for.
+    between : ndarray of float64, shape (1, 6)
+        As in `Workspace`.
+    rows : int
+        How many places there are.
+    most : float
+        m between the centres at two places that follow each other, at most.
+    points : ndarray of float64, shape (M, 5)
+        As in `Routes`.
+    first : int
+        The point before that of row 1.
+    before : int
+        Its number along the route.
+    step : float
+        m between the points.
+    distance : float
+        Place of the driven entity along the route in m.
+    offset : float
+        How far it is to the left of the route in m.
+    center_x : float
+        Centre of its box in m.
+    ego : tuple of float
+        Half length and half width of its box in m.
+    speed, wanted : float
+        That which it has, and that which it wants, in m/s.
+    """
+
+    places: FloatArray
+    arrivals: FloatArray
+    between: FloatArray
+    rows: int
+    most: float
+    points: FloatArray
+    first: int
+    before: int
+    step: float
+    distance: float
+    offset: float
+    center_x: float
+    ego: tuple[float, float]
+    speed: float
+    wanted: float
+
+
+@_kernel
+def look_ahead(behaviour, routes, route, scene, v, wanted, work):
+    """Find the way ahead of the driven entity, as far as it matters.
+
+    Parameters
+    ----------
+    behaviour : Behaviour
+    routes : Routes
+    route : int
+        Row of the route.
+    scene : Scene
+    v, wanted : float
+        Its speed, and that which it wants, in m/s.
+    work : Workspace
+
+    Returns
+    -------
+    Way
+    """
+    driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
+    places, points, distance = work.places, routes.points, driven.distance
+    begin, samples, step = routes.begin[route], routes.samples[route], routes.measures[route, 0]
+    places[0, 0] = 0.0
+    places[0, 1], places[0, 2] = driven.x + center_x * cos, driven.y + center_x * sin
+    places[0, 3], places[0, 4], places[0, 5] = cos, sin, 0.0
+    at = min(max(distance / step, 0.0), samples - 1.0)
+    here = int(at)
+    part = at - here
+    one, two = begin + here, begin + min(here + 1, samples - 1)
+    # The driven entity is expected to keep its lateral offset from the path.
+    path_x = points[one, 0] + part * (points[two, 0] - points[one, 0])
+    path_y = points[one, 1] + part * (points[two, 1] - points[one, 1])
+    offset = (driven.y - path_y) * points[one, 2] - (driven.x - path_x) * points[one, 3]
+    braking = v * v / (2.0 * behaviour.comfortable_deceleration)
+    reach = min(max(v * behaviour.horizon, braking) + behaviour.braking_distance + 30.0, LOOKAHEAD)
+    before = here
+    while before + 1 < samples and (before + 1) * step - distance <= 1e-6:
+        before += 1
+    last = max(before, min(samples - 1, int((reach + distance) / step) + 1))
+    while last > before and last * step - distance > reach:
+        last -= 1
+    most = routes.measures[route, 1] + (abs(center_x) + abs(offset)) * routes.measures[route, 2]
+    arrivals = work.arrivals
+    arrivals[0], arrivals[1] = 0.0, v * v
+    return Way(
+        places, arrivals, work.between, 1 + last - before, most, points, begin + before, before, step, distance,
+        offset, center_x, (scene.own[HALF_LENGTH], scene.own[HALF_WIDTH]), v, wanted,
+    )  # fmt: skip
+
+
+@_kernel
+def lay(way, k):
+    """Lay out one place ahead, but for its time of arrival.
+
+    Parameters
+    ----------
+    way : Way
+    k : int
+        Row of it.
+    """
+    if k == 0:
+        return
+    places, points, at = way.places, way.points, way.first + k
+    cos, sin = points[at, 2], points[at, 3]
+    places[k, 0] = distance_to(way, k)
+    places[k, 1] = points[at, 0] + way.center_x * cos - way.offset * sin
+    places[k, 2] = points[at, 1] + way.center_x * sin + way.offset * cos
+    places[k, 3], places[k, 4] = cos, sin
+
+
+@_kernel
+def distance_to(way, k):
+    """Distance from the driven entity to a place ahead.
+
+    Parameters
+    ----------
+    way : Way
+    k : int
+        Row of the place.
+
+    Returns
+    -------
+    float
+        m.
+    """
+    return (way.before + k) * way.step - way.distance if k > 0 else 0.0
+
+
+@_kernel
+def arrive(behaviour, way, k):
+    """When the driven entity is to come to a place ahead.
+
+    Parameters
+    ----------
+    behaviour : Behaviour
+    way : Way
+    k : int
+        Row of the place.
+
+    Returns
+    -------
+    float
+        s from now.
+    """
+    known = int(way.arrivals[0])
+    if k > known:
+        squared, when, here = way.arrivals[1], way.places[known, 5], distance_to(way, known)
+        for i in range(known + 1, k + 1):
+            there = distance_to(way, i)
+            leg, here = there - here, there
+            limit = min(way.wanted * way.wanted, way.points[way.first + i, 4])
+            slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
+            then = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
+            both = math.sqrt(squared) + math.sqrt(then)
+            when += 2.0 * leg / both if both > 0.0 else math.inf
+            way.places[i, 5] = when
+            squared = then
+        way.arrivals[0], way.arrivals[1] = k, squared
+    return way.places[k, 5]
