@@ -158,3 +158,15 @@ def test_tables_follow_what_comes_and_changes() -> None:
     one.adopt(line(3.0), np.array([False, True]))
     assert [place_on(tracks, 0, n, 4.0, 0.0)[:2] for n in range(2)] == [(4.0, 0.0), (4.0, 3.0)]
     assert place_on(tracks, 1, 1, 4.0, 1.0)[:2] == (4.0, 6.0)
+
+
+def test_the_columns_of_a_path_are_where_kernels_look_for_them(tmp_path: Path) -> None:
+    path = _tracks_of(rn.network(tmp_path, rn.road("one", 30.0)))[0].path
+    named = {
+        pool.DISTANCE: "distance", pool.X: "x", pool.Y: "y", pool.HEADING: "heading", pool.CURVATURE: "curvature",
+        pool.S: "s", pool.ROAD: "road", pool.NUMBER: "lane", pool.ALONG: "along", pool.REFERENCE: "reference",
+        pool.CENTER: "center", pool.BEND_AT: "bend_at", pool.BEND: "bend",
+    }  # fmt: skip
+    assert len(path.columns) == pool.TrackPool().tracks.address.shape[1]
+    for column, name in named.items():
+        assert path.columns[column] is getattr(path, name)

@@ -44,7 +44,7 @@ def _pointer(context, address):
     return types.voidptr(types.int64), generate
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def floats_at(address, count):
     """Array of float64 at an address.
 
@@ -60,7 +60,7 @@ def floats_at(address, count):
     return carray(_pointer(address), (count,), np.float64)
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def integers_at(address, count):
     """Array of int64 at an address.
 
@@ -76,7 +76,7 @@ def integers_at(address, count):
     return carray(_pointer(address), (count,), np.int64)
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def truths_at(address, count):
     """Array of bool at an address.
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
+from cornercase._common.addresses import address_of
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 STEP: Final = 0.1
@@ -68,6 +71,17 @@ class LanePath:
     last: int = -1
     ends: bool = True
     begins: bool = True
+
+    @cached_property
+    def columns(self) -> tuple[npt.NDArray[Any], ...]:
+        """Its arrays, in the order of its attributes, as kernels take them: without gaps, of float64, int64 or bool."""
+        names = [field.name for field in fields(self)][: -len(("first", "last", "ends", "begins"))]
+        return tuple(np.ascontiguousarray(getattr(self, name)) for name in names)
+
+    @cached_property
+    def addresses(self) -> IntArray:
+        """Where its `columns` lie."""
+        return np.array([address_of(array) for array in self.columns])
 
     @classmethod
     def of_points(

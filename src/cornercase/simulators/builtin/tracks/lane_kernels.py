@@ -14,7 +14,7 @@ from cornercase.simulators.builtin.tracks import pool
 from cornercase.simulators.builtin.tracks.lane import SHRUNK
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def place_on_lane(tracks, g, distance, offset):
     """Place at a distance along a lane.
 
@@ -48,7 +48,7 @@ def place_on_lane(tracks, g, distance, offset):
     return x - offset * math.sin(heading), y + offset * math.cos(heading), heading
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def advance_lane(tracks, g, distance, offset, way):
     """Distance along a lane after a step along the reference line.
 
@@ -67,25 +67,39 @@ def advance_lane(tracks, g, distance, offset, way):
     float
         m.
     """
+    return _advance(
+        tracks.address[g, pool.DISTANCE],
+        tracks.address[g, pool.REFERENCE],
+        tracks.address[g, pool.CENTER],
+        tracks.size[g],
+        tracks.address[g, pool.BEND_AT],
+        tracks.address[g, pool.BEND],
+        tracks.bends[g],
+        distance,
+        offset,
+        way,
+    )
+
+
+@kernel(error_model="numpy")
+def _advance(distances, references, centers, count, bends_at, bends, known, distance, offset, way):
     if math.isnan(distance + offset + way):
         return math.nan
-    count, bends, address = tracks.size[g], tracks.bends[g], tracks.address[g]
-    table = floats_at(address[pool.DISTANCE], count)
-    reference = floats_at(address[pool.REFERENCE], count)
-    bend_at = floats_at(address[pool.BEND_AT], bends)
+    table, reference = floats_at(distances, count), floats_at(references, count)
+    bend_at = floats_at(bends_at, known)
     j = _sample(table, count, distance)
     along = _between(table, reference, count, distance, j)
-    left = _between(table, floats_at(address[pool.CENTER], count), count, distance, j) + offset
-    k = _last_within(bend_at, bends, along, 0)
-    shrunk = 1.0 - _between(bend_at, floats_at(address[pool.BEND], bends), bends, along, k) * left
+    left = _between(table, floats_at(centers, count), count, distance, j) + offset
+    k = _last_within(bend_at, known, along, 0)
+    shrunk = 1.0 - _between(bend_at, floats_at(bends, known), known, along, k) * left
     # Near the center of a bend, where the reference line does not lead on, the lane itself does.
     if shrunk < SHRUNK:
-        return min(max(distance + way, 0.0), tracks.length[g])
+        return min(max(distance + way, 0.0), table[count - 1])
     ahead = along + way / shrunk
     return _between(reference, table, count, ahead, _last_within(reference, count, ahead, max(j, 0)))
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def lane_place(tracks, g, distance):
     """Where on the roads a distance along a lane is.
 
@@ -118,7 +132,7 @@ def lane_place(tracks, g, distance):
     return road, lane, s, along
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def goes_over(tracks, g, distance):
     """Whether another track leads on from a distance along a lane.
 
@@ -134,15 +148,16 @@ def goes_over(tracks, g, distance):
     -------
     bool
     """
-    return distance < tracks.span[g, 0] or distance > tracks.span[g, 1]
+    first, last = tracks.span[g, 0], tracks.span[g, 1]
+    return (distance < first) | (distance > last)
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _mixed(values, k, part):
     return values[k] + part * (values[k + 1] - values[k])
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _sample(table, count, x):
     """Last element of an evenly spaced table that does not lie beyond x; -1 before its begin."""
     if x < table[0]:
@@ -157,7 +172,7 @@ def _sample(table, count, x):
     return j
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _last_within(table, count, x, near):
     """Last element of an ascending table that does not lie beyond x, looked for from one on; -1 before its begin."""
     if table[near] <= x:
@@ -181,7 +196,7 @@ def _last_within(table, count, x, near):
     return low
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _between(places, values, count, x, j):
     """Value at x as `numpy.interp` gives it, where j is the last of the places that does not lie beyond x."""
     if j < 0:

@@ -15,7 +15,7 @@ from cornercase.simulators.builtin.tracks.polyline import CORNER, TINY
 _ALONG_LEGS, _AT_CORNERS = 0, 1
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def place_on_line(tracks, g, n, distance, offset):
     """Place at a distance along a line.
 
@@ -46,7 +46,7 @@ def place_on_line(tracks, g, n, distance, offset):
     return at_x, at_y, _heading(tracks, g, n, table, distance)
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def line_length(tracks, g, n):
     """Length of a line in m, infinite for a closed one.
 
@@ -60,10 +60,11 @@ def line_length(tracks, g, n):
     -------
     float
     """
-    return math.inf if tracks.closed[g] else _row(tracks, g, n, pool.DISTANCE)[tracks.size[g] - 1]
+    length, closed = _row(tracks, g, n, pool.DISTANCE)[tracks.size[g] - 1], tracks.closed[g]
+    return math.inf if closed else length
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def direction_on(tracks, g, n, distance):
     """Direction of the line itself, whatever heading an entity has there, in rad.
 
@@ -83,7 +84,7 @@ def direction_on(tracks, g, n, distance):
     return _legs(tracks, g, n)[_leg(table, _round(tracks, g, table, distance), TINY)[1]]
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def oriented_on(tracks, g, n, distance):
     """Whether the file says which heading an entity has on a line at a distance.
 
@@ -106,7 +107,7 @@ def oriented_on(tracks, g, n, distance):
     return not math.isnan(_row(tracks, g, n, pool.HEADING)[vertex])
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def has_clock(tracks, g):
     """Whether a line has times.
 
@@ -123,7 +124,7 @@ def has_clock(tracks, g):
     return tracks.timed[g]
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def last_time(tracks, g, n):
     """Time at which a line with a clock ends, on that clock, in s.
 
@@ -140,7 +141,7 @@ def last_time(tracks, g, n):
     return _row(tracks, g, n, pool.TIME)[tracks.size[g] - 1]
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def distance_at(tracks, g, n, time):
     """Distance along a line with a clock, at a time of that clock.
 
@@ -174,27 +175,27 @@ def distance_at(tracks, g, n, time):
     return begin + speed * elapsed + 0.5 * rate * (elapsed * elapsed)
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _row(tracks, g, n, column):
     """What a column holds of the vertices in a scenario."""
     count = tracks.size[g]
     return floats_at(tracks.address[g, column] + 8 * count * n, count)
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _legs(tracks, g, n):
     """Directions of the legs in a scenario."""
     count = tracks.size[g] - 1
     return floats_at(tracks.address[g, pool.DIRECTION] + 8 * count * n, count)
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _round(tracks, g, table, distance):
     """Distance within one round of a closed line, as `numpy.mod` gives it."""
     return distance % table[table.size - 1] if tracks.closed[g] else distance
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _leg_begun(table, place, beyond):
     """Last leg that begins `beyond` its vertex before a place; the first one begins everywhere."""
     low, high = 0, table.size - 1
@@ -207,7 +208,7 @@ def _leg_begun(table, place, beyond):
     return low
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _leg(table, distance, beyond):
     """Distance within the line, the leg there, and how much of it is gone; one begins `beyond` its vertex."""
     along = max(distance, 0.0)
@@ -217,7 +218,7 @@ def _leg(table, distance, beyond):
     return along, leg, (along - table[leg]) / span if span > 0.0 else 0.0
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", forceinline=True)
 def _heading(tracks, g, n, table, distance):
     along, leg, part = _leg(table, distance, TINY)
     facing, last = _row(tracks, g, n, pool.FACING), tracks.size[g] - 2

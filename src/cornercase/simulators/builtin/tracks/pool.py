@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from cornercase._common.addresses import address_of
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
@@ -21,24 +20,14 @@ LINE: Final = 1
 OTHER: Final = 2
 """Kind of a track that kernels do not know."""
 
-# Columns of `Tracks.address`. The arrays of a lane have an element for each sample, or for each bend; those of a line a
-# row of vertices or legs for each scenario.
-X, Y, DISTANCE, HEADING = 0, 1, 2, 3
-CURVATURE, REFERENCE, CENTER, S = 4, 5, 6, 7
-ROAD, NUMBER, ALONG = 8, 9, 10
-BEND_AT, BEND = 11, 12
+# Columns of `Tracks.address`. The arrays of a lane, in the order of those of its path, have an element for each sample,
+# or for each bend; those of a line a row of vertices or legs for each scenario.
+DISTANCE, X, Y, HEADING = 0, 1, 2, 3
+CURVATURE, S, ROAD, NUMBER, ALONG, REFERENCE, CENTER, BEND_AT, BEND = 4, 5, 6, 7, 8, 10, 11, 12, 13
 DIRECTION, FACING, TIME, SPEED, RATE = 4, 5, 6, 7, 8
-_COLUMNS: Final = 13
+_COLUMNS: Final = 14
 
-_LANE_ARRAYS: Final = {
-    X: "x", Y: "y", DISTANCE: "distance", HEADING: "heading", CURVATURE: "curvature", REFERENCE: "reference",
-    CENTER: "center", S: "s", ROAD: "road", NUMBER: "lane", ALONG: "along", BEND_AT: "bend_at", BEND: "bend",
-}  # fmt: skip
-_LINE_ARRAYS: Final = {
-    X: "x", Y: "y", DISTANCE: "distance", HEADING: "heading", DIRECTION: "directions", FACING: "facing",
-    TIME: "time", SPEED: "speeds", RATE: "rates",
-}  # fmt: skip
-_TYPES: Final = {ROAD: np.int64, NUMBER: np.int64, ALONG: np.bool_}
+_LINE_ARRAYS: Final = ("distance", "x", "y", "heading", "directions", "facing", "time", "speeds", "rates")
 
 TURNINGS: Final = (ALONG_LEGS, AT_CORNERS, AT_VERTICES)
 """Where the heading turns along a line, in the order of `Tracks.turning`."""
@@ -53,7 +42,7 @@ class Tracks(NamedTuple):
         Which of the tracks each track of each entity is; -1 where it has fewer.
     kind : ndarray of int64, shape (G,)
         `LANE`, `LINE` or `OTHER`.
-    address : ndarray of int64, shape (G, 13)
+    address : ndarray of int64, shape (G, 14)
         Where its arrays lie.
     size : ndarray of int64, shape (G,)
         Samples of a lane, vertices of a line.
@@ -94,7 +83,7 @@ class TrackPool:
         self._counts: list[int] | None = None
         self._rows: dict[int, int] = {}
         # The tables hold addresses of what these hold.
-        self._held: list[object] = []
+        self._held: list[Track] = []
         self.tracks = _tables(0)
 
     def gather(self, followed: Sequence[Sequence[Track]]) -> Tracks:
@@ -130,21 +119,14 @@ class TrackPool:
             path = track.path
             tables.kind[g], tables.size[g], tables.bends[g] = LANE, path.x.size, path.bend_at.size
             tables.length[g], tables.span[g] = track.length, track.span
-            # A path never changes, so that a copy will do where its arrays are laid out otherwise.
-            for column, name in _LANE_ARRAYS.items():
-                kind = _TYPES.get(column, np.float64)
-                self._hold(tables, g, column, np.ascontiguousarray(getattr(path, name), dtype=kind))
+            tables.address[g] = path.addresses
         elif isinstance(track, Polyline):
             tables.kind[g], tables.size[g] = LINE, track.x.shape[1]
             tables.closed[g], tables.timed[g] = track.closed, track.time is not None
             tables.turning[g] = TURNINGS.index(track.turning)
-            for column, name in _LINE_ARRAYS.items():
-                if (array := getattr(track, name)) is not None:
-                    self._hold(tables, g, column, array)
-
-    def _hold(self, tables: Tracks, g: int, column: int, array: npt.NDArray[Any]) -> None:
-        self._held.append(array)
-        tables.address[g, column] = address_of(array)
+            for column, name in enumerate(_LINE_ARRAYS):
+                array = getattr(track, name)
+                tables.address[g, column] = 0 if array is None else address_of(array)
 
 
 def _tables(count: int) -> Tracks:
