@@ -74,7 +74,7 @@ class LanePath:
 
     @cached_property
     def columns(self) -> tuple[npt.NDArray[Any], ...]:
-        """Its arrays, each of shape (P,) or (K,), in the order of its attributes and without gaps, as kernels take them."""
+        """Its arrays, each of shape (P,) or (K,), in the order of its attributes, as kernels take them."""
         names = [field.name for field in fields(self)][: -len(("first", "last", "ends", "begins"))]
         return tuple(np.ascontiguousarray(getattr(self, name)) for name in names)
 
