@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from numba import njit
 from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
 
 from cornercase._common.kernel_contents import contents
 from cornercase._common.locks import held_lock
@@ -34,10 +35,13 @@ class _SharedCache(FunctionCache):
         self._cache_file._source_stamp = None
 
     def load_overload(self, sig, target_context):
+        # numba would load all that it needs to compile, a third of a second; to load machine code, this is enough.
+        rtsys.initialize(target_context)
         self._stamp()
         with held_lock(self._lock_path()):
             try:
-                return super().load_overload(sig, target_context)
+                with self._guard_against_spurious_io_errors():
+                    return self._load_overload(sig, target_context)
             except Exception:  # what pickle raises for a part of a file is not one kind of error
                 self.flush()
                 return None
