@@ -127,6 +127,25 @@ def test_a_kernel_is_compiled_again_when_what_it_holds_has_changed(tmp_path):
     assert [printed(), printed()] == [["2.0", "0"], ["2.0", "1"]]
 
 
+def test_a_kernel_is_compiled_again_when_the_fields_of_a_named_tuple_have_changed_places(tmp_path):
+    program = (
+        "from typing import NamedTuple\nfrom cornercase._common.compiling import kernel\n"
+        "class Place(NamedTuple):\n    {}: float\n    {}: float\n"
+        "@kernel()\ndef read(place):\n    return place[0].x\n"
+        "print(read((Place(x=1.0, y=2.0),)), sum(read.stats.cache_hits.values()))\n"
+    )
+
+    def printed(*names):
+        (tmp_path / "reading.py").write_text(program.format(*names))
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        command = [sys.executable, "-c", "import reading"]
+        ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, cwd=tmp_path)
+        return ran.stdout.split()
+
+    assert [printed("x", "y"), printed("x", "y")] == [["1.0", "0"], ["1.0", "1"]]
+    assert printed("y", "x") == ["1.0", "0"]
+
+
 def test_a_global_without_a_digest_is_refused():
     function = FunctionType(compile("limits", "", "eval"), {"limits": [1.0], "__name__": __name__})
     with pytest.raises(TypeError, match="no digest"):

@@ -10,8 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
-from numba import njit
+from numba import njit, types
 from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 
 from cornercase._common.kernel_contents import contents
 from cornercase._common.locks import held_lock
@@ -34,10 +35,13 @@ class _SharedCache(FunctionCache):
         self._cache_file._source_stamp = None
 
     def load_overload(self, sig, target_context):
+        # numba would load all that it needs to compile, a third of a second; to load machine code, this is enough.
+        rtsys.initialize(target_context)
         self._stamp()
         with held_lock(self._lock_path()):
             try:
-                return super().load_overload(sig, target_context)
+                with self._guard_against_spurious_io_errors():
+                    return self._load_overload(sig, target_context)
             except Exception:  # what pickle raises for a part of a file is not one kind of error
                 self.flush()
                 return None
@@ -47,6 +51,10 @@ class _SharedCache(FunctionCache):
         with held_lock(self._lock_path()):
             super().save_overload(sig, data)
 
+    def _index_key(self, sig, codegen):
+        # Machine code takes the fields of a named tuple by their places.
+        return (*super()._index_key(sig, codegen), tuple(_fields(kind) for kind in sig))
+
     def _stamp(self):
         # Not when the function is defined, as what it calls may be defined after it.
         if self._cache_file._source_stamp is None:
@@ -54,6 +62,14 @@ class _SharedCache(FunctionCache):
 
     def _lock_path(self):
         return Path(self.cache_path) / "cornercase.lock"
+
+
+def _fields(kind: Any) -> tuple[Any, ...]:
+    inner: Any = kind
+    if not isinstance(kind, types.BaseTuple):
+        return ()
+    named = inner.fields if isinstance(kind, types.BaseNamedTuple) else ()
+    return (named, *map(_fields, inner))
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -11,8 +11,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-import psutil
-
 _WINDOWS: Final = sys.platform == "win32"
 # A virus scanner or an indexer may hold a new file for a moment.
 _TRIES, _PAUSE = 20, 0.05
@@ -116,6 +114,9 @@ def end_process_tree(number: int) -> None:
     number : int
         Of the process; where there is none any more, of the group that it has made by `leave_terminal`.
     """
+    # Only those who start processes need it.
+    import psutil
+
     found: list[psutil.Process] = []
     with suppress(psutil.Error):
         process = psutil.Process(number)
@@ -159,6 +160,8 @@ def parent_watch() -> Callable[[], bool]:
     callable
         Says whether that process is still there.
     """
+    import psutil
+
     number = os.getppid()
     try:
         parent = psutil.Process(number)

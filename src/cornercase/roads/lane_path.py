@@ -74,13 +74,13 @@ class LanePath:
 
     @cached_property
     def columns(self) -> tuple[npt.NDArray[Any], ...]:
-        """Its arrays, in the order of its attributes, as kernels take them: without gaps, of float64, int64 or bool."""
+        """Its arrays, each of shape (P,) or (K,), in the order of its attributes, as kernels take them."""
         names = [field.name for field in fields(self)][: -len(("first", "last", "ends", "begins"))]
         return tuple(np.ascontiguousarray(getattr(self, name)) for name in names)
 
     @cached_property
     def addresses(self) -> IntArray:
-        """Where its `columns` lie."""
+        """Where its `columns` lie, shape (14,)."""
         return np.array([address_of(array) for array in self.columns])
 
     @classmethod

@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads.nearest import NearestPoints
 from cornercase.roads.road import Road
 
 # Lanes are sampled at this distance in m, or at a larger one where there would be more samples than this.
@@ -43,7 +43,7 @@ class Place(NamedTuple):
 class _Samples(NamedTuple):
     """Samples of the middle of all lanes, and how far apart they are at most, in m."""
 
-    tree: cKDTree
+    nearest: NearestPoints
     points: FloatArray
     heading: FloatArray
     road: IntArray
@@ -64,7 +64,7 @@ class Locator:
 
     def __init__(self, roads: Sequence[Road]) -> None:
         self._roads = roads
-        self._trees: dict[int, tuple[cKDTree, FloatArray]] = {}
+        self._references: dict[int, tuple[NearestPoints, FloatArray]] = {}
         self._overlapping = [i for i, road in enumerate(roads) if road.junction not in ("-1", "")]
 
     def locate(self, x: FloatArray, y: FloatArray) -> Place:
@@ -85,10 +85,11 @@ class Locator:
         # What is as far as that is found nowhere; NaN is not near either.
         known = (np.abs(x) < _ANYWHERE) & (np.abs(y) < _ANYWHERE)
         points = np.stack([np.where(known, x, 0.0), np.where(known, y, 0.0)], axis=1)
-        gap, near = samples.tree.query(points, k=min(24, len(samples.road)))
-        gap, near = np.reshape(gap, (len(x), -1)), np.reshape(near, (len(x), -1))
+        near = samples.nearest.find(points, 24)
         if samples.apart > _SAMPLED:
             gap = _to_line(points, samples, near)
+        else:
+            gap = np.sqrt(((points[:, None] - samples.points[near]) ** 2).sum(axis=2))
         half = samples.half[near]
         cost = np.maximum(gap - half, 0.0) + 1e-3 * gap + np.where(gap <= half, 0.01, 0.0) * samples.bad[near]
         best = near[np.arange(len(x)), cost.argmin(axis=1)]
@@ -116,8 +117,8 @@ class Locator:
             apart = np.full(len(at), np.inf)
             inside = np.isin(road[at], self._overlapping)
             for r in self._overlapping if inside.any() else ():
-                tree, places = self._reference(r)
-                along = places[tree.query(np.stack([x[at], y[at]], axis=1))[1]]
+                nearest, places = self._reference(r)
+                along = places[nearest.find(np.stack([x[at], y[at]], axis=1), 1)[:, 0]]
                 found = self._holds(np.full(len(at), r), x[at], y[at], along, 2, 0.0) & inside
                 turn = np.abs(np.sin(heading[at] - self._roads[r].reference(along)[2]))
                 better = found & (turn < apart)
@@ -146,13 +147,13 @@ class Locator:
             s[rows[good]] = along[good]
         return inside
 
-    def _reference(self, road: int) -> tuple[cKDTree, FloatArray]:
-        if road not in self._trees:
+    def _reference(self, road: int) -> tuple[NearestPoints, FloatArray]:
+        if road not in self._references:
             length = self._roads[road].length
             s = np.linspace(0.0, length, max(2, int(length) + 1))
             x, y, _ = self._roads[road].reference(s)
-            self._trees[road] = cKDTree(np.stack([x, y], axis=1)), s
-        return self._trees[road]
+            self._references[road] = NearestPoints(np.stack([x, y], axis=1)), s
+        return self._references[road]
 
     @cached_property
     def _samples(self) -> _Samples:
@@ -177,7 +178,7 @@ class Locator:
             bad.append(np.full(len(s), not one.sections[k][1][number].drivable))
         together = np.concatenate(points)
         return _Samples(
-            cKDTree(together), together, np.concatenate(headings), np.concatenate(road), np.concatenate(lane),
+            NearestPoints(together), together, np.concatenate(headings), np.concatenate(road), np.concatenate(lane),
             np.concatenate(where), np.concatenate(half), np.concatenate(bad), apart,
         )  # fmt: skip
 

@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 from lxml import etree
-from scipy.special import fresnel
 
 from cornercase._common.errors import InputError
 from cornercase._common.geometry import within_half_turn
@@ -123,6 +122,9 @@ def _spiral(along: FloatArray, start: float, end: float, length: float) -> tuple
     rate = (end - start) / length
     if turns_evenly(start, end, length):
         return _arc(along, 0.5 * (start + end))
+    # The package takes a quarter of a second to load, and few roads need it.
+    from scipy.special import fresnel
+
     sign, scale = np.sign(rate), np.sqrt(np.pi / abs(rate))
     before = start / rate
     phase = -0.5 * start * before

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 from lxml import etree
-from scipy.special import gammaln, ndtri, xlogy
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
@@ -98,6 +97,9 @@ def _cut_normal(low: float, high: float, mean: float, deviation: float) -> Any:
 
 def _poisson(low: float, high: float, mean: float) -> FloatArray:
     """Probability of each count from `low` to `high`."""
+    # As above.
+    from scipy.special import gammaln, xlogy
+
     counts = np.arange(low, high + 1.0)
     return np.asarray(np.exp(xlogy(counts, mean) - mean - gammaln(counts + 1.0)))
 
@@ -158,6 +160,8 @@ def _read_law(element: etree._Element, where: str) -> tuple[Distribution, tuple[
         raise InputError(f"{where}: the variance must be above 0.")
     kind, deviation = _KINDS[tag], float(np.sqrt(variance))
     if span is None:
+        from scipy.special import ndtri
+
         low, high = (mean + deviation * float(ndtri(share)) for share in (1e-4, 1 - 1e-4))
         if kind == "lognormal":
             with np.errstate(over="ignore"):
