@@ -7,10 +7,12 @@ import os
 import subprocess
 import sys
 from types import FunctionType
+from typing import Any
 
 import numpy as np
 import pytest
 
+from cornercase._common.compiling import count_kernels, heard_compilation, kernel
 from cornercase._common.kernel_contents import contents
 
 PROGRAM = """
@@ -150,3 +152,19 @@ def test_a_global_without_a_digest_is_refused():
     function = FunctionType(compile("limits", "", "eval"), {"limits": [1.0], "__name__": __name__})
     with pytest.raises(TypeError, match="no digest"):
         contents(function, {})
+
+
+def test_who_listens_hears_what_is_compiled_and_the_user_does_not(caplog):
+    def double(x):
+        return 2 * x
+
+    doubled: Any = kernel()(double)
+    ready, known = count_kernels()
+    heard: list[str] = []
+    with heard_compilation(heard.append):
+        doubled._cache.flush()
+        assert doubled(2) == 4
+        assert doubled(3) == 6
+    assert heard == [f"{__name__}.double"]
+    assert count_kernels() == (ready + 1, known)
+    assert caplog.records == []

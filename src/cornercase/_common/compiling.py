@@ -5,17 +5,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+import logging
+import multiprocessing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
+from weakref import WeakSet
 
 from numba import njit, types
+from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 
 from cornercase._common.kernel_contents import contents
 from cornercase._common.locks import held_lock
+
+_LOG = logging.getLogger("cornercase.compiling")
+_KERNELS: WeakSet[Any] = WeakSet()
 
 
 class _SharedCache(FunctionCache):
@@ -91,6 +98,71 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
         # Without a folder to write to, it is compiled in each process.
         with suppress(RuntimeError):
             compiled._cache = _SharedCache(function, options)
+        _KERNELS.add(compiled)
         return cast(Callable[..., Any], compiled)
 
     return decorate
+
+
+class _Watch(event.Listener):
+    """Hears of each kernel that numba begins to compile; without anybody else who listens, it says so once.
+
+    The message is a warning of the logger ``cornercase.compiling``, which Python shows on standard error where no
+    logging is set up. Worker processes wait for what the others compile, and leave the saying to them.
+    """
+
+    def __init__(self) -> None:
+        self.listeners: list[Callable[[str], None]] = []
+        self.said = multiprocessing.parent_process() is not None
+
+    def on_start(self, event: Any) -> None:
+        kernel = event.data["dispatcher"]
+        if kernel not in _KERNELS:
+            return
+        for listener in self.listeners:
+            listener(f"{kernel.py_func.__module__.removeprefix('cornercase.')}.{kernel.py_func.__name__}")
+        if not (self.listeners or self.said):
+            self.said = True
+            kept = isinstance(kernel._cache, _SharedCache)
+            _LOG.warning(_KEPT if kept else _NOT_KEPT)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+_KEPT = "Compiling for this machine, kept for the next time; 'cornercase warm-up' does all of it ahead."
+_NOT_KEPT = "Compiling, in each process anew: NUMBA_CACHE_DIR can name a folder to keep it in."
+_WATCH = _Watch()
+event.register("numba:compile", _WATCH)
+
+
+@contextmanager
+def heard_compilation(listener: Callable[[str], None]) -> Iterator[None]:
+    """Tell a listener which kernels are compiled within the block, instead of the user.
+
+    Parameters
+    ----------
+    listener : callable
+        Called with a kernel's module and name whenever numba begins to compile it.
+
+    Yields
+    ------
+    None
+    """
+    _WATCH.listeners.append(listener)
+    try:
+        yield
+    finally:
+        _WATCH.listeners.remove(listener)
+
+
+def count_kernels() -> tuple[int, int]:
+    """Count the kernels of the modules that have been imported.
+
+    Returns
+    -------
+    tuple of (int, int)
+        Those that are ready to run, compiled or read from the disk, and all.
+    """
+    known = list(_KERNELS)
+    return sum(bool(one.signatures) for one in known), len(known)

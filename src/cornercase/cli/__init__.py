@@ -9,11 +9,11 @@ from typing import Final
 from cornercase._common.errors import InputError
 from cornercase._common.platform import forgive_narrow_output
 from cornercase._common.texts import shorten
-from cornercase.cli import running, studies
+from cornercase.cli import running, studies, warming
 from cornercase.cli.messages import in_words_of_the_command_line, show_notices
 from cornercase.cli.options import app, err
 
-__all__ = ["app", "main", "running", "studies"]
+__all__ = ["app", "main", "running", "studies", "warming"]
 
 
 _LONGEST: Final = 1400

@@ -13,7 +13,6 @@ the result.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -24,7 +23,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from numba.core.event import Listener, install_listener
 
 from cornercase._common import compiling
 from cornercase._common.interrupts import noted_interrupts
@@ -46,8 +44,6 @@ from cornercase.dtw.simd import (
 
 # Cells of one tile: some milliseconds of work, so that threads end together and Ctrl-C is heard soon.
 TILE_CELLS = 20_000_000
-
-_LOG = logging.getLogger("cornercase.dtw")
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -311,29 +307,10 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
     return compiling.kernel()(tile)
 
 
-class _Announcement(Listener):
-    def __init__(self, text: str) -> None:
-        self.text: str | None = text
-
-    def on_start(self, event: Any) -> None:
-        if self.text is not None:
-            _LOG.warning(self.text)
-            self.text = None
-
-    def on_end(self, event: Any) -> None:
-        pass
-
-
 def compiled(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
-    """Return a kernel that is ready to run; where it has to be compiled, say so.
-
-    The message is a warning of the logger ``cornercase.dtw``, which Python shows on standard error where no
-    logging is set up.
-    """
+    """Return a kernel that is ready to run."""
     dtype = np.dtype(dtype)
     kernel = _kernel(dims, squared, banded, simd.BYTES // dtype.itemsize)
     floats, whole = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)
-    text = f"Compiling the DTW kernel for {dims}-D series in {dtype}: some seconds, once on this machine."
-    with install_listener("numba:compile", _Announcement(text)):
-        kernel(floats, whole, whole, floats, whole, whole[:0], 1, np.empty((0, 1), dtype=dtype))
+    kernel(floats, whole, whole, floats, whole, whole[:0], 1, np.empty((0, 1), dtype=dtype))
     return kernel

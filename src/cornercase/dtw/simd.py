@@ -4,8 +4,6 @@ Numba leaves it to the compiler whether a loop becomes vector instructions. The 
 warping is one that compilers give up on, so the vectors are spelled out here. Where a machine has narrower
 registers the compiler splits them. No operation reorders or fuses arithmetic: each lane has the bits that
 scalar code has.
-
-Compiled kernels on disk are renewed when the file changes that uses them, not when this one does.
 """
 
 # Compiled functions have no static types.

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.progress import ProgressBar
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.objective import Best, Objective
-from cornercase.exploration.progress import ProgressBar
 from cornercase.exploration.running import ScenarioRunner, StageClock
 from cornercase.exploration.stopping import Stopping
 from cornercase.optimizers import Optimizer
@@ -122,7 +122,7 @@ class ScenarioExplorer:
         -------
         ExplorationResult
         """
-        bar = ProgressBar(self._configuration.budget) if progress else None
+        bar = ProgressBar(self._configuration.budget, "exploring", "scenarios") if progress else None
         try:
             with noted_interrupts() as check:
                 reason = self._run(bar, check)

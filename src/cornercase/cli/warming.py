@@ -1,0 +1,98 @@
+"""The command that compiles ahead what other commands would compile when they need it first."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase.cli.options import app, out
+
+# What is compiled depends neither on how many scenarios there are nor on how long they take.
+_SCENARIOS, _SECONDS = 12, 3.0
+# Machine code is made of what these words stand in.
+_SIGNS: Final = ("compiling import kernel", "compiling.kernel")
+
+
+@app.command(name="warm-up")
+def warm_up() -> None:
+    """Compile ahead what other commands would compile when they need it first.
+
+    Compiled code is kept beside the package, or in the folder that NUMBA_CACHE_DIR names; so an image of a container
+    that was warmed up starts at full speed.
+
+    \b
+    Example:
+      cornercase warm-up
+    """
+    from cornercase._common.compiling import count_kernels, heard_compilation
+    from cornercase._common.progress import ProgressBar
+
+    begun, compiled = time.monotonic(), list[str]()
+    _import_kernels()
+    bar = ProgressBar(count_kernels()[1], "compiling", "kernels")
+
+    def heard(name: str) -> None:
+        compiled.append(name)
+        ready, known = count_kernels()
+        bar.update(ready, name, known)
+
+    try:
+        with tempfile.TemporaryDirectory() as folder, heard_compilation(heard), warnings.catch_warnings():
+            # What of the examples has no effect is nobody's concern here.
+            warnings.simplefilter("ignore")
+            for room, run in _small_runs(Path(folder)):
+                bar.update(count_kernels()[0], room)
+                run()
+        bar.update(count_kernels()[1], "", count_kernels()[1])
+    finally:
+        bar.stop()
+    seconds = f"{time.monotonic() - begun:.0f} s"
+    if not compiled:
+        out.print(f"Everything is compiled already, as was seen in {seconds}.")
+    else:
+        out.print(f"{len(set(compiled))} kernels compiled in {seconds}, and kept.")
+
+
+def _import_kernels() -> None:
+    """Import all modules that hold kernels, so that they are counted before the first of them is compiled."""
+    package = Path(__file__).parents[1]
+    for path in sorted(package.rglob("*.py")):
+        if path != Path(__file__) and any(sign in path.read_text("utf-8") for sign in _SIGNS):
+            import_module(".".join(("cornercase", *path.relative_to(package).with_suffix("").parts)))
+
+
+def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Yield small runs of all that compiles, each with its room: what they compile is found out by running it."""
+    from cornercase import clustering, drivers, exploration, metrics, optimizers, reduction, report, simulators
+    from cornercase._common.errors import InputError
+
+    for name in ("x-intersection", "t-intersection"):
+        about = replace(exploration.demonstration(name, budget=_SCENARIOS), duration=_SECONDS)
+        study = folder / name / "study.db"
+        reduced, scenario = study.parent / "reduced", about.logical.scenario
+        yield "simulators", partial(exploration.explore_configuration, about, study)
+        yield "clustering", partial(clustering.analyze, study)
+        yield "reduction", partial(reduction.reduce, study, reduced, scenario=scenario)
+        yield "evidence", partial(report.summarize, study)
+    simulate = partial(simulators.simulate, scenario, duration=_SECONDS)
+    for one in drivers.DRIVERS.names():
+        yield "drivers", partial(simulate, drivers={"Ego": one})
+    yield "metrics", partial(metrics.measure, simulate(), about.ego, about.other)
+    for one in optimizers.OPTIMIZERS.names():
+        searched = replace(about, optimizer=one, critical=1.0, metrics=about.metrics[:1])
+
+        def explore(searched: exploration.Configuration = searched, study: Path = folder / f"{one}.db") -> None:
+            try:
+                exploration.explore_configuration(searched, study)
+            except InputError:
+                # It comes with an extra that is not there.
+                return
+
+        yield "optimizers", explore
