@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 import road_networks as rn
 from cornercase._common.typing import FloatArray
-from cornercase.roads import RoadNetwork, road_heading, road_tables
-from cornercase.simulators.builtin.tracks import lane_kernels, line_kernels, pool
+from cornercase.roads import LanePath, RoadNetwork, road_heading, road_tables
+from cornercase.simulators.builtin.tracks import columns, lane_kernels, line_kernels, nearest_kernels, pool
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.place_kernels import place_on
 from cornercase.simulators.builtin.tracks.polyline import Polyline
@@ -163,10 +163,56 @@ def test_tables_follow_what_comes_and_changes() -> None:
 def test_the_columns_of_a_path_are_where_kernels_look_for_them(tmp_path: Path) -> None:
     path = _tracks_of(rn.network(tmp_path, rn.road("one", 30.0)))[0].path
     named = {
-        pool.DISTANCE: "distance", pool.X: "x", pool.Y: "y", pool.HEADING: "heading", pool.CURVATURE: "curvature",
-        pool.S: "s", pool.ROAD: "road", pool.NUMBER: "lane", pool.ALONG: "along", pool.REFERENCE: "reference",
-        pool.CENTER: "center", pool.BEND_AT: "bend_at", pool.BEND: "bend",
+        columns.DISTANCE: "distance", columns.X: "x", columns.Y: "y", columns.HEADING: "heading", columns.CURVATURE: "curvature",
+        columns.S: "s", columns.ROAD: "road", columns.NUMBER: "lane", columns.ALONG: "along", columns.REFERENCE: "reference",
+        columns.CENTER: "center", columns.BEND_AT: "bend_at", columns.BEND: "bend",
     }  # fmt: skip
     assert len(path.columns) == pool.TrackPool().tracks.address.shape[1]
     for column, name in named.items():
         assert path.columns[column] is getattr(path, name)
+
+
+def _nearest(path: LanePath, x: float, y: float, after: float) -> float:
+    """The point of a path nearest to a place among its 16 nearest samples, the first one of several passes."""
+    if not (abs(x) < 1e12 and abs(y) < 1e12):
+        x, y = path.x[0], path.y[0]
+    gaps = np.sqrt((path.x - x) ** 2 + (path.y - y) ** 2)
+    samples = np.argsort(gaps, kind="stable")[:16]
+    samples = samples[gaps[samples] <= gaps.min() + 0.3]
+    ahead = samples[path.distance[samples] >= after - 1.0]
+    samples = ahead if ahead.size else samples
+    at = path.distance[samples]
+    distance = at[at < at.min() + 16 * path.distance[1]][0]
+    place = np.array([distance])
+    at_x, at_y, heading, _ = (float(part[0]) for part in path.at(place, np.zeros(1)))
+    beyond = (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading)
+    return float(distance + np.clip(beyond, -path.distance[1], path.distance[1]))
+
+
+def test_the_nearest_points_of_lanes_are_found_without_looking_at_all_samples(tmp_path: Path) -> None:
+    links = rn.linked("predecessor", "ring", "end") + rn.linked("successor", "ring", "start")
+    ring = rn.network(tmp_path, rn.road("ring", 40 * np.pi, shape='<arc curvature="0.05"/>', links=links))
+    lanes = [*_tracks_of(ring), *_tracks_of(RoadNetwork.read(_ROOT / _FILES[0]))[::9]]
+    assert lanes[0].path.passed.size > 2 * 400 * np.pi
+    tracks, random = pool.TrackPool().gather([lanes]), np.random.default_rng(3)
+    for g, lane in enumerate(lanes):
+        distance = random.uniform(-20.0, lane.length + 20.0, 60)
+        offset = random.normal(0.0, 1.0, 60) * random.choice([0.0, 0.5, 5.0, 50.0], 60)
+        x, y, _ = lane.at(distance, offset, np.arange(60))
+        x[0], y[1], x[2:10] = np.nan, 1e15, x[2:10] + random.normal(0.0, 30.0, 8)
+        after = np.where(random.random(60) < 0.3, -np.inf, distance + random.normal(0.0, 20.0, 60))
+        found = lane.nearest(x, y, np.arange(60), after)
+        for i in range(60):
+            assert found[i] == pytest.approx(_nearest(lane.path, x[i], y[i], after[i]), abs=1e-9)
+            assert found[i] == nearest_kernels.nearest_on_lane(tracks, g, x[i], y[i], after[i])
+
+
+@given(_lines(), st.floats(-250.0, 250.0), st.floats(-250.0, 250.0))
+@settings(max_examples=100, deadline=None)
+def test_the_nearest_points_of_lines_are_the_same_compiled(line: Polyline, x: float, y: float) -> None:
+    tracks, rows = pool.TrackPool().gather([[line]]), np.arange(len(line.x))
+    for at_x, at_y in ((x, y), (np.nan, y)):
+        there = line.nearest(np.full(len(rows), at_x), np.full(len(rows), at_y), rows)
+        for n in rows.tolist():
+            found = nearest_kernels.nearest_on_line(tracks, 0, n, at_x, at_y)
+            assert found == pytest.approx(there[n], rel=1e-12, abs=1e-9, nan_ok=True)

@@ -83,6 +83,11 @@ class LanePath:
         """Where its `columns` lie, shape (14,)."""
         return np.array([address_of(array) for array in self.columns])
 
+    @cached_property
+    def chord(self) -> float:
+        """Largest gap between two samples that follow each other, in m, and a little above 0."""
+        return max(float(np.hypot(np.diff(self.x), np.diff(self.y)).max()), 1e-9)
+
     @classmethod
     def of_points(
         cls,

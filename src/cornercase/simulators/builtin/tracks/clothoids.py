@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from scipy.special import fresnel
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.track import Pose, Trajectory
@@ -186,6 +185,9 @@ def clothoid(along: FloatArray, start: FloatArray, rate: FloatArray) -> tuple[Fl
     chord = along * np.sinc(0.5 * mean / np.pi)
     u, v = chord * np.cos(0.5 * mean), chord * np.sin(0.5 * mean)
     if bends.any():
+        # Imported here, since it takes time and few files have such curves.
+        from scipy.special import fresnel
+
         d, k, r = along[bends], start[bends], rate[bends]
         scale = np.sqrt(np.pi / np.abs(r))
         before = k / r

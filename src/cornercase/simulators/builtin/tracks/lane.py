@@ -6,21 +6,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.roads import LanePath, RoadNetwork
+from cornercase.simulators.builtin.tracks.lane_kernels import SHRUNK
+from cornercase.simulators.builtin.tracks.nearest_kernels import nearest_on_path
 from cornercase.simulators.builtin.tracks.track import Pose, Track
 
-SHRUNK: Final = 0.1
-"""Where a lane is shorter than this part of the reference line, an entity moves along the lane alone."""
-
-# A track may pass a point several times. So many of its nearest samples are compared; those whose distance is larger
-# than the smallest by at most so many m count as passing, too.
-_PASSES: Final = 16
-_SAME: Final = 0.3
-# Points lie no further out than this, in m.
-_ANYWHERE: Final = 1e12
 # So far before the place where a path is cut, in m, an entity goes over to one that leads on.
 _AHEAD: Final = 1000.0
 _BACK: Final = 250.0
@@ -43,7 +35,6 @@ class LaneTrack(Track):
     def __init__(self, path: LanePath) -> None:
         self.path = path
         self.length = float(path.distance[-1])
-        self._tree: cKDTree | None = None
         begin, end = float(path.distance[path.first]), float(path.distance[path.last])
         # Where the path is cut at an end, it is left between its own lane and that end.
         self.span = (
@@ -89,28 +80,8 @@ class LaneTrack(Track):
         return np.where(near, np.clip(distance + way, 0.0, self.length), ahead)
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
-        if self._tree is None:
-            self._tree = cKDTree(np.stack([self.path.x, self.path.y], axis=1))
-        known = (np.abs(x) < _ANYWHERE) & (np.abs(y) < _ANYWHERE)
-        x, y = np.where(known, x, self.path.x[0]), np.where(known, y, self.path.y[0])
-        # Of several passes the next one counts.
-        found = self._tree.query(np.stack([x, y], axis=1), k=min(_PASSES, len(self.path.x)))
-        gap, samples = np.asarray(found[0], dtype=np.float64), np.asarray(found[1], dtype=np.int64)
-        distance = self.path.distance[samples]
-        good = gap <= gap[:, :1] + _SAME
-        if after is not None:
-            ahead = good & (distance >= after[:, None] - 1.0)
-            good = np.where(ahead.any(axis=1)[:, None], ahead, good)
-        first = np.where(good, distance, np.inf).min(axis=1)
-        # At an end of the track, all the nearest samples may lie on one side.
-        here = good & (distance < first[:, None] + _PASSES * self.path.distance[1])
-        best = np.where(here, gap, np.inf).argmin(axis=1)
-        sample = samples[np.arange(len(x)), best]
-        # Between samples, which are close together, the point is projected on the tangent.
-        at_x, at_y, heading, _ = self.path.at(self.path.distance[sample], np.zeros(len(x)))
-        beyond = (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading)
-        limit = self.path.distance[1]
-        return np.asarray(self.path.distance[sample] + np.clip(beyond, -limit, limit))
+        path, first = self.path, np.full(len(x), -np.inf) if after is None else after
+        return np.asarray(nearest_on_path(path.addresses, path.x.size, path.chord, x, y, first))
 
     def lane_pose(self, pose: Pose, rows: IntArray, distance: FloatArray, offset: FloatArray) -> Pose:
         """Return `pose` with the road coordinates of `rows` as they are on this track."""

@@ -10,8 +10,10 @@ import math
 from cornercase._common.addresses import floats_at, integers_at, truths_at
 from cornercase._common.compiling import kernel
 from cornercase.roads import KINK
-from cornercase.simulators.builtin.tracks import pool
-from cornercase.simulators.builtin.tracks.lane import SHRUNK
+from cornercase.simulators.builtin.tracks import columns
+
+SHRUNK = 0.1
+"""Where a lane is shorter than this part of the reference line, an entity moves along the lane alone."""
 
 
 @kernel(error_model="numpy", forceinline=True)
@@ -31,18 +33,46 @@ def place_on_lane(tracks, g, distance, offset):
     x, y, heading : float
         m, m, rad.
     """
-    count, address = tracks.size[g], tracks.address[g]
-    table = floats_at(address[pool.DISTANCE], count)
-    if math.isnan(distance):
-        return math.nan, math.nan, math.nan
+    return place_on_path(
+        tracks.address[g, columns.DISTANCE],
+        tracks.address[g, columns.X],
+        tracks.address[g, columns.Y],
+        tracks.address[g, columns.HEADING],
+        tracks.address[g, columns.CURVATURE],
+        tracks.size[g],
+        distance,
+        offset,
+    )
+
+
+@kernel(error_model="numpy", forceinline=True)
+def place_on_path(distances, xs, ys, headings, curvatures, count, distance, offset):
+    """Place at a distance along a path of lanes, `place_on_lane` without tables.
+
+    Parameters
+    ----------
+    distances, xs, ys, headings, curvatures : int
+        Addresses of its columns.
+    count : int
+        Its samples.
+    distance, offset : float
+        m along it, and to the left.
+
+    Returns
+    -------
+    x, y, heading : float
+        m, m, rad.
+    """
+    table = floats_at(distances, count)
     step = table[1]
+    if math.isnan(distance) or not step > 0.0:
+        return math.nan, math.nan, math.nan
     place = min(max(distance, 0.0), table[count - 1]) / step
     k = min(int(place), count - 2)
     part = place - k
-    heading = _mixed(floats_at(address[pool.HEADING], count), k, part)
-    x = _mixed(floats_at(address[pool.X], count), k, part)
-    y = _mixed(floats_at(address[pool.Y], count), k, part)
-    curvature = _mixed(floats_at(address[pool.CURVATURE], count), k, part)
+    heading = _mixed(floats_at(headings, count), k, part)
+    x, y = _mixed(floats_at(xs, count), k, part), _mixed(floats_at(ys, count), k, part)
+    curvature = _mixed(floats_at(curvatures, count), k, part)
     if abs(curvature) * step < KINK:
         offset = offset - 0.5 * curvature * part * (1.0 - part) * (step * step)
     return x - offset * math.sin(heading), y + offset * math.cos(heading), heading
@@ -68,12 +98,12 @@ def advance_lane(tracks, g, distance, offset, way):
         m.
     """
     return _advance(
-        tracks.address[g, pool.DISTANCE],
-        tracks.address[g, pool.REFERENCE],
-        tracks.address[g, pool.CENTER],
+        tracks.address[g, columns.DISTANCE],
+        tracks.address[g, columns.REFERENCE],
+        tracks.address[g, columns.CENTER],
         tracks.size[g],
-        tracks.address[g, pool.BEND_AT],
-        tracks.address[g, pool.BEND],
+        tracks.address[g, columns.BEND_AT],
+        tracks.address[g, columns.BEND],
         tracks.bends[g],
         distance,
         offset,
@@ -121,14 +151,14 @@ def lane_place(tracks, g, distance):
         Whether the track runs along the road's s.
     """
     count, address = tracks.size[g], tracks.address[g]
-    table = floats_at(address[pool.DISTANCE], count)
-    reference = floats_at(address[pool.REFERENCE], count)
+    table = floats_at(address[columns.DISTANCE], count)
+    reference = floats_at(address[columns.REFERENCE], count)
     j = _sample(table, count, distance)
     sample = max(j, 0)
     beyond = _between(table, reference, count, distance, j) - reference[sample]
-    along = truths_at(address[pool.ALONG], count)[sample]
-    s = floats_at(address[pool.S], count)[sample] + (beyond if along else -beyond)
-    road, lane = integers_at(address[pool.ROAD], count)[sample], integers_at(address[pool.NUMBER], count)[sample]
+    along = truths_at(address[columns.ALONG], count)[sample]
+    s = floats_at(address[columns.S], count)[sample] + (beyond if along else -beyond)
+    road, lane = integers_at(address[columns.ROAD], count)[sample], integers_at(address[columns.NUMBER], count)[sample]
     return road, lane, s, along
 
 

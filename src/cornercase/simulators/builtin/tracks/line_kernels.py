@@ -9,7 +9,7 @@ import math
 
 from cornercase._common.addresses import floats_at
 from cornercase._common.compiling import kernel
-from cornercase.simulators.builtin.tracks import pool
+from cornercase.simulators.builtin.tracks import columns
 from cornercase.simulators.builtin.tracks.polyline import CORNER, TINY
 
 _ALONG_LEGS, _AT_CORNERS = 0, 1
@@ -32,10 +32,10 @@ def place_on_line(tracks, g, n, distance, offset):
     x, y, heading : float
         m, m, rad.
     """
-    table = _row(tracks, g, n, pool.DISTANCE)
+    table = _row(tracks, g, n, columns.DISTANCE)
     distance = _round(tracks, g, table, distance)
     along, leg, part = _leg(table, distance, 0.0)
-    x, y = _row(tracks, g, n, pool.X), _row(tracks, g, n, pool.Y)
+    x, y = _row(tracks, g, n, columns.X), _row(tracks, g, n, columns.Y)
     at_x = x[leg] + part * (x[leg + 1] - x[leg])
     at_y = y[leg] + part * (y[leg + 1] - y[leg])
     beyond = distance - along
@@ -60,7 +60,7 @@ def line_length(tracks, g, n):
     -------
     float
     """
-    length, closed = _row(tracks, g, n, pool.DISTANCE)[tracks.size[g] - 1], tracks.closed[g]
+    length, closed = _row(tracks, g, n, columns.DISTANCE)[tracks.size[g] - 1], tracks.closed[g]
     return math.inf if closed else length
 
 
@@ -80,7 +80,7 @@ def direction_on(tracks, g, n, distance):
     -------
     float
     """
-    table = _row(tracks, g, n, pool.DISTANCE)
+    table = _row(tracks, g, n, columns.DISTANCE)
     return _legs(tracks, g, n)[_leg(table, _round(tracks, g, table, distance), TINY)[1]]
 
 
@@ -100,11 +100,11 @@ def oriented_on(tracks, g, n, distance):
     -------
     bool
     """
-    table, last = _row(tracks, g, n, pool.DISTANCE), tracks.size[g] - 1
+    table, last = _row(tracks, g, n, columns.DISTANCE), tracks.size[g] - 1
     distance = _round(tracks, g, table, distance)
     # On a leg the vertex at its beginning counts.
     vertex = last if distance > table[last] - TINY else _leg(table, distance, TINY)[1]
-    return not math.isnan(_row(tracks, g, n, pool.HEADING)[vertex])
+    return not math.isnan(_row(tracks, g, n, columns.HEADING)[vertex])
 
 
 @kernel(error_model="numpy", forceinline=True)
@@ -138,7 +138,7 @@ def last_time(tracks, g, n):
     -------
     float
     """
-    return _row(tracks, g, n, pool.TIME)[tracks.size[g] - 1]
+    return _row(tracks, g, n, columns.TIME)[tracks.size[g] - 1]
 
 
 @kernel(error_model="numpy", forceinline=True)
@@ -158,12 +158,12 @@ def distance_at(tracks, g, n, time):
     float
         m.
     """
-    clock, table, last = _row(tracks, g, n, pool.TIME), _row(tracks, g, n, pool.DISTANCE), tracks.size[g] - 1
+    clock, table, last = _row(tracks, g, n, columns.TIME), _row(tracks, g, n, columns.DISTANCE), tracks.size[g] - 1
     if time > clock[last]:
         return table[last]
     leg = _leg_begun(clock, time, 0.0)
     elapsed = max(time - clock[leg], 0.0)
-    speed, rate = _row(tracks, g, n, pool.SPEED)[leg], _row(tracks, g, n, pool.RATE)[leg]
+    speed, rate = _row(tracks, g, n, columns.SPEED)[leg], _row(tracks, g, n, columns.RATE)[leg]
     begin = table[leg]
     if rate == 0.0:
         span = clock[leg + 1] - clock[leg]
@@ -186,7 +186,7 @@ def _row(tracks, g, n, column):
 def _legs(tracks, g, n):
     """Directions of the legs in a scenario."""
     count = tracks.size[g] - 1
-    return floats_at(tracks.address[g, pool.DIRECTION] + 8 * count * n, count)
+    return floats_at(tracks.address[g, columns.DIRECTION] + 8 * count * n, count)
 
 
 @kernel(error_model="numpy", forceinline=True)
@@ -221,7 +221,7 @@ def _leg(table, distance, beyond):
 @kernel(error_model="numpy", forceinline=True)
 def _heading(tracks, g, n, table, distance):
     along, leg, part = _leg(table, distance, TINY)
-    facing, last = _row(tracks, g, n, pool.FACING), tracks.size[g] - 2
+    facing, last = _row(tracks, g, n, columns.FACING), tracks.size[g] - 2
     now, after = facing[leg], facing[leg + 1]
     at_end = along > table[last + 1] - TINY
     if tracks.turning[g] == _ALONG_LEGS:

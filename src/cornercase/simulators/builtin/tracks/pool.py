@@ -9,6 +9,7 @@ import numpy as np
 
 from cornercase._common.addresses import address_of
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks.columns import COLUMNS
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.polyline import Polyline
 from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES, Track
@@ -19,13 +20,6 @@ LINE: Final = 1
 """Kind of a track through vertices."""
 OTHER: Final = 2
 """Kind of a track that kernels do not know."""
-
-# Columns of `Tracks.address`. The arrays of a lane, in the order of those of its path, have an element for each sample,
-# or for each bend; those of a line a row of vertices or legs for each scenario.
-DISTANCE, X, Y, HEADING = 0, 1, 2, 3
-CURVATURE, S, ROAD, NUMBER, ALONG, REFERENCE, CENTER, BEND_AT, BEND = 4, 5, 6, 7, 8, 10, 11, 12, 13
-DIRECTION, FACING, TIME, SPEED, RATE = 4, 5, 6, 7, 8
-_COLUMNS: Final = 14
 
 _LINE_ARRAYS: Final = ("distance", "x", "y", "heading", "directions", "facing", "time", "speeds", "rates")
 
@@ -48,6 +42,8 @@ class Tracks(NamedTuple):
         Samples of a lane, vertices of a line.
     bends : ndarray of int64, shape (G,)
         Places along a lane at which the bend of the reference line is known.
+    chord : ndarray of float64, shape (G,)
+        Largest gap between two samples of a lane that follow each other, in m.
     length : ndarray of float64, shape (G,)
         Length of a lane in m; NaN for others, which differ from scenario to scenario.
     span : ndarray of float64, shape (G, 2)
@@ -63,6 +59,7 @@ class Tracks(NamedTuple):
     address: IntArray
     size: IntArray
     bends: IntArray
+    chord: FloatArray
     length: FloatArray
     span: FloatArray
     closed: BoolArray
@@ -118,7 +115,7 @@ class TrackPool:
         if isinstance(track, LaneTrack):
             path = track.path
             tables.kind[g], tables.size[g], tables.bends[g] = LANE, path.x.size, path.bend_at.size
-            tables.length[g], tables.span[g] = track.length, track.span
+            tables.chord[g], tables.length[g], tables.span[g] = path.chord, track.length, track.span
             tables.address[g] = path.addresses
         elif isinstance(track, Polyline):
             tables.kind[g], tables.size[g] = LINE, track.x.shape[1]
@@ -135,9 +132,10 @@ def _tables(count: int) -> Tracks:
     return Tracks(
         np.full((0, 1), -1),
         np.full(count, OTHER),
-        np.zeros((count, _COLUMNS), dtype=np.int64),
+        np.zeros((count, COLUMNS), dtype=np.int64),
         whole[0],
         whole[1],
+        np.full(count, np.nan),
         np.full(count, np.nan),
         np.full((count, 2), np.nan),
         np.zeros(count, dtype=np.bool_),

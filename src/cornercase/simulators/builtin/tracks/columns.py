@@ -1,0 +1,36 @@
+"""Columns of `Tracks.address`: where the arrays of a track lie.
+
+Those of a lane, in the order of the arrays of its path, have an element for each sample, or for each bend; those of a
+line a row of vertices or legs for each scenario.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+DISTANCE: Final = 0
+X: Final = 1
+Y: Final = 2
+HEADING: Final = 3
+"""Columns of both."""
+
+CURVATURE: Final = 4
+S: Final = 5
+ROAD: Final = 6
+NUMBER: Final = 7
+ALONG: Final = 8
+REFERENCE: Final = 10
+CENTER: Final = 11
+BEND_AT: Final = 12
+BEND: Final = 13
+"""Columns of lanes."""
+
+DIRECTION: Final = 4
+FACING: Final = 5
+TIME: Final = 6
+SPEED: Final = 7
+RATE: Final = 8
+"""Columns of lines."""
+
+COLUMNS: Final = 14
+"""How many there are."""
