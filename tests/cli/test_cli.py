@@ -46,6 +46,36 @@ def test_demo_leaves_everything_it_promises(demo):
         assert figure.read_bytes().startswith(b"\x89PNG")
 
 
+def test_where_the_time_went_is_told_by_stage_and_by_function(demo, tmp_path):
+    shown = json.loads(cornercase("show", demo / "study.db", "--json").stdout)["seconds"]
+    stages = [
+        "files",
+        "optimize",
+        "simulate",
+        "measure",
+        "store",
+        "judge",
+        "read",
+        "compare",
+        "cluster",
+        "reduce",
+        "draw",
+    ]
+    assert list(shown) == stages
+    page = (demo / "report.html").read_text()
+    assert all(f"time to {stage} [s]" in page for stage in stages)
+    profile = tmp_path / "profile.txt"
+    for _ in range(2):
+        found = cornercase("analyze", demo / "study.db", "--by", "wttc", "--profile", profile)
+        assert found.returncode == 0, found.stderr
+        assert "analyzing.py" in profile.read_text()
+    before = (demo / "report.html").read_bytes()
+    refused = cornercase("analyze", demo / "study.db", "--profile", demo / "report.html")
+    assert refused.returncode == 2
+    assert "--profile: " in refused.stderr
+    assert (demo / "report.html").read_bytes() == before
+
+
 def test_reduced_scenarios_run_by_themselves_and_give_the_same_recording(demo):
     manifest = json.loads((demo / "reduced" / "manifest.json").read_text())
     with Study.open(demo / "study.db", readonly=True) as study:

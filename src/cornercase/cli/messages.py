@@ -12,8 +12,8 @@ from cornercase.cli.options import err
 _PARAMETERS: Final = (
     "archetypes", "archetypes_by", "batch", "budget", "by", "continuous", "cover", "critical", "duration", "ego", "eps",
     "gamma", "keep", "max_seconds", "method", "min_samples", "on_collision", "optimizer", "other", "pareto", "patience",
-    "repeats", "retries", "scenario", "seed", "share", "simulator", "size", "space", "stop_when", "time_step",
-    "timeout", "within", "workers",
+    "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size", "space", "stop_when",
+    "time_step", "timeout", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {

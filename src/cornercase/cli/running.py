@@ -36,6 +36,7 @@ from cornercase.cli.options import (
     out,
     tell_ending,
 )
+from cornercase.cli.profiling import Profile
 
 
 @app.command()
@@ -98,6 +99,7 @@ def explore(
     duration: Duration = 60.0,
     on_collision: OnCollision = "continue",
     driver: Drivers = None,
+    profile: Profile = None,
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
 

@@ -24,6 +24,7 @@ from cornercase.cli.options import (
     out,
     tell_ending,
 )
+from cornercase.cli.profiling import Profile
 
 
 @app.command()
@@ -38,6 +39,7 @@ def analyze(
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the clusters that are there; new scenarios join them.")
     ] = False,
+    profile: Profile = None,
 ) -> None:
     """Cluster what was run, by behaviour and by criticality.
 
@@ -115,6 +117,7 @@ def reduce(
             metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
         ),
     ] = None,
+    profile: Profile = None,
 ) -> None:
     """Keep the few concrete scenarios that matter, as files that run by themselves.
 
@@ -144,6 +147,7 @@ def report(
     study: StudyFile,
     *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write.")],
+    profile: Profile = None,
 ) -> None:
     """Write one self-contained page, and its figures as PNG beside it.
 
@@ -169,6 +173,7 @@ def demo(
     simulator: SimulatorName = "builtin",
     workers: Workers = 1,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
+    profile: Profile = None,
 ) -> None:
     """Explore, cluster, reduce and report one of the examples.
 

@@ -96,8 +96,10 @@ def _analyzed(
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
     if len(ids) < 2:
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
+    begun = time.monotonic()
     outcomes = [tell_outcome(study.recording(i), study.meta.ego, study.meta.other) for i in ids.tolist()]
     study.save_outcomes(dict(zip(ids.tolist(), outcomes, strict=True)))
+    study.add_elapsed("read", time.monotonic() - begun)
     results = {}
     for aspect in aspects:
         begun = time.monotonic()

@@ -150,7 +150,8 @@ class ScenarioExplorer:
                 return f"all {done} scenarios of the space were run"
             number += 1
             points = self._space.snap(points)
-            rows = self._study.propose(number, points, self._space.values(points))
+            with self._clock("store"):
+                rows = self._study.propose(number, points, self._space.values(points))
             self._tell(rows, self._simulate(rows, bar))
             done += len(rows)
             self._clock.note()
@@ -197,6 +198,8 @@ class ScenarioExplorer:
         missing = failed if self._objective.pareto else np.nan
         scores = np.array([by_scenario.get(row.id, missing) for row in rows])
         points = np.array([row.point for row in rows])
-        self._optimizer.tell(points, scores)
+        with self._clock("optimize"):
+            self._optimizer.tell(points, scores)
         self._stale = 0 if self._best.add(scores) else self._stale + 1
-        self._stopping.tell(points, scores)
+        with self._clock("judge"):
+            self._stopping.tell(points, scores)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -185,6 +186,7 @@ def explore_configuration(configuration: Configuration, study: Path | str, progr
 
 
 def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResult:
+    begun = time.monotonic()
     one.require_entities()
     objective = one.objective()
     threshold = one.threshold(objective)
@@ -200,6 +202,7 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
         meta = one.meta(objective, simulator.settings)
         with Study.open(path) if path.exists() else Study.create(path, meta) as study:
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
+            study.add_elapsed("files", time.monotonic() - begun)
             try:
                 return ScenarioExplorer(one, simulator, optimizer, study, objective).run(progress)
             except InputError:

@@ -116,7 +116,8 @@ class ScenarioRunner:
             repeats = None
             if about.repeats > 1:
                 repeats = {name: [one[name][1] for _, one in runs] for name in courses}
-            self._study.finish(row.id, recording, courses, repeats)
+            with self._clock("store"):
+                self._study.finish(row.id, recording, courses, repeats)
             yield row.id, scores[middle]
 
     def _outcomes(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal
@@ -114,6 +115,7 @@ def reduce(
     folder = require_folder("folder", folder)
     with open_study(study) as opened:
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
+        begun = time.monotonic()
         # Looked at before anything is written or takes time.
         explored = _explored_scenario(opened, scenario)
         ran = read_ran(opened)
@@ -140,6 +142,7 @@ def reduce(
         reduced = _described(ran, analysis, kept, shaped, within)
         _write(opened, explored, reduced, folder)
         save_reduction(opened, reduced)
+        opened.add_elapsed("reduce", time.monotonic() - begun)
     return reduced
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -20,7 +22,8 @@ def write_report(study: Study | Path | str, path: Path | str) -> Path:
     Parameters
     ----------
     study : Study or path
-        The page leaves out what the study was not analysed for.
+        The page leaves out what the study was not analysed for. A study that is open for writing notes how long
+        drawing took.
     path : path
         Of the page; the folder is called after it, with ``-figures`` at the end.
 
@@ -43,18 +46,21 @@ def write_report(study: Study | Path | str, path: Path | str) -> Path:
         require_other_file(path, opened.path)
         if not opened.done():
             _tell_why_empty(opened)
-        data = read_report_data(opened)
-    album = Album(path)
-    parts = [
-        *overview.tell_overview(data),
-        *overview.show_criticality(data, album),
-        *knowledge.show_knowledge(data, album),
-        *kinds.show_kinds(data, album),
-        *kinds.compare_kinds(data),
-        *kept.show_kept(data, album),
-        *overview.tell_failures(data),
-        *overview.tell_provenance(data),
-    ]
+        begun = time.monotonic()
+        data, album = read_report_data(opened), Album(path)
+        found = [
+            *overview.show_criticality(data, album),
+            *knowledge.show_knowledge(data, album),
+            *kinds.show_kinds(data, album),
+            *kinds.compare_kinds(data),
+            *kept.show_kept(data, album),
+            *overview.tell_failures(data),
+        ]
+        if not opened.readonly:
+            # Kept in the study, so that the page of a study that is only read is the same each time.
+            opened.add_elapsed("draw", time.monotonic() - begun)
+            data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
+    parts = [*overview.tell_overview(data), *found, *overview.tell_provenance(data)]
     title = f"cornercase: {data.summary.meta.title}"
     with written_whole(path) as temporary:
         temporary.write_text(fill_page(title, "\n".join(parts)), encoding="utf-8", newline="\n")

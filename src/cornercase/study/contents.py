@@ -32,6 +32,13 @@ _LARGEST_ID: Final = 2**63 - 1
 _LARGEST_OTHERS: Final = 1 << 26
 
 
+# Files are read and checked; the optimizer proposes and learns; scenarios are simulated, measured and stored; the
+# critical set is judged; recordings are read back and compared; and so on.
+STAGES: Final = (
+    "files", "optimize", "simulate", "measure", "store", "judge", "read", "compare", "cluster", "reduce", "draw",
+)  # fmt: skip
+
+
 class StudyContents:
     """Everything in a study that can be read, while others write to it or not.
 
@@ -331,11 +338,12 @@ class StudyContents:
         Returns
         -------
         dict of str to float
-            s.
+            s, in the order in which the stages come.
         """
         found = self._database.found("SELECT stage, seconds FROM elapsed ORDER BY stage")
         with damage_told(self.path):
-            return {str(stage): float(seconds) for stage, seconds in found}
+            known = {str(stage): float(seconds) for stage, seconds in found}
+        return {stage: known[stage] for stage in (*STAGES, *known) if stage in known}
 
     def snapshot(self) -> AbstractContextManager[None]:
         """Read what the study holds at one moment, while an explorer goes on writing.

@@ -1,0 +1,55 @@
+"""The option that writes where a command spent its time, function by function."""
+
+from __future__ import annotations
+
+import cProfile
+import io
+import pstats
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from cornercase._common.errors import InputError
+from cornercase._common.files import written_whole
+
+_HEAD: Final = "Where cornercase spent its time"
+# Functions in each of the two lists.
+_MOST: Final = 80
+
+
+def _begin(context: typer.Context, file: Path | None) -> Path | None:
+    """Profile the command from here on; the file is written when it has ended, however it ends."""
+    if file is not None:
+        if file.is_dir() or (file.exists() and not file.read_bytes().startswith(_HEAD.encode())):
+            raise InputError(f"`profile`: {file} is there already, and is no profile; name another file.")
+        context.with_resource(_profiled(file))
+    return file
+
+
+@contextmanager
+def _profiled(file: Path) -> Iterator[None]:
+    profiler = cProfile.Profile()
+    profiler.enable()
+    try:
+        yield
+    finally:
+        profiler.disable()
+        text = io.StringIO()
+        text.write(f"{_HEAD}; s in the main thread, compiled code counts for who calls it.\n\n")
+        stats = pstats.Stats(profiler, stream=text)
+        for order, title in (("tottime", "In functions themselves"), ("cumtime", "With all that they call")):
+            text.write(f"{title}\n")
+            stats.sort_stats(order).print_stats(_MOST)
+        with written_whole(file) as temporary:
+            temporary.write_text(text.getvalue(), encoding="utf-8", newline="\n")
+
+
+Profile = Annotated[
+    Path | None,
+    typer.Option(
+        "--profile", metavar="FILE.txt", help="Write where the time goes, function by function.", callback=_begin
+    ),
+]
