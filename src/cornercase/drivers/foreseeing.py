@@ -23,7 +23,8 @@ TURN_LEGS: Final = 8
 STRAIGHT: Final = 0.05
 """Rate of turn in rad/s up to which an entity is taken to go straight."""
 
-_kernel = kernel(error_model="numpy")
+# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
+_kernel = kernel(error_model="numpy", _nrt=False)
 
 
 @_kernel

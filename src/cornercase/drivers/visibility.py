@@ -36,7 +36,8 @@ TURN_MEAN = 0.2
 # Comparisons closer than this, relative to what is compared, are made again by the exact way.
 _CLOSE = 1e-9
 
-_kernel = kernel(error_model="numpy")
+# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
+_kernel = kernel(error_model="numpy", _nrt=False)
 
 
 def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) -> BoolArray:
@@ -68,7 +69,7 @@ def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) 
     return seen
 
 
-@_kernel
+@kernel(error_model="numpy")
 def _look_each(field_of_view, sight_range, own, boxes, pose, others):
     scenarios, count = len(pose), others.shape[2]
     seen, now = np.empty((scenarios, count), dtype=np.bool_), np.empty((count, 4))

@@ -19,7 +19,8 @@ LOOKAHEAD: Final = 150.0
 MOST_PLACES: Final = int(2.0 * LOOKAHEAD / STEP) + 4
 """Rows of a table of places; the samples of a route are at least half as far apart as they should be."""
 
-_kernel = kernel(error_model="numpy")
+# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
+_kernel = kernel(error_model="numpy", _nrt=False)
 
 
 class Way(NamedTuple):

@@ -58,7 +58,8 @@ NARROW: Final = 0.25
 RELEASE: Final = 1.25
 """Multiple of the safety time that ends giving way, so that the decision does not flutter."""
 
-_kernel = kernel(error_model="numpy")
+# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
+_kernel = kernel(error_model="numpy", _nrt=False)
 
 
 @_kernel
