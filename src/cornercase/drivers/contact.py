@@ -17,6 +17,10 @@ from cornercase.drivers.way import lay
 _kernel = kernel(error_model="numpy", _nrt=False)
 
 
+# m; boxes that are less apart are tested exactly.
+_HAIR = 1e-6
+
+
 @_kernel
 def meeting(places, row, ego, margin, other, horizon):
     """When the other would touch the driven entity, if that were at a place.
@@ -46,6 +50,10 @@ def meeting(places, row, ego, margin, other, horizon):
     """
     legs, half_length, half_width, speed = other
     own_length, own_width = ego[0], ego[1] + margin
+    if horizon <= 0.0:
+        if _touching(places, row, own_length, own_width, other):
+            return legs[0, 4], legs[0, 4], 0
+        return math.inf, -math.inf, 0
     enters, leaves, at = math.inf, -math.inf, 0
     for leg in range(legs.shape[0]):
         if leg > 0 and legs[leg, 4] >= horizon:
@@ -93,6 +101,27 @@ def meeting(places, row, ego, margin, other, horizon):
 
 
 @_kernel
+def _touching(places, row, own_length, own_width, other):
+    """Whether the boxes touch, the other's being where its first leg begins."""
+    legs, half_length, half_width, _ = other
+    dx, dy = legs[0, 0] - places[row, 1], legs[0, 1] - places[row, 2]
+    reach = own_length + own_width + half_length + half_width
+    if abs(dx) > reach or abs(dy) > reach:
+        return False
+    sideways = dy * legs[0, 2] - dx * legs[0, 3]
+    if abs(sideways) > own_length + own_width + half_width:
+        return False
+    cos = abs(places[row, 3] * legs[0, 2] + places[row, 4] * legs[0, 3])
+    sin = abs(places[row, 3] * legs[0, 3] - places[row, 4] * legs[0, 2])
+    return not (
+        abs(dx * places[row, 3] + dy * places[row, 4]) > own_length + half_length * cos + half_width * sin
+        or abs(dy * places[row, 3] - dx * places[row, 4]) > own_width + half_length * sin + half_width * cos
+        or abs(dx * legs[0, 2] + dy * legs[0, 3]) > half_length + own_length * cos + own_width * sin
+        or abs(sideways) > half_width + own_length * sin + own_width * cos
+    )
+
+
+@_kernel
 def first_contact(places, most, ego, margin, other, horizon, way=None):
     """First place ahead at which the driven entity would touch the other.
 
@@ -110,19 +139,110 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
     int
         Row; -1 for none.
     """
-    k, count = 0, len(places)
+    k, count, until = 0, len(places), -1
     if way is not None:
         count = way.rows
     while k + 1 < count:
         k += 1
+        if k > until:
+            if way is not None:
+                k, until = next_rows(way, k, margin, other, horizon)
+                if k >= count:
+                    break
+            else:
+                k += rows_apart(places, most, k, ego, margin, other, horizon)
+                if k >= count:
+                    break
         if way is not None:
             lay(way, k)
-        rows = rows_apart(places, most, k, ego, margin, other, horizon)
-        if rows > 0:
-            k += rows - 1
-        elif meeting(places, k, ego, margin, other, horizon)[0] <= horizon:
+        if meeting(places, k, ego, margin, other, horizon)[0] <= horizon:
             return k
     return -1
+
+
+@_kernel
+def next_rows(way, k, margin, other, horizon):
+    """The next places ahead at which the driven entity may touch the other.
+
+    Parameters
+    ----------
+    way : Way
+    k : int
+        Row of the first that is asked for.
+    margin, other, horizon
+        As in `meeting`.
+
+    Returns
+    -------
+    tuple of (int, int)
+        The first and the last of them that follow each other; there may be more behind the last. The first may be
+        beyond the way.
+    """
+    straight = int(way.points[way.first + k, 5])
+    lay(way, k)
+    if straight < 2:
+        k += rows_apart(way.places, way.most, k, way.ego, margin, other, horizon)
+        return k, k
+    begin, end = _stretch(way.places, k, way.ego, margin, other, horizon, straight * way.step)
+    if not begin < math.inf:
+        return k + straight + 1, k + straight + 1
+    return k + int(begin / way.step), k + min(int(end / way.step) + 1, straight)
+
+
+@_kernel
+def _stretch(places, k, ego, margin, other, horizon, length):
+    """First stretch of a straight line on which the driven entity may touch the other's swept box.
+
+    Separating axes: on each of the four, the projections overlap during one stretch.
+    Returns begin and end in m from place `k`; (inf, inf) for none within a length.
+    """
+    legs, half_length, half_width, speed = other
+    own_length, own_width = ego[0], ego[1] + margin
+    begin, end = math.inf, math.inf
+    for leg in range(legs.shape[0]):
+        if leg > 0 and legs[leg, 4] >= horizon:
+            break
+        half = 0.5 * speed * max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
+        dx = legs[leg, 0] + half * legs[leg, 2] - places[k, 1]
+        dy = legs[leg, 1] + half * legs[leg, 3] - places[k, 2]
+        cos = places[k, 3] * legs[leg, 2] + places[k, 4] * legs[leg, 3]
+        sin = places[k, 3] * legs[leg, 3] - places[k, 4] * legs[leg, 2]
+        swept = half_length + abs(half)
+        aside = dy * places[k, 3] - dx * places[k, 4]
+        if abs(aside) > own_width + swept * abs(sin) + half_width * abs(cos) + _HAIR:
+            continue
+        ahead = dx * places[k, 3] + dy * places[k, 4]
+        reach = own_length + swept * abs(cos) + half_width * abs(sin) + _HAIR
+        first, last = max(ahead - reach, 0.0), min(ahead + reach, length)
+        if first > last:
+            continue
+        first, last = _clip(
+            first,
+            last,
+            cos,
+            dx * legs[leg, 2] + dy * legs[leg, 3],
+            swept + own_length * abs(cos) + own_width * abs(sin) + _HAIR,
+        )
+        first, last = _clip(
+            first,
+            last,
+            -sin,
+            dy * legs[leg, 2] - dx * legs[leg, 3],
+            half_width + own_length * abs(sin) + own_width * abs(cos) + _HAIR,
+        )
+        if first <= last and first < begin:
+            begin, end = first, last
+    return begin, end
+
+
+@_kernel
+def _clip(first, last, rate, middle, radius):
+    """Part of a stretch on which a way of `rate` m a metre is within a radius of a middle."""
+    if abs(rate) < 1e-9:
+        # It hardly moves on this axis: a hair more than it could.
+        return (first, last) if abs(middle) <= radius + _HAIR else (math.inf, -math.inf)
+    one, two = (middle - radius) / rate, (middle + radius) / rate
+    return max(first, min(one, two)), min(last, max(one, two))
 
 
 @_kernel

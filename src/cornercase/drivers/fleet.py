@@ -169,7 +169,9 @@ def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: B
         lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
         plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=chosen)
         places = routes.begin[first + chosen][:, None] + np.arange(samples)
-        routes.points[places] = np.stack((plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed), axis=-1)
+        routes.points[places] = np.stack(
+            (plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed, plan.straight), axis=-1
+        )
         routes.measures[first + chosen] = np.stack((plan.step, plan.longest, plan.sharpest), axis=-1)
     return fleet._replace(routes=routes)
 
@@ -185,7 +187,7 @@ def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int)
         begin=np.append(routes.begin, len(routes.points) + samples * np.arange(rows)),
         samples=np.append(routes.samples, np.full(rows, samples)),
         measures=np.concatenate((routes.measures, np.empty((rows, 3)))),
-        points=np.concatenate((routes.points, np.empty((rows * samples, 5)))),
+        points=np.concatenate((routes.points, np.empty((rows * samples, 6)))),
     )
 
 
@@ -220,7 +222,7 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
         boxes=np.zeros((drivers, VULNERABLE + 1, others)),
         memory=memory,
         awareness=np.zeros((drivers, scenarios, 3, others), dtype=np.bool_),
-        routes=Routes(unplanned, unplanned + 1, none, none, np.empty((0, 3)), np.empty((0, 5))),
+        routes=Routes(unplanned, unplanned + 1, none, none, np.empty((0, 3)), np.empty((0, 6))),
     )
 
 

@@ -17,6 +17,9 @@ Boxes are tested at places this far apart; contacts are refined in between.
 
 _FASTEST = 100.0
 
+# m from sample to sample by which a straight line may fail to be one.
+_STRAIGHT = 1e-10
+
 
 class Route(NamedTuple):
     """A path at equal distances, in one row for all scenarios or in one for each.
@@ -30,6 +33,8 @@ class Route(NamedTuple):
     squared_speed : ndarray of float64, shape (N, R)
         Square of the highest speed from which the curves ahead can be taken, in m²/s²; the lowest within one
         step.
+    straight : ndarray of float64, shape (N, R)
+        How many samples follow in a straight line.
     longest, sharpest : ndarray of float64, shape (N,)
         Largest distance between two samples that follow each other in m, and between the ends of their directions,
         taken as unit vectors.
@@ -41,6 +46,7 @@ class Route(NamedTuple):
     cos: FloatArray
     sin: FloatArray
     squared_speed: FloatArray
+    straight: FloatArray
     longest: FloatArray
     sharpest: FloatArray
 
@@ -75,7 +81,8 @@ def plan_route(
     step, *curves = (np.array(column) for column in zip(*planned, strict=True))
     x, y, cos, sin, squared_speed = curves
     longest, sharpest = (np.hypot(np.diff(a), np.diff(b)).max(axis=1) for a, b in ((x, y), (cos, sin)))
-    return Route(step, x, y, cos, sin, squared_speed, longest, sharpest)
+    straight = np.array([_straight(*row) for row in zip(step, x, y, cos, sin, strict=True)])
+    return Route(step, x, y, cos, sin, squared_speed, straight, longest, sharpest)
 
 
 def count_samples(path: DrivenPath) -> int:
@@ -90,6 +97,16 @@ def count_samples(path: DrivenPath) -> int:
     int
     """
     return max(2, int(np.ceil(path.distance.max() / STEP)) + 1)
+
+
+def _straight(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
+    """How many samples of a row follow each in a straight line, in its direction."""
+    off = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
+    turned = np.hypot(np.diff(cos), np.diff(sin))
+    ends = np.append(np.flatnonzero((off > _STRAIGHT) | (turned > _STRAIGHT)), len(x) - 1)
+    every = np.arange(len(x))
+    following: FloatArray = (ends[np.searchsorted(ends, every)] - every).astype(np.float64)
+    return following
 
 
 def _plan_row(

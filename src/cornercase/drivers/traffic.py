@@ -42,8 +42,9 @@ class Routes(NamedTuple):
         The first point of each row, and how many it has.
     measures : ndarray of float64, shape (Q, 3)
         Of each row the distance between its points in m, and its `longest` and `sharpest` as in `Route`.
-    points : ndarray of float64, shape (M, 5)
-        x and y in m, cosine and sine of the heading, and the square of the highest speed in m²/s².
+    points : ndarray of float64, shape (M, 6)
+        x and y in m, cosine and sine of the heading, the square of the highest speed in m²/s², and how many points of
+        the row follow in a straight line.
     """
 
     row: IntArray

@@ -40,7 +40,7 @@ class Way(NamedTuple):
         How many places there are.
     most : float
         m between the centres at two places that follow each other, at most.
-    points : ndarray of float64, shape (M, 5)
+    points : ndarray of float64, shape (M, 6)
         As in `Routes`.
     first : int
         The point before that of row 1.

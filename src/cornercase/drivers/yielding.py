@@ -14,7 +14,7 @@ import math
 from typing import Final
 
 from cornercase._common.compiling import kernel
-from cornercase.drivers.contact import first_contact, meeting, rows_apart
+from cornercase.drivers.contact import first_contact, meeting, next_rows
 from cornercase.drivers.foreseeing import STANDING, foresee
 from cornercase.drivers.traffic import (
     CENTER_X,
@@ -212,14 +212,16 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
     Past the point of choice, the driver expects those behind it in the same direction to brake.
     Returns the row where the stretch that holds the place begins, and its own row (-1: there is none).
     """
-    start, k, places, ego = -1, 0, way.places, way.ego
+    start, k, until, places, ego = -1, 0, -1, way.places, way.ego
     while k + 1 < way.rows:
         k += 1
+        if k > until:
+            begin, until = next_rows(way, k, margin, other, behaviour.horizon)
+            if begin > k:
+                start, k = -1, begin
+                if k >= way.rows:
+                    break
         lay(way, k)
-        rows = rows_apart(places, way.most, k, ego, margin, other, behaviour.horizon)
-        if rows > 0:
-            start, k = -1, k + rows - 1
-            continue
         enters, leaves, leg = meeting(places, k, ego, margin, other, behaviour.horizon)
         if enters == math.inf:
             start = -1
