@@ -16,6 +16,9 @@ from cornercase.drivers.way import lay
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 _kernel = kernel(error_model="numpy", _nrt=False)
 
+# What is called from one place, or does little, spares the call.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
+
 
 # m; boxes that are less apart are tested exactly.
 _HAIR = 1e-6
@@ -100,7 +103,7 @@ def meeting(places, row, ego, margin, other, horizon):
     return enters, leaves, at
 
 
-@_kernel
+@_part
 def _touching(places, row, own_length, own_width, other):
     """Whether the boxes touch, the other's being where its first leg begins."""
     legs, half_length, half_width, _ = other
@@ -235,7 +238,7 @@ def _stretch(places, k, ego, margin, other, horizon, length):
     return begin, end
 
 
-@_kernel
+@_part
 def _clip(first, last, rate, middle, radius):
     """Part of a stretch on which a way of `rate` m a metre is within a radius of a middle."""
     if abs(rate) < 1e-9:

@@ -24,10 +24,11 @@ STRAIGHT: Final = 0.05
 """Rate of turn in rad/s up to which an entity is taken to go straight."""
 
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
+# What is called from one place, or does little, spares the call.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
-@_kernel
+@_part
 def foresee(memory, o, cos, sin, center_x, horizon, legs):
     """Fill the table of straight legs that another is expected to go.
 

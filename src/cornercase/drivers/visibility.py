@@ -39,6 +39,9 @@ _CLOSE = 1e-9
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 _kernel = kernel(error_model="numpy", _nrt=False)
 
+# What is called from one place, or does little, spares the call.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
+
 
 def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) -> BoolArray:
     """Find which other entities the driven one sees.
@@ -79,7 +82,7 @@ def _look_each(field_of_view, sight_range, own, boxes, pose, others):
     return seen
 
 
-@_kernel
+@_part
 def eye_of(own, x, y, cos, sin):
     """Place and direction of a driver's eye.
 
@@ -99,7 +102,7 @@ def eye_of(own, x, y, cos, sin):
     return x + ahead * cos, y + ahead * sin, cos, sin
 
 
-@_kernel
+@_part
 def look(field_of_view, sight_range, eye, boxes, others, now, seen):
     """Find which others a driver sees, in one scenario.
 
@@ -155,7 +158,7 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
                 break
 
 
-@_kernel
+@_part
 def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
     """Whether a point is within range and field of view; only where that is close are root and angle asked for."""
     squared = to_x * to_x + to_y * to_y
@@ -199,7 +202,7 @@ def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
     return enters < leaves and not inside
 
 
-@_kernel
+@_part
 def perceive(behaviour, scene, seen):
     """Take in what is seen, in one scenario.
 

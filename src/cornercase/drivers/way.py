@@ -22,6 +22,9 @@ MOST_PLACES: Final = int(2.0 * LOOKAHEAD / STEP) + 4
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 _kernel = kernel(error_model="numpy", _nrt=False)
 
+# What is called from one place, or does little, spares the call.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
+
 
 class Way(NamedTuple):
     """The way ahead of a driven entity.
@@ -77,7 +80,7 @@ class Way(NamedTuple):
     wanted: float
 
 
-@_kernel
+@_part
 def look_ahead(behaviour, routes, route, scene, v, wanted, work):
     """Find the way ahead of the driven entity, as far as it matters.
 
@@ -127,7 +130,7 @@ def look_ahead(behaviour, routes, route, scene, v, wanted, work):
     )  # fmt: skip
 
 
-@_kernel
+@_part
 def lay(way, k):
     """Lay out one place ahead, but for its time of arrival.
 
@@ -147,7 +150,7 @@ def lay(way, k):
     places[k, 3], places[k, 4] = cos, sin
 
 
-@_kernel
+@_part
 def distance_to(way, k):
     """Distance from the driven entity to a place ahead.
 

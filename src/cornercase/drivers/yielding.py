@@ -61,8 +61,11 @@ RELEASE: Final = 1.25
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 _kernel = kernel(error_model="numpy", _nrt=False)
 
+# What is called from one place, or does little, spares the call.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
-@_kernel
+
+@_part
 def decide(behaviour, routes, route, scene, work):
     """Acceleration in one scenario, before it is cut to what the vehicle can do.
 
@@ -113,7 +116,7 @@ def decide(behaviour, routes, route, scene, work):
     return a
 
 
-@_kernel
+@_part
 def _keep_speed(behaviour, routes, route, scene, v, wanted):
     """Acceleration towards the speed that is wanted and that the curves ahead allow."""
     samples, points, time_step = routes.samples[route], routes.points, scene.time_step
@@ -128,7 +131,7 @@ def _keep_speed(behaviour, routes, route, scene, v, wanted):
     return min(in_curve, free)
 
 
-@_kernel
+@_part
 def _react(behaviour, time_step, way, other, vulnerable, yielding):
     """Acceleration that one other entity leaves to the driver, and whether their ways conflict.
 
@@ -250,7 +253,7 @@ def _pass_with_caution(behaviour, time_step, way, other):
     return max((allowed - v) / time_step, -behaviour.comfortable_deceleration)
 
 
-@_kernel
+@_part
 def _follow(behaviour, v, gap, leader_speed):
     """Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4), its interaction part."""
     best = math.sqrt(behaviour.acceleration * behaviour.comfortable_deceleration)
@@ -259,7 +262,7 @@ def _follow(behaviour, v, gap, leader_speed):
     return behaviour.acceleration * (1.0 - (wanted / max(gap, 0.01)) ** 2)
 
 
-@_kernel
+@_part
 def _needed(v, room):
     """Deceleration that stops within `room`."""
     if v <= 0.0:
@@ -267,14 +270,14 @@ def _needed(v, room):
     return v * v / (2.0 * room) if room > 0.0 else math.inf
 
 
-@_kernel
+@_part
 def _along(places, row, other, leg):
     """Cosine between the route and the other's direction of motion on a leg."""
     cosine = places[row, 3] * other[0][leg, 2] + places[row, 4] * other[0][leg, 3]
     return cosine if other[3] >= 0.0 else -cosine
 
 
-@_kernel
+@_part
 def _speed_along(places, row, other):
     """Speed of the other along the route now."""
     return abs(other[3]) * _along(places, row, other, 0)
