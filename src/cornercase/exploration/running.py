@@ -43,8 +43,8 @@ class StageClock:
 
     def note(self) -> None:
         """Write down what was taken since the last time."""
-        for stage, seconds in self._spent.items():
-            self._study.add_elapsed(stage, seconds)
+        if self._spent:
+            self._study.add_all_elapsed(self._spent)
         self._spent.clear()
 
 

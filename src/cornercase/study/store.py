@@ -269,11 +269,21 @@ class Study(StudyContents):
         seconds : float
             s.
         """
+        self.add_all_elapsed({stage: seconds})
+
+    def add_all_elapsed(self, seconds: Mapping[str, float]) -> None:
+        """Add to the times spent in stages, which takes no longer than for one.
+
+        Parameters
+        ----------
+        seconds : mapping of str to float
+            s, by stage.
+        """
         with self._database.writing() as connection:
-            connection.execute(
+            connection.executemany(
                 "INSERT INTO elapsed VALUES (?, ?)"
                 " ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds",
-                (stage, seconds),
+                list(seconds.items()),
             )
 
 
