@@ -11,12 +11,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
-from numba import carray, types
+from numba import types
 from numba.extending import intrinsic
-
-from cornercase._common.compiling import kernel
 
 
 def address_of(array: npt.NDArray[Any]) -> int:
@@ -36,57 +33,35 @@ def address_of(array: npt.NDArray[Any]) -> int:
     return address
 
 
-@intrinsic
-def _pointer(context, address):
+def _array_at(context, address, count, dtype):
+    """Array of a type at an address. It counts no references: what it leads to is kept alive by others."""
+    array = types.Array(dtype, 1, "C")
+
     def generate(context, builder, signature, values):
-        return builder.inttoptr(values[0], context.get_value_type(signature.return_type))
+        from numba.np.arrayobj import make_array, populate_array
 
-    return types.voidptr(types.int64), generate
+        made = make_array(array)(context, builder)
+        size = context.get_constant(types.intp, 1 if dtype is types.boolean else 8)
+        data = builder.inttoptr(values[0], made.data.type)
+        populate_array(made, data=data, shape=[values[1]], strides=[size], itemsize=size, meminfo=None)
+        return made._getvalue()
 
-
-@kernel(error_model="numpy", forceinline=True)
-def floats_at(address, count):
-    """Array of float64 at an address.
-
-    Parameters
-    ----------
-    address : int
-    count : int
-
-    Returns
-    -------
-    ndarray of float64, shape (count,)
-    """
-    return carray(_pointer(address), (count,), np.float64)
+    return array(types.int64, types.int64), generate
 
 
-@kernel(error_model="numpy", forceinline=True)
-def integers_at(address, count):
-    """Array of int64 at an address.
-
-    Parameters
-    ----------
-    address : int
-    count : int
-
-    Returns
-    -------
-    ndarray of int64, shape (count,)
-    """
-    return carray(_pointer(address), (count,), np.int64)
+@intrinsic
+def floats_at(context, address, count):
+    """Array of float64, shape (count,), at an address."""
+    return _array_at(context, address, count, types.float64)
 
 
-@kernel(error_model="numpy", forceinline=True)
-def truths_at(address, count):
-    """Array of bool at an address.
+@intrinsic
+def integers_at(context, address, count):
+    """Array of int64, shape (count,), at an address."""
+    return _array_at(context, address, count, types.int64)
 
-    Parameters
-    ----------
-    address : int
-    count : int
 
-    Returns
-    -------
-    ndarray of bool, shape (count,)
-    """
-    return carray(_pointer(address), (count,), np.bool_)
+@intrinsic
+def truths_at(context, address, count):
+    """Array of bool, shape (count,), at an address."""
+    return _array_at(context, address, count, types.boolean)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -89,15 +91,23 @@ class Attributes:
             if default is None:
                 raise self._error(element, attribute, "is missing")
             return np.full(self.scenarios, float(default))
+        literal = _literal(text)
+        if literal is not None:
+            return np.full(self.scenarios, literal)
         value = self._value(text, element, attribute)
         if isinstance(value, str):
             value = self._float(value, element, attribute, endless=default is not None and np.isinf(default))
         elif isinstance(value, np.ndarray | np.floating | float):
-            broken = np.broadcast_to(~np.isfinite(value), (self.scenarios,))
-            if broken.all() and not self.origins(text):
+            broken = ~np.isfinite(value)
+            if np.all(broken) and not self.origins(text):
                 raise self._error(element, attribute, f"is '{text[:60]}', which has no finite value")
-            self.refuse(element, attribute, f"is '{text[:60]}', which has no finite value", broken)
-        return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.scenarios,)).copy()
+            if np.any(broken):
+                everywhere = np.broadcast_to(broken, (self.scenarios,))
+                self.refuse(element, attribute, f"is '{text[:60]}', which has no finite value", everywhere)
+        numbers = np.asarray(value, dtype=np.float64)
+        if numbers.shape == (self.scenarios,):
+            return numbers.copy()
+        return np.full(self.scenarios, numbers)
 
     def refuse(self, element: _Placed, attribute: str, why: str, where: BoolArray) -> None:
         """Note that an attribute has a value that cannot be used in some scenarios.
@@ -269,3 +279,13 @@ class Attributes:
     def _error(self, element: _Placed, attribute: str, why: str) -> InputError:
         line = f", line {element.sourceline}" if element.sourceline else ""
         return InputError(f"{self.source}{line}: {attribute} of <{element.tag}> {why}.")
+
+
+@lru_cache(4096)
+def _literal(text: str) -> float | None:
+    """Finite number that a text is; None for any other text. Files have the same few over and over."""
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

@@ -3,37 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.typing import BoolArray
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Scope, Value
 from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
 from cornercase.simulators.builtin.entities import read_entities
-from cornercase.simulators.builtin.history import History
 from cornercase.simulators.builtin.openscenario import refuse_unusable
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
+from cornercase.simulators.builtin.stepping import Coupling, Stepper
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
-from cornercase.simulators.builtin.world.contacts import find_contacts
-from cornercase.simulators.builtin.world.motion import move_entities
 from cornercase.simulators.builtin.world.signals import read_signal_controllers
 from cornercase.simulators.builtin.world.state import World
 
 _MOST_ENTITIES: Final = 500
-
-
-class Coupling(Protocol):
-    """Another simulator that moves some of the entities, in step with the storyboard."""
-
-    def step(self, world: World, dt: float) -> None:
-        """Move its entities to the end of the coming time step; with a step of 0, only see where all begin."""
-        ...
 
 
 class Batch:
@@ -74,15 +63,12 @@ class Batch:
         coupling: Coupling | None = None,
     ) -> None:
         scope = prepared.scope(values)
-        self._time_step, self._duration = time_step, duration
-        self._stop_at_collision, self._coupling = stop_at_collision, coupling
+        self._time_step = time_step
         try:
             self._read(prepared, scope, drivers)
         except InputError as error:
             raise UnusableError(str(error), scope.used) from None
-        self._history = History((5, len(self._world.entities), len(values)))
-        self._instants = np.zeros(len(values), dtype=np.int64)
-        self._contacts: list[list[Collision]] = [[] for _ in values]
+        self._stepper = Stepper(self._world, self._storyboard, time_step, duration, stop_at_collision, coupling)
 
     def _read(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
         scenario = prepared.scenario
@@ -124,51 +110,15 @@ class Batch:
         """Step until every scenario has ended."""
         # What has failed goes on to be computed, and is not looked at.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            self._run()
-
-    def _run(self) -> None:
-        world, steps = self._world, 0
-        history, instants = self._history, self._instants
-        dt = 0.0
-        while world.running.any() and steps * self._time_step < self._duration + 1e-9:
-            before = world.speed.copy()
-            for controller in world.signal_controllers.values():
-                controller.switch(world.signals, world.time)
-            self._storyboard.step(dt)
-            for driving in world.drivers:
-                driving.step(dt)
-            if self._coupling is not None:
-                self._coupling.step(world, dt)
-            move_entities(world, dt)
-            # The clock adds up steps, as esmini's does: what lasts exactly as long as asked for hangs on its rounding.
-            steps += 1
-            if dt > 0:
-                world.acceleration = (world.speed - before) / dt
-            history.add((world.x, world.y, world.heading, world.speed, world.acceleration), world.present)
-            instants[world.running] += 1
-            self._find_collisions()
-            dt = self._time_step
-
-    def _find_collisions(self) -> None:
-        world, contacts = self._world, self._contacts
-        # Who overlaps from the start collides in the first row.
-        before = world.touching & (self._instants > 1)
-        find_contacts(world)
-        begun: BoolArray = world.touching & ~before & world.running
-        for a, b, i in np.argwhere(begun):
-            if a < b:
-                pair = (world.names[a], world.names[b])
-                if all(collision.entities != pair for collision in contacts[i]):
-                    contacts[i].append(Collision(world.time, pair))
-        if self._stop_at_collision:
-            world.running &= ~begun.any(axis=(0, 1))
+            self._stepper.run()
 
     def result(self, i: int) -> Recording | SimulationError:
         """Give what came out of one scenario, once the batch has run."""
-        world, instants = self._world, int(self._instants[i])
+        world, scene = self._world, self._stepper.scene
         if i in world.errors:
             return SimulationError(world.errors[i])
-        motion = self._history.of(i, instants)
+        instants = int(scene.frames[i])
+        motion = np.ascontiguousarray(scene.motion[i, :instants].transpose(1, 2, 0))
         if not np.isfinite(motion[0]).any():
             return SimulationError("no entity is ever placed on the map")
         x, y, heading, speed, acceleration = motion
@@ -184,8 +134,14 @@ class Batch:
             length=np.array([entity.length for entity in world.entities]),
             width=np.array([entity.width for entity in world.entities]),
             center_x=np.array([entity.center_x for entity in world.entities]),
-            collisions=tuple(self._contacts[i]),
+            collisions=self._collisions(i),
         )
+
+    def _collisions(self, i: int) -> tuple[Collision, ...]:
+        """Who collided in one scenario, in order of time."""
+        begun, names = self._stepper.scene.collided[i], self._world.names
+        found = [(float(begun[a, b]), a, b) for a, b in np.argwhere(~np.isnan(begun)).tolist()]
+        return tuple(Collision(time, (names[a], names[b])) for time, a, b in sorted(found))
 
 
 def _held(value: Any, scenarios: int) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cornercase._common.typing import BoolArray
+from cornercase.simulators.builtin.frames.table import UNKNOWN
 from cornercase.simulators.builtin.world.state import World
 
 
@@ -16,9 +17,16 @@ class Action:
     domains : tuple of str
         What of the entity's motion it decides: ``"longitudinal"``, ``"lateral"``. When an action of an event starts,
         all actions of the same entity end that decide some of the same.
+    remembered : tuple of str
+        Names of arrays (N,) that it shares with compiled code.
     """
 
     domains: tuple[str, ...] = ()
+    remembered: tuple[str, ...] = ()
+
+    def options(self) -> tuple[int, ...]:
+        """What compiled code is told of it: its kind, its entity, and so on; it has to know no action."""
+        return (UNKNOWN,)
 
     def start(self, world: World, where: BoolArray) -> None:
         """Begin in the scenarios of the mask."""

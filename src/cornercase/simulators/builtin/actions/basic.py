@@ -198,7 +198,7 @@ class SignalControllerAction(Action):
 
     def start(self, world: World, where: BoolArray) -> None:
         self._controller.go_to(self._phase, world.time, where)
-        self._controller.switch(world.signals, world.time)
+        self._controller.switch(world.signals, world.time, world.running)
 
 
 class SignalAction(Action):

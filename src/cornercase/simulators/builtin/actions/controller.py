@@ -32,10 +32,15 @@ class Driving:
     entity : int
         Row of the entity.
     driver : Driver
+
+    Attributes
+    ----------
+    number : int
+        Of the driver in the world.
     """
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
-        self._world, self._entity, self._driver = world, entity, driver
+        self._world, self.entity, self.driver = world, entity, driver
         self.number = len(world.drivers)
         world.drivers.append(self)
         self._others = [a for a in range(len(world.entities)) if a != entity]
@@ -45,7 +50,7 @@ class Driving:
 
     def step(self, dt: float) -> None:
         """Decide the entity's speed at the end of the coming time step."""
-        world, e = self._world, self._entity
+        world, e = self._world, self.entity
         active = world.running & world.present[e] & world.driven[e] & (world.driver[e] == self.number)
         if dt == 0.0 or not active.any():
             return
@@ -53,18 +58,18 @@ class Driving:
             rows = active & (world.track[e] == k)
             timed = isinstance(track, Trajectory) and track.time is not None
             if rows.any() and not timed:
-                acceleration = self._driver.acceleration(self._situation(k, track, dt, rows))
+                acceleration = self.driver.acceleration(self._situation(k, track, dt, rows))
                 speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
 
     def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:
-        world, e, others = self._world, self._entity, self._others
+        world, e, others = self._world, self.entity, self._others
         box, boxes = world.entities[e], [world.entities[a] for a in others]
         there = (world.present & world.visible)[others].T
         return Situation(
-            time=world.time,
+            time=float(world.time[rows].max()),
             time_step=dt,
-            path=self._path(k, track),
+            path=self.path(k, track),
             distance=world.distance[e],
             x=world.x[e],
             y=world.y[e],
@@ -86,7 +91,8 @@ class Driving:
             active=rows,
         )
 
-    def _path(self, k: int, track: Track) -> DrivenPath:
+    def path(self, k: int, track: Track) -> DrivenPath:
+        """What a driver is given of one of its entity's tracks, by its number."""
         if isinstance(track, LaneTrack):
             if k not in self._paths:
                 line = track.path

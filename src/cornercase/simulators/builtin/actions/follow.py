@@ -10,6 +10,7 @@ from lxml import etree
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
+from cornercase.simulators.builtin.frames.table import TRAJECTORY_ACTION
 from cornercase.simulators.builtin.paths.positions import read_position
 from cornercase.simulators.builtin.paths.trajectory_shapes import Clock, read_trajectory, takes_time
 from cornercase.simulators.builtin.tracks.track import FREE, Trajectory
@@ -25,6 +26,7 @@ class FollowTrajectoryAction(Action):
     """Moves an entity along a trajectory, at its own speed or at given times."""
 
     domains: tuple[str, ...] = (LATERAL,)
+    remembered = ("_sign", "_was_oriented", "_ahead")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -48,7 +50,10 @@ class FollowTrajectoryAction(Action):
         self._track: Trajectory | None = None
         # -1 where the entity is turned against the line, so that driving forwards leads back along it.
         self._sign = np.ones(scope.scenarios)
-        self._was_oriented = np.zeros(scope.scenarios, dtype=np.bool_)
+        self._was_oriented = np.zeros(scope.scenarios)
+
+    def options(self) -> tuple[int, ...]:
+        return TRAJECTORY_ACTION, self._entity, self._clock is not None
 
     def start(self, world: World, where: BoolArray) -> None:
         e, every = self._entity, np.arange(world.scenarios)
@@ -123,7 +128,7 @@ class FollowTrajectoryAction(Action):
         """Move the entity to a distance along the trajectory, with the heading that it has there."""
         e, every = self._entity, np.arange(world.scenarios)
         oriented = track.oriented(along, every)
-        loose = rows & ~oriented & self._was_oriented
+        loose = rows & ~oriented & (self._was_oriented > 0.0)
         if loose.any():
             # From here on the line alone gives the heading: the entity keeps to the side that it is turned to.
             heading = track.at(along, np.zeros(world.scenarios), every)[2]

@@ -13,6 +13,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.actions.longitudinal import child
+from cornercase.simulators.builtin.frames.table import DIMENSIONS, LANE_CHANGE, LANE_OFFSET, SHAPES
 from cornercase.simulators.builtin.paths.positions import entity_index, shifted_lane
 from cornercase.simulators.builtin.paths.transitions import (
     Transition,
@@ -45,6 +46,7 @@ class LaneChangeAction(Action):
     """Moves an entity to another lane; part of its speed goes into the motion sideways."""
 
     domains = (LATERAL,)
+    remembered = ("_from", "_to", "_done", "_extent")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -62,6 +64,10 @@ class LaneChangeAction(Action):
         self._target_offset = scope.number(element, "targetLaneOffset", 0.0)
         n = scope.scenarios
         self._from, self._to, self._done, self._extent = (np.zeros(n) for _ in range(4))
+
+    def options(self) -> tuple[int, ...]:
+        shape, dimension = SHAPES.index(self._transition.shape), DIMENSIONS.index(self._transition.dimension)
+        return LANE_CHANGE, self._entity, shape, dimension
 
     def start(self, world: World, where: BoolArray) -> None:
         e = self._entity
@@ -140,6 +146,7 @@ class LaneOffsetAction(Action):
     """Moves an entity within its lane; the motion sideways does not slow it down."""
 
     domains = (LATERAL,)
+    remembered = ("_from", "_to", "_elapsed", "_duration")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -160,6 +167,9 @@ class LaneOffsetAction(Action):
             raise InputError(f"{scope.source}, line {element.sourceline}: <LaneOffsetTarget> holds no target.")
         n = scope.scenarios
         self._from, self._to, self._elapsed, self._duration = (np.zeros(n) for _ in range(4))
+
+    def options(self) -> tuple[int, ...]:
+        return LANE_OFFSET, self._entity, SHAPES.index(self._shape)
 
     def start(self, world: World, where: BoolArray) -> None:
         e = self._entity

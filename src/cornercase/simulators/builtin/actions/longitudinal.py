@@ -11,6 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
+from cornercase.simulators.builtin.frames.table import DIMENSIONS, SHAPES, SPEED_ACTION
 from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.paths.transitions import Transition
 from cornercase.simulators.builtin.world.gaps import along_roads, distance_ahead, longitudinal_gap
@@ -35,6 +36,7 @@ class SpeedAction(Action):
     """Brings an entity to a speed; where it has a driver, tells the driver which speed to aim for."""
 
     domains = (LONGITUDINAL,)
+    remembered = ("_from", "_to", "_parameter", "_span", "_stretch", "_reached", "_value", "_rate")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -42,7 +44,7 @@ class SpeedAction(Action):
         target = child(element, "SpeedActionTarget", scope)
         absolute, relative = target.find("AbsoluteTargetSpeed"), target.find("RelativeTargetSpeed")
         self._reference: int | None = None
-        self._continuous = False
+        self._continuous = self._factor = False
         if absolute is not None:
             self._value = scope.number(absolute, "value")
         elif relative is not None:
@@ -56,7 +58,12 @@ class SpeedAction(Action):
         # The transition goes from one speed to another while its parameter grows from 0 to its span, in s.
         self._from, self._to, self._parameter, self._span = (np.zeros(n) for _ in range(4))
         self._stretch = np.ones(n)
-        self._reached = np.zeros(n, dtype=np.bool_)
+        self._reached, self._rate = np.zeros(n), self._transition.value
+
+    def options(self) -> tuple[int, ...]:
+        shape, dimension = SHAPES.index(self._transition.shape), DIMENSIONS.index(self._transition.dimension)
+        reference = -1 if self._reference is None else self._reference
+        return SPEED_ACTION, self._entity, shape, dimension, reference, self._factor, self._continuous
 
     def start(self, world: World, where: BoolArray) -> None:
         e, entity = self._entity, world.entities[self._entity]
@@ -67,10 +74,9 @@ class SpeedAction(Action):
         for state, value in ((self._from, start), (self._to, target), (self._span, span), (self._stretch, stretch)):
             state[where] = value[where]
         self._parameter[where] = 0.0
-        self._reached[where] = False
+        self._reached[where] = 0.0
         at_once = where & self._transition.is_step(self._span)
-        if world.time > 0.0:
-            at_once &= ~world.driven[e]
+        at_once &= ~(world.driven[e] & (world.time > 0.0))
         world.speed[e][at_once] = target[at_once]
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
@@ -96,12 +102,12 @@ class SpeedAction(Action):
         parameter = np.where(settled, self._parameter, np.where(late, behind, parameter))
         self._parameter[where] = parameter[where]
         arrived = (parameter > self._span - _TINY) & (np.abs(speed - self._to) < _TINY)
-        self._reached |= where & arrived
+        self._reached[where & arrived] = 1.0
         speed = np.where(arrived, self._to, speed)
         world.set_speed(e, where, speed)
-        if world.time == 0.0:
-            world.speed[e][where] = speed[where]
-        return np.asarray(where & self._reached & (not self._continuous))
+        begins = where & (world.time == 0.0)
+        world.speed[e][begins] = speed[begins]
+        return np.asarray(where & (self._reached > 0.0) & (not self._continuous))
 
     def _target(self, world: World) -> FloatArray:
         target = self._value

@@ -107,7 +107,7 @@ class SpeedProfileAction(Action):
 
     def _lines(self, world: World, base: FloatArray, smooth: bool) -> list[Phase]:
         """Phases of constant acceleration from target to target, and a last one that keeps the speed."""
-        now, time = world.speed[self._entity].copy(), np.full(world.scenarios, world.time)
+        now, time = world.speed[self._entity].copy(), world.time.copy()
         targets = list(zip(self._speeds, self._spans, strict=True))
         still = np.zeros(world.scenarios)
         if (np.abs(self._spans[0]) < _TINY).all():
@@ -125,7 +125,7 @@ class SpeedProfileAction(Action):
         return [*lines, Phase(time, now, still, still)]
 
 
-def _at(profile: list[Phase], time: float) -> tuple[FloatArray, IntArray]:
+def _at(profile: list[Phase], time: FloatArray) -> tuple[FloatArray, IntArray]:
     """Speed at a time, and how many phases have passed by then, each (N,)."""
     speed = profile[0].speed
     passed, reached = np.zeros(speed.shape, dtype=np.int64), np.ones(speed.shape, dtype=np.bool_)

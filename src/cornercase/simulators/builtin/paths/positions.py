@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.paths.trajectory_shapes import Position, read_trajectory
+from cornercase.simulators.builtin.paths.trajectory_shapes import Position, WorldPlace, read_trajectory
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.lanes import lane_track
 from cornercase.simulators.builtin.world.state import World
@@ -52,6 +52,22 @@ def read_position(holder: etree._Element, scope: Scope, world: World) -> Positio
             f" it reads {', '.join(_READERS)}."
         )
     return _READERS[element.tag](element, scope, world)
+
+
+def stays_put(holder: etree._Element) -> bool:
+    """Whether the position inside `holder` is the same at every instant.
+
+    Parameters
+    ----------
+    holder : lxml element
+        ``Position``, or an element of that type.
+
+    Returns
+    -------
+    bool
+    """
+    element = next(iter(holder.iterchildren("*")), None)
+    return element is not None and element.tag in ("WorldPosition", "LanePosition", "RoadPosition")
 
 
 def entity_index(element: etree._Element, scope: Scope, world: World, attribute: str = "entityRef") -> int:
@@ -102,15 +118,7 @@ def entities_in(holder: etree._Element, scope: Scope, world: World) -> list[int]
 
 
 def _world_position(element: etree._Element, scope: Scope, world: World) -> Position:
-    pose = Pose(scope.number(element, "x"), scope.number(element, "y"), scope.number(element, "h", 0.0))
-
-    def resolve(world: World) -> Pose:
-        if world.network is None:
-            return pose
-        place = world.network.locate(pose.x, pose.y)
-        return Pose(pose.x, pose.y, pose.heading, place.road, place.lane, place.s, place.offset)
-
-    return resolve
+    return WorldPlace(Pose(scope.number(element, "x"), scope.number(element, "y"), scope.number(element, "h", 0.0)))
 
 
 def _lane_position(element: etree._Element, scope: Scope, world: World) -> Position:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -23,6 +23,30 @@ Position = Callable[[World], Pose]
 
 PositionReader = Callable[[etree._Element, Scope, World], Position]
 """Reads the position that an element holds."""
+
+
+class WorldPlace:
+    """A place that a file gives by its coordinates; on which road it is, is looked up only for who asks.
+
+    Parameters
+    ----------
+    pose : Pose
+        Without a road.
+
+    Attributes
+    ----------
+    pose : Pose
+    """
+
+    def __init__(self, pose: Pose) -> None:
+        self.pose = pose
+
+    def __call__(self, world: World) -> Pose:
+        """Return the place with its road."""
+        if world.network is None:
+            return self.pose
+        return replace(self.pose, **world.network.locate(self.pose.x, self.pose.y)._asdict())
+
 
 # Times that differ by less, in s, are the same.
 _SAME_TIME: Final = 1e-6
@@ -144,7 +168,7 @@ def _polyline(element: etree._Element, scope: Scope, world: World, read: Positio
             turning = world.entities[entity].turning or turning
         if smooth:
             begin_speed = np.zeros(world.scenarios) if entity is None else world.speed[entity].copy()
-        poses = [position(world) for position in positions]
+        poses = [_coordinates(position, world) for position in positions]
         headings = [
             pose.heading if said else np.full_like(pose.heading, np.nan)
             for pose, said in zip(poses, oriented, strict=True)
@@ -238,13 +262,18 @@ def _nurbs(element: etree._Element, scope: Scope, world: World, read: PositionRe
     def lay_out(
         world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
     ) -> Trajectory:
-        poses = [position(world) for position in positions]
+        poses = [_coordinates(position, world) for position in positions]
         x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
         px, py, heading, reached = nurbs_points(x, y, times, weights, knots, order)
         # On a curve, every heading is that of the curve, and turns from point to point.
         return Polyline(px, py, heading, None if clock is None else clock.times(reached), False, ALONG_LEGS)
 
     return lay_out
+
+
+def _coordinates(position: Position, world: World) -> Pose:
+    """Place as it is now, with a road only where it is found by its road."""
+    return position.pose if isinstance(position, WorldPlace) else position(world)
 
 
 def _position(element: etree._Element, scope: Scope) -> etree._Element:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final, Protocol
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -52,6 +52,7 @@ class Watch:
         """Whether the element is, or was since the last time, as waited for, shape (N,)."""
         result = self._seen if self._state is None else np.where(self._changed, self._seen, self._known == self._state)
         result = np.asarray(result & where)
+        world.stirred |= where & self._changed
         self._known = np.where(where & self._changed, self._latest, self._known)
         self.forget(where)
         return result
@@ -78,6 +79,11 @@ class Starter(Protocol):
 
     def reset(self, where: BoolArray) -> None:
         """Begin anew in the scenarios of the mask."""
+        ...
+
+    @property
+    def groups(self) -> list[list[Any]]:
+        """All its conditions, by group."""
         ...
 
 
@@ -127,9 +133,17 @@ class Element:
         """Tell of all changes from now on."""
         self._watches.append(watch)
 
-    def in_state(self, state: int) -> BoolArray:
-        """Scenarios in which the element is in a state, shape (N,)."""
-        return np.asarray(self.state == state)
+    def waits(self) -> Iterator[tuple[Starter, BoolArray]]:
+        """Triggers of the element, and where each of them may fire in the next frame."""
+        if self._start is not None:
+            yield self._start, self.state == STANDBY
+        if self._stop is not None:
+            yield self._stop, self.state == RUNNING
+
+    @property
+    def starts_by_itself(self) -> bool:
+        """Whether no trigger starts it."""
+        return self._start is None
 
     def move(self, where: BoolArray, state: int, transition: int) -> None:
         """Go to a state in the scenarios of a mask."""

@@ -13,8 +13,10 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.frames import leaves
+from cornercase.simulators.builtin.frames.leaves import ALIGNED, TOLERANCE, Leaf
 from cornercase.simulators.builtin.paths.distances import Gap, read_gap
-from cornercase.simulators.builtin.paths.positions import entities_in, entity_index, read_position
+from cornercase.simulators.builtin.paths.positions import entities_in, entity_index, read_position, stays_put
 from cornercase.simulators.builtin.world.contacts import overlap
 from cornercase.simulators.builtin.world.gaps import along_roads, longitudinal_reach
 from cornercase.simulators.builtin.world.state import World
@@ -28,10 +30,22 @@ from cornercase.simulators.builtin.world.whereabouts import (
 
 EntityTest = Callable[[World, int], BoolArray]
 
-TOLERANCE: Final = 1e-6
 
-# A position with an orientation is reached with a heading that differs by less, in rad; esmini's figure.
-_ALIGNED: Final = 0.05
+class Known:
+    """A test that compiled code knows as well: one leaf for each other entity that it asks about.
+
+    Parameters
+    ----------
+    test : EntityTest
+    *found : Leaf
+    """
+
+    def __init__(self, test: EntityTest, *found: Leaf) -> None:
+        self._test, self.leaves = test, found
+
+    def __call__(self, world: World, e: int) -> BoolArray:
+        """Whether it holds of an entity, shape (N,)."""
+        return self._test(world, e)
 
 
 def _equal(a: Any, b: Any) -> Any:
@@ -68,9 +82,27 @@ def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
     return _RULES[rule]
 
 
+def number_of_rule(rule: Callable[[Any, Any], Any]) -> int:
+    """Number of a comparison, as compiled code counts them.
+
+    Parameters
+    ----------
+    rule : callable
+        One of `rule_of`.
+
+    Returns
+    -------
+    int
+    """
+    return list(_RULES.values()).index(rule)
+
+
+_COMPONENTS: Final = {"": leaves.ALL_WAYS, "longitudinal": leaves.ALONG, "lateral": leaves.ACROSS}
+
+
 def _traveled(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     value = scope.number(element, "value")
-    return lambda world, e: np.asarray(world.odometer[e] >= value)
+    return Known(lambda world, e: np.asarray(world.odometer[e] >= value), Leaf(leaves.TRAVELED, values=(value,)))
 
 
 def _reach_position(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -80,13 +112,19 @@ def _reach_position(element: etree._Element, scope: Scope, world: World) -> Enti
     position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
     oriented = holder.find("*/Orientation") is not None
 
+    # Where it stays put, it is looked up once.
+    place = position(world) if stays_put(holder) else None
+
     def reached(world: World, e: int) -> BoolArray:
-        pose = position(world)
+        pose = position(world) if place is None else place
         near = np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance
         turn = within_half_turn(pose.heading - world.heading[e])
-        return np.asarray(near & (np.abs(turn) < _ALIGNED) if oriented else near)
+        return np.asarray(near & (np.abs(turn) < ALIGNED) if oriented else near)
 
-    return reached
+    if place is None:
+        return reached
+    values = (place.x, place.y, place.heading, tolerance)
+    return Known(reached, Leaf(leaves.REACHES, option=int(oriented), values=values))
 
 
 def _along(world: World, vector: tuple[FloatArray, FloatArray], e: int, axes: int, direction: str) -> FloatArray:
@@ -100,9 +138,11 @@ def _along(world: World, vector: tuple[FloatArray, FloatArray], e: int, axes: in
 def _speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     rule, value = rule_of(element, scope), scope.number(element, "value")
     direction = scope.text(element, "direction", "")
+    option = _COMPONENTS.get(direction, leaves.UPWARDS)
+    leaf = Leaf(leaves.SPEED_IS, rule=number_of_rule(rule), option=option, values=(value,))
     if not direction:
-        return lambda world, e: np.asarray(rule(world.speed[e], value))
-    return lambda world, e: np.asarray(rule(_along(world, world.gone, e, e, direction), value))
+        return Known(lambda world, e: np.asarray(rule(world.speed[e], value)), leaf)
+    return Known(lambda world, e: np.asarray(rule(_along(world, world.gone, e, e, direction), value)), leaf)
 
 
 def _relative_speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -117,7 +157,8 @@ def _relative_speed(element: etree._Element, scope: Scope, world: World) -> Enti
             apart = own - theirs
         return np.asarray(rule(apart, value) & world.present[other])
 
-    return holds
+    option = _COMPONENTS.get(direction, leaves.UPWARDS)
+    return Known(holds, Leaf(leaves.RELATIVE_SPEED, other, number_of_rule(rule), option, (value,)))
 
 
 def _acceleration(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -131,17 +172,20 @@ def _acceleration(element: etree._Element, scope: Scope, world: World) -> Entity
         size = np.hypot(world.pull[0][e], world.pull[1][e])
         return np.asarray(rule(np.where(_along(world, world.pull, e, e, "longitudinal") < 0.0, -size, size), value))
 
-    return holds
+    option = _COMPONENTS.get(direction, leaves.UPWARDS)
+    return Known(holds, Leaf(leaves.ACCELERATION_IS, rule=number_of_rule(rule), option=option, values=(value,)))
 
 
 def _stand_still(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     duration = scope.number(element, "duration")
-    return lambda world, e: np.asarray(world.time - world.standing_since[e] > duration)
+    leaf = Leaf(leaves.STANDS, values=(duration,))
+    return Known(lambda world, e: np.asarray(world.time - world.standing_since[e] > duration), leaf)
 
 
 def _end_of_road(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     duration = scope.number(element, "duration")
-    return lambda world, e: np.asarray(world.time - world.at_end_since[e] > duration - TOLERANCE)
+    leaf = Leaf(leaves.AT_END, values=(duration,))
+    return Known(lambda world, e: np.asarray(world.time - world.at_end_since[e] > duration - TOLERANCE), leaf)
 
 
 def _off_road(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -166,7 +210,7 @@ def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTes
             result |= overlap(world, e, other)
         return result
 
-    return holds
+    return Known(holds, *(Leaf(leaves.COLLIDES, other) for other in others))
 
 
 def _type_of(kind: str) -> str:
@@ -176,7 +220,12 @@ def _type_of(kind: str) -> str:
 def _relative_distance(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     other, gap = entity_index(element, scope, world), read_gap(element, scope)
     rule, value = rule_of(element, scope), scope.number(element, "value")
-    return lambda world, e: np.asarray(rule(np.abs(gap.to_entity(world, e, other)), value) & world.present[other])
+
+    def holds(world: World, e: int) -> BoolArray:
+        return np.asarray(rule(np.abs(gap.to_entity(world, e, other)), value) & world.present[other])
+
+    option = _measured(gap, to_entity=True)
+    return holds if option is None else Known(holds, Leaf(leaves.APART, other, number_of_rule(rule), option, (value,)))
 
 
 def _distance(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -185,7 +234,25 @@ def _distance(element: etree._Element, scope: Scope, world: World) -> EntityTest
         raise InputError(f"{scope.source}, line {element.sourceline}: <DistanceCondition> has no <Position>.")
     position, gap = read_position(holder, scope, world), read_gap(element, scope)
     rule, value = rule_of(element, scope), scope.number(element, "value")
-    return lambda world, e: np.asarray(rule(np.abs(gap.to_place(world, e, position(world))), value))
+    place = position(world) if stays_put(holder) else None
+
+    def holds(world: World, e: int) -> BoolArray:
+        pose = position(world) if place is None else place
+        return np.asarray(rule(np.abs(gap.to_place(world, e, pose)), value))
+
+    option = _measured(gap, to_entity=False)
+    if option is None or place is None:
+        return holds
+    leaf = Leaf(leaves.APART_FROM_PLACE, -1, number_of_rule(rule), option, (place.x, place.y, value))
+    return Known(holds, leaf)
+
+
+def _measured(gap: Gap, to_entity: bool) -> int | None:
+    """How compiled code measures a distance; None where it cannot."""
+    kinds = {"euclidean": leaves.EUCLIDEAN, "longitudinal": leaves.LONGITUDINAL, "lateral": leaves.LATERAL}
+    if (gap.along_road and gap.kind != "euclidean") or (to_entity and gap.free and gap.kind == "euclidean"):
+        return None
+    return kinds[gap.kind] + leaves.FREE * gap.free
 
 
 def _time_headway(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -197,7 +264,10 @@ def _time_headway(element: etree._Element, scope: Scope, world: World) -> Entity
         defined = (distance >= 0.0) & (speed >= TOLERANCE) & world.present[other]
         return np.asarray(defined & rule(distance / np.where(defined, speed, 1.0), value))
 
-    return holds
+    option = _measured(gap, to_entity=True)
+    return (
+        holds if option is None else Known(holds, Leaf(leaves.HEADWAY, other, number_of_rule(rule), option, (value,)))
+    )
 
 
 def _time_to_collision(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -207,7 +277,14 @@ def _time_to_collision(element: etree._Element, scope: Scope, world: World) -> E
     holder = None if target is None else target.find("Position")
     if reference is not None:
         other = entity_index(reference, scope, world)
-        return lambda world, e: _collides(world, e, other, gap, rule, value)
+        option = _measured(gap, to_entity=True)
+
+        def collides(world: World, e: int) -> BoolArray:
+            return _collides(world, e, other, gap, rule, value)
+
+        if option is None:
+            return collides
+        return Known(collides, Leaf(leaves.TIME_TO_COLLISION, other, number_of_rule(rule), option, (value,)))
     if holder is None:
         raise InputError(
             f"{scope.source}, line {element.sourceline}: <TimeToCollisionCondition> names neither an entity nor a"

@@ -39,7 +39,7 @@ class RunningAction(Element):
         chosen: Callable[[], BoolArray] | None = None,
     ) -> None:
         super().__init__("action", name, scenarios)
-        self._action, self._chosen, self._world, self._rivals = action, chosen, world, rivals
+        self.action, self._chosen, self._world, self._rivals = action, chosen, world, rivals
         self.domains = () if action is None else action.domains
         rivals.append(self)
 
@@ -50,8 +50,8 @@ class RunningAction(Element):
             self.end(where & ~taking_part)
             where = taking_part
         self.move(where, RUNNING, START)
-        if self._action is not None:
-            self._action.start(self._world, where)
+        if self.action is not None:
+            self.action.start(self._world, where)
 
     def take_over(self, where: BoolArray) -> None:
         """End all actions of the same entity that decide some of the same, in the scenarios of a mask."""
@@ -63,7 +63,8 @@ class RunningAction(Element):
         """Act for one time step in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if where.any():
-            done = where if self._action is None else self._action.step(self._world, dt, where) & where
+            done = where if self.action is None else self.action.step(self._world, dt, where) & where
+            self._world.stirred |= done
             self._finish(done)
 
     def end(self, where: BoolArray) -> None:
@@ -78,8 +79,8 @@ class RunningAction(Element):
         super().end(where)
 
     def _leave(self, where: BoolArray) -> None:
-        if self._action is not None and where.any():
-            self._action.leave(self._world, where)
+        if self.action is not None and where.any():
+            self.action.leave(self._world, where)
 
 
 class Event(Element):
@@ -117,7 +118,9 @@ class Event(Element):
         """Start where the maneuver runs and the trigger fires."""
         waiting = where & (self.state == STANDBY)
         if waiting.any():
-            self._execute(waiting if self._start is None else self._start.fires(world, waiting))
+            fired = waiting if self._start is None else self._start.fires(world, waiting)
+            world.stirred |= fired
+            self._execute(fired)
 
     def start(self, where: BoolArray) -> None:
         """Get ready, as the maneuver starts."""
@@ -182,7 +185,9 @@ class Group(Element):
             self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
         waiting = where & (self.state == STANDBY)
         if waiting.any():
-            self._run(waiting if self._start is None else self._start.fires(world, waiting))
+            begins = waiting if self._start is None else self._start.fires(world, waiting)
+            world.stirred |= begins
+            self._run(begins)
         running = where & (self.state == RUNNING)
         if running.any():
             for part in self._parts:

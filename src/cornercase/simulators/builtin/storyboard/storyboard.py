@@ -16,7 +16,7 @@ from cornercase.scenario import Scenario, Scope
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.actions.basic import read_action
 from cornercase.simulators.builtin.paths.positions import entities_in, entity_index
-from cornercase.simulators.builtin.storyboard.element import Element, Watch
+from cornercase.simulators.builtin.storyboard.element import STANDBY, Element, Starter, Watch
 from cornercase.simulators.builtin.storyboard.events import Event, Group, RunningAction
 from cornercase.simulators.builtin.storyboard.triggers import Trigger, read_trigger
 from cornercase.simulators.builtin.world.contacts import find_contacts
@@ -36,6 +36,12 @@ class Storyboard:
         The parameters' values.
     world : World
 
+    Attributes
+    ----------
+    stories : list of Group
+    actions : list of RunningAction
+        All of them, in the order in which they act.
+
     Raises
     ------
     InputError
@@ -49,10 +55,13 @@ class Storyboard:
         self._watches: list[tuple[str, str, Watch, str]] = []
         # By entity, or None for actions of no entity.
         self._actions: dict[int | None, list[RunningAction]] = {}
+        self.actions: list[RunningAction] = []
+        self._triggered: list[Element] = []
         root = scenario.root.find("Storyboard")
         assert root is not None
         self._init = list(self._read_init(root, scope))
         self._stopped = np.zeros(scope.scenarios, dtype=np.bool_)
+        self._going = ~self._stopped
         self.stories = [self._read_story(story, scope) for story in root.iterfind("Story")]
         self._stop = read_trigger(root.find("StopTrigger"), scope, world, self)
         for kind, reference, watch, where in self._watches:
@@ -60,6 +69,20 @@ class Storyboard:
             if found is None:
                 raise InputError(f"{where}: there is no {kind} '{reference}' in the storyboard.")
             found.watch(watch)
+
+    def waits(self) -> Iterator[tuple[Starter, BoolArray]]:
+        """All triggers, always in the same order, and where each of them may fire in the next frame."""
+        yield self._stop, np.ones(self._world.scenarios, dtype=np.bool_)
+        for element in self._triggered:
+            yield from element.waits()
+
+    def starting(self) -> BoolArray:
+        """Scenarios in which an element that no trigger starts waits for the next frame, shape (N,)."""
+        result = self._stopped.copy()
+        for element in self._triggered:
+            if element.starts_by_itself:
+                result |= element.state == STANDBY
+        return result
 
     def watch(self, kind: str, name: str, watch: Watch, where: str) -> None:
         """Let something watch the element of a kind and name, as soon as that is known."""
@@ -75,29 +98,46 @@ class Storyboard:
                 return element
         return None
 
-    def step(self, dt: float) -> None:
-        """Advance by one frame: triggers at the present time, then the actions."""
+    def look(self, dt: float) -> None:
+        """Evaluate all triggers at the present time, as a frame begins, and start what they start.
+
+        Parameters
+        ----------
+        dt : float
+            Length in s of the step that the frame takes; 0 for the first, in which everybody is placed.
+        """
         world = self._world
         if dt == 0.0:
             for action in self._init:
                 action.start(world.running.copy())
             # Nothing has moved yet, but conditions on velocities and collisions hold from the start.
-            world.gone = velocity_ahead(world)
+            world.gone[0][:], world.gone[1][:] = velocity_ahead(world)
             find_contacts(world)
             for story in self.stories:
                 story.start(world.running.copy())
         stopped = self._stop.fires(world, world.running.copy())
+        ends = stopped | (self._stopped & world.running)
+        self._stopped |= stopped
         if dt > 0.0:
-            world.running &= ~(stopped | self._stopped)
-        self._stopped = stopped
+            world.running &= ~ends
         # A storyboard that stops in the first frame, which is recorded, does nothing in it.
-        going = world.running & ~stopped
+        self._going = ~stopped
         for story in self.stories:
-            story.evaluate(world, going)
+            story.evaluate(world, world.running & self._going)
+
+    def act(self, dt: float) -> None:
+        """Let all actions act, as a frame goes on.
+
+        Parameters
+        ----------
+        dt : float
+            Length of its step in s.
+        """
+        running = self._world.running
         for action in self._init:
-            action.step(dt, world.running)
+            action.step(dt, running)
         for story in self.stories:
-            story.step(dt, going)
+            story.step(dt, running & self._going)
 
     def _read_init(self, root: etree._Element, scope: Scope) -> Iterator[RunningAction]:
         actions = root.find("Init/Actions")
@@ -184,10 +224,12 @@ class Storyboard:
         chosen: Callable[[], BoolArray] | None = None,
     ) -> RunningAction:
         rivals = self._actions.setdefault(entity, [])
-        return RunningAction(name, scope.scenarios, action, self._world, rivals, chosen)
+        self.actions.append(RunningAction(name, scope.scenarios, action, self._world, rivals, chosen))
+        return self.actions[-1]
 
     def _known(self, element: E) -> E:
         self._elements.setdefault((element.kind, element.name), []).append((element, tuple(self._parents)))
+        self._triggered.append(element)
         return element
 
     @contextmanager

@@ -11,13 +11,23 @@ from lxml import etree
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.frames import leaves
+from cornercase.simulators.builtin.frames.leaves import TOLERANCE, Asked, Leaf
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.storyboard.element import Watch
-from cornercase.simulators.builtin.storyboard.entity_conditions import BY_ENTITY, TOLERANCE, EntityTest, rule_of
+from cornercase.simulators.builtin.storyboard.entity_conditions import (
+    BY_ENTITY,
+    EntityTest,
+    Known,
+    number_of_rule,
+    rule_of,
+)
 from cornercase.simulators.builtin.world.signals import named_controller, named_phase
 from cornercase.simulators.builtin.world.state import World
 
 Test = Callable[[World, BoolArray], BoolArray]
+
+_CONSTANT: Final = Leaf(leaves.CONSTANT)
 
 # Conditions that only a user's program or the time of day could make true.
 NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
@@ -65,7 +75,29 @@ class Condition:
         else:
             result = (last >= 0) & (now != (last == 1))
         self._last = np.where(where, now.astype(np.int8), last)
-        return where & (result if self._past is None else self._past.recall(world.time, result, where))
+        if self._edge != "none":
+            world.stirred |= self._last != last
+        return where & (result if self._past is None else self._past.recall(world, result, where))
+
+    @property
+    def asked(self) -> Asked | None:
+        """What compiled code asks for it; None where it cannot."""
+        test, plain = self.test, self._edge == "none" and self._past is None
+        if isinstance(test, OfEntities):
+            return None if test.leaves is None else Asked(test.leaves, test.every, plain)
+        if isinstance(test, ByValue):
+            return Asked([(-1, test.leaf)], True, plain)
+        return Asked([], True, False) if isinstance(test, Watch) else None
+
+    def constant(self, world: World) -> BoolArray | None:
+        """Whether it holds until the storyboard changes something, shape (N,); None for one that may change before."""
+        test = self.test
+        return test.value(world) if isinstance(test, ByValue) and test.leaf.kind == leaves.CONSTANT else None
+
+    @property
+    def past(self) -> Past | None:
+        """What it was before, where it has a delay."""
+        return self._past
 
     def rearm(self, where: BoolArray) -> None:
         """See no edge at the next evaluation in the scenarios of the mask."""
@@ -90,24 +122,25 @@ class Past:
 
     def __init__(self, delay: FloatArray) -> None:
         self._delay = delay
-        # Frames that are not yet past the delay everywhere: time, value, and where the value was a new one.
-        self._frames: list[tuple[float, BoolArray, BoolArray]] = []
+        # Frames that are not yet past the delay everywhere: times, values, and where the value was a new one.
+        self._frames: list[tuple[FloatArray, BoolArray, BoolArray]] = []
         self._newest, self._now = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
-    def recall(self, time: float, value: BoolArray, where: BoolArray) -> BoolArray:
+    def recall(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
         """Note the value of now, and return that of a delay ago, shape (N,).
 
         Of several values since the last time, one that was true counts.
         """
-        new = where & (self._newest != value)
+        new, time = where & (self._newest != value), world.time
         self._newest[new] = value[new]
-        if self._frames and time <= self._frames[-1][0]:
+        world.stirred |= new
+        for then, was, changed in self._frames:
             # The first two frames are at the same time; of them the later counts.
-            _, was, changed = self._frames[-1]
-            again = new & changed
+            again = new & changed & (time <= then)
             was[again] = value[again]
             new &= ~again
-        self._frames.append((time, value.copy(), new))
+        if new.any():
+            self._frames.append((time.copy(), value.copy(), new))
         result, found = np.zeros_like(where), np.zeros_like(where)
         for then, was, changed in self._frames:
             due = where & changed & (then <= time - self._delay + TOLERANCE)
@@ -115,8 +148,21 @@ class Past:
             result |= due & was
             found |= due
             changed &= ~due
+        world.stirred |= found
         self._frames = [frame for frame in self._frames if frame[2].any()]
         return np.where(found, result, self._now == 1)
+
+    @property
+    def delay(self) -> FloatArray:
+        """What held this long ago in s counts now, shape (N,)."""
+        return self._delay
+
+    def pending(self) -> FloatArray:
+        """Time in s of the oldest change that waits for its delay, infinite where none does, shape (N,)."""
+        result = np.full(len(self._delay), np.inf)
+        for then, _, changed in self._frames:
+            result = np.where(changed, np.minimum(result, then), result)
+        return result
 
     def forget(self, where: BoolArray) -> None:
         """Forget all in the scenarios of the mask."""
@@ -136,6 +182,11 @@ class Trigger:
 
     def __init__(self, groups: list[list[Condition]]) -> None:
         self._groups = groups
+
+    @property
+    def groups(self) -> list[list[Condition]]:
+        """All conditions, by group."""
+        return self._groups
 
     @property
     def empty(self) -> bool:
@@ -168,6 +219,7 @@ class Trigger:
                 # Without a delay, a condition is evaluated only where all before it hold; elsewhere its edge stays.
                 holds &= condition.evaluate(world, where & (holds | condition.delayed))
             fired |= holds
+        world.stirred |= fired
         if fired.any():
             for group in self._groups:
                 for condition in group:
@@ -238,17 +290,33 @@ class OfEntities:
 
     def __init__(self, entities: list[int], every: bool, test: EntityTest) -> None:
         self.entities = entities
-        self._every, self._test = every, test
+        self.every, self._test = every, test
         self._held: list[BoolArray] = []
+
+    @property
+    def leaves(self) -> list[tuple[int, Leaf]] | None:
+        """What it asks of each entity; None where compiled code cannot ask."""
+        test = self._test
+        return [(e, leaf) for e in self.entities for leaf in test.leaves] if isinstance(test, Known) else None
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
         self._held = [self._test(world, e) & world.present[e] for e in self.entities]
         result = np.stack(self._held)
-        return np.asarray(result.all(axis=0) if self._every else result.any(axis=0))
+        return np.asarray(result.all(axis=0) if self.every else result.any(axis=0))
 
     def held_of(self, entity: int) -> BoolArray:
         """Scenarios in which it was last true of an entity, shape (N,)."""
         return self._held[self.entities.index(entity)]
+
+
+class ByValue:
+    """A condition on the time, or on what only the storyboard itself changes, which compiled code knows, too."""
+
+    def __init__(self, value: Callable[[World], BoolArray], leaf: Leaf = _CONSTANT) -> None:
+        self.value, self.leaf = value, leaf
+
+    def __call__(self, world: World, where: BoolArray) -> BoolArray:
+        return self.value(world)
 
 
 def _of_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
@@ -263,8 +331,9 @@ def _of_triggering_entities(element: etree._Element, scope: Scope, world: World,
 
 
 def _simulation_time(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    rule, value, n = rule_of(element, scope), scope.number(element, "value"), scope.scenarios
-    return lambda world, where: np.asarray(rule(np.full(n, world.time), value))
+    rule, value = rule_of(element, scope), scope.number(element, "value")
+    leaf = Leaf(leaves.CLOCK, rule=number_of_rule(rule), values=(value,))
+    return ByValue(lambda world: np.asarray(rule(world.time, value)), leaf)
 
 
 def _element_state(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
@@ -288,7 +357,7 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
         )
     if values[name].dtype.kind == "f":
         rule, value = rule_of(element, scope), scope.number(element, "value")
-        return lambda world, where: np.asarray(rule(values[name], value))
+        return ByValue(lambda world: np.asarray(rule(values[name], value)))
     text, rule_name = scope.text(element, "value"), scope.text(element, "rule", "equalTo")
     if text in ("0", "1") and set(np.unique(values[name])) <= {"true", "false"}:
         text = "true" if text == "1" else "false"
@@ -306,20 +375,23 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
             f"{scope.source}, line {element.sourceline}: rule '{rule_name}': {suggestion(rule_name, orders)}"
         )
     compare = orders[rule_name]
-    return lambda world, where: np.asarray(compare(values[name], text))
+    return ByValue(lambda world: np.asarray(compare(values[name], text)))
 
 
 def _never(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
     # Nothing in this simulator could make these conditions true.
     result = np.zeros(scope.scenarios, dtype=np.bool_)
-    return lambda world, where: result
+    return ByValue(lambda world: result)
 
 
 def _signal(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
     name, state, n = scope.text(element, "name"), scope.text(element, "state"), scope.scenarios
-    return lambda world, where: (
-        np.asarray(world.signals[name] == state) if name in world.signals else np.zeros(n, np.bool_)
-    )
+
+    def shows(world: World) -> BoolArray:
+        return np.asarray(world.signals[name] == state) if name in world.signals else np.zeros(n, np.bool_)
+
+    # With controllers, signals change by themselves.
+    return (lambda world, where: shows(world)) if world.signal_controllers else ByValue(shows)
 
 
 def _signal_controller(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:

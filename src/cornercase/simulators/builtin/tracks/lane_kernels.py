@@ -1,7 +1,7 @@
 """Compiled twins of `LaneTrack` and `LanePath`, for one scenario at a time."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SHRUNK = 0.1
 """Where a lane is shorter than this part of the reference line, an entity moves along the lane alone."""
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def place_on_lane(tracks, g, distance, offset):
     """Place at a distance along a lane.
 
@@ -45,7 +45,7 @@ def place_on_lane(tracks, g, distance, offset):
     )
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def place_on_path(distances, xs, ys, headings, curvatures, count, distance, offset):
     """Place at a distance along a path of lanes, `place_on_lane` without tables.
 
@@ -78,7 +78,7 @@ def place_on_path(distances, xs, ys, headings, curvatures, count, distance, offs
     return x - offset * math.sin(heading), y + offset * math.cos(heading), heading
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def advance_lane(tracks, g, distance, offset, way):
     """Distance along a lane after a step along the reference line.
 
@@ -111,7 +111,7 @@ def advance_lane(tracks, g, distance, offset, way):
     )
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def _advance(distances, references, centers, count, bends_at, bends, known, distance, offset, way):
     if math.isnan(distance + offset + way):
         return math.nan
@@ -129,7 +129,7 @@ def _advance(distances, references, centers, count, bends_at, bends, known, dist
     return _between(reference, table, count, ahead, _last_within(reference, count, ahead, max(j, 0)))
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def lane_place(tracks, g, distance):
     """Where on the roads a distance along a lane is.
 
@@ -162,7 +162,7 @@ def lane_place(tracks, g, distance):
     return road, lane, s, along
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def goes_over(tracks, g, distance):
     """Whether another track leads on from a distance along a lane.
 
@@ -182,12 +182,12 @@ def goes_over(tracks, g, distance):
     return (distance < first) | (distance > last)
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _mixed(values, k, part):
     return values[k] + part * (values[k + 1] - values[k])
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _sample(table, count, x):
     """Last element of an evenly spaced table that does not lie beyond x; -1 before its begin."""
     if x < table[0]:
@@ -202,7 +202,7 @@ def _sample(table, count, x):
     return j
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _last_within(table, count, x, near):
     """Last element of an ascending table that does not lie beyond x, looked for from one on; -1 before its begin."""
     if table[near] <= x:
@@ -226,7 +226,7 @@ def _last_within(table, count, x, near):
     return low
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _between(places, values, count, x, j):
     """Value at x as `numpy.interp` gives it, where j is the last of the places that does not lie beyond x."""
     if j < 0:

@@ -1,7 +1,7 @@
 """Where a track passes nearest to a place, compiled, for one scenario at a time."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from cornercase.simulators.builtin.tracks.lane_kernels import place_on_lane
 from cornercase.simulators.builtin.tracks.line_kernels import place_on_line
 
 
-@kernel(error_model="numpy", forceinline=True)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def place_on(tracks, g, n, distance, offset):
     """Place at a distance along a track, whose kind is `LANE` or `LINE`.
 

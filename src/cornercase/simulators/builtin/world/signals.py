@@ -44,20 +44,20 @@ class SignalController:
         self._begin = delay.copy()
         self._phase = np.full(len(delay), -1)
 
-    def phase(self, time: float) -> IntArray:
-        """Which phase it is in at a time in s, shape (N,)."""
+    def phase(self, time: FloatArray) -> IntArray:
+        """Which phase it is in at times in s, shape (N,)."""
         since = np.mod(time - self._begin + _TINY, self._ends[-1])
         return np.asarray(np.minimum((self._ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
 
-    def go_to(self, phase: int, time: float, where: BoolArray) -> None:
+    def go_to(self, phase: int, time: FloatArray, where: BoolArray) -> None:
         """Begin a phase now, and go on from there, in the scenarios of a mask."""
         begins = self._ends[phase - 1] if phase else np.zeros(self._ends.shape[1])
         self._begin[where] = (time - begins)[where]
         self._phase[where] = -1
 
-    def switch(self, signals: dict[str, npt.NDArray[np.str_]], time: float) -> None:
-        """Give the signals their states where a phase has begun."""
-        now = self.phase(time)
+    def switch(self, signals: dict[str, npt.NDArray[np.str_]], time: FloatArray, where: BoolArray) -> None:
+        """Give the signals their states where a phase has begun, in the scenarios of a mask."""
+        now = np.where(where, self.phase(time), self._phase)
         for k in np.unique(now[now != self._phase]):
             begun = (now == k) & (now != self._phase)
             for signal, state in self._states[k].items():

@@ -15,7 +15,17 @@ import numpy.typing as npt
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
-from cornercase.simulators.builtin.tracks.track import FREE, Track
+from cornercase.simulators.builtin.tracks.track import Track
+from cornercase.simulators.builtin.world.layout import (
+    FLAGS,
+    FLOATS,
+    GONE_X,
+    GONE_Y,
+    NUMBERS,
+    PULL_X,
+    PULL_Y,
+    ROWS_OF_FLOATS,
+)
 from cornercase.simulators.builtin.world.signals import SignalController
 
 LONGITUDINAL, LATERAL = "longitudinal", "lateral"
@@ -86,8 +96,8 @@ class World:
 
     Attributes
     ----------
-    time : float
-        s; the same for all, since they run in lock-step.
+    time : ndarray of float64, shape (N,)
+        s; each scenario has a clock of its own.
     x, y, heading, speed, acceleration : ndarray of float64, shape (E, N)
     odometer : ndarray of float64, shape (E, N)
         Travelled distance in m, as the sum of chords.
@@ -95,7 +105,7 @@ class World:
         Time at which the entity came to rest; infinite while it moves.
     present : ndarray of bool, shape (E, N)
     running : ndarray of bool, shape (N,)
-        Scenarios that have not ended.
+        Scenarios that take part in the present frame.
     touching : ndarray of bool, shape (E, E, N)
         Which entities' boxes overlap, as of the last row.
     distance, offset : ndarray of float64, shape (E, N)
@@ -160,10 +170,19 @@ class World:
         Change of that velocity in the last step, in m/s².
     jumped : ndarray of bool, shape (E, N)
         Entities that were put somewhere in this step.
+    stirred : ndarray of bool, shape (N,)
+        Scenarios in whose storyboard something has changed in the present frame.
     begun : bool
         Whether the first frame, in which nothing moves, is over.
-    last_step : float
+    last_step : ndarray of float64, shape (N,)
         Length of the last time step in s.
+    before : ndarray of float64, shape (E, N)
+        Speed in m/s with which the frame began.
+    floats, flags, numbers : ndarray, each (N, K, E)
+        The tables that hold all of this; rows are named in `layout`. The arrays above are views of them, to be written
+        to and never replaced.
+    overlaps : ndarray of bool, shape (N, E, E)
+        The table behind `touching`.
     tracks : list of list of Track
         By entity, all that it has followed.
     track : ndarray of int64, shape (E, N)
@@ -176,6 +195,41 @@ class World:
         Why scenarios failed.
     """
 
+    x: FloatArray
+    y: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    odometer: FloatArray
+    standing_since: FloatArray
+    distance: FloatArray
+    offset: FloatArray
+    turn: FloatArray
+    sideways: FloatArray
+    pace: FloatArray
+    velocity: FloatArray
+    last_s: FloatArray
+    at_end_since: FloatArray
+    off_road_since: FloatArray
+    target_speed: FloatArray
+    from_x: FloatArray
+    from_y: FloatArray
+    from_heading: FloatArray
+    before: FloatArray
+    present: BoolArray
+    changes_lanes: BoolArray
+    stranded: BoolArray
+    moved: BoolArray
+    decided: BoolArray
+    activated: BoolArray
+    driven: BoolArray
+    visible: BoolArray
+    jumped: BoolArray
+    track: IntArray
+    route: IntArray
+    last_road: IntArray
+    driver: IntArray
+
     def __init__(
         self,
         entities: tuple[Entity, ...],
@@ -183,48 +237,37 @@ class World:
         network: RoadNetwork | None,
         tows: tuple[Tow, ...] = (),
     ) -> None:
-        shape = (len(entities), scenarios)
         self.entities, self.tows = entities, tows
         self.names = [entity.name for entity in entities]
         self.scenarios = scenarios
         self.network = network
-        self.time = 0.0
-        self.x, self.y, self.heading = (np.full(shape, np.nan) for _ in range(3))
-        self.speed, self.acceleration, self.odometer = (np.zeros(shape) for _ in range(3))
-        self.standing_since = np.full(shape, np.inf)
-        self.present = np.zeros(shape, dtype=np.bool_)
+        self.time, self.last_step = np.zeros(scenarios), np.zeros(scenarios)
         self.running = np.ones(scenarios, dtype=np.bool_)
-        self.touching = np.zeros((len(entities), *shape), dtype=np.bool_)
-        self.distance, self.offset = np.zeros(shape), np.zeros(shape)
-        self.changes_lanes = np.zeros(shape, dtype=np.bool_)
-        self.target_speed = np.full(shape, np.inf)
+        self.stirred = np.zeros(scenarios, dtype=np.bool_)
+        self.begun = False
+        self.floats = np.zeros((scenarios, ROWS_OF_FLOATS, len(entities)))
+        self.flags = np.zeros((scenarios, len(FLAGS), len(entities)), dtype=np.bool_)
+        self.numbers = np.zeros((scenarios, len(NUMBERS), len(entities)), dtype=np.int64)
+        for table, rows in ((self.floats, FLOATS), (self.flags, FLAGS), (self.numbers, NUMBERS)):
+            for name, (row, value) in rows.items():
+                table[:, row] = value
+                setattr(self, name, table[:, row].T)
+        self.gone = (self.floats[:, GONE_X].T, self.floats[:, GONE_Y].T)
+        self.pull = (self.floats[:, PULL_X].T, self.floats[:, PULL_Y].T)
+        self.overlaps = np.zeros((scenarios, len(entities), len(entities)), dtype=np.bool_)
+        self.touching = self.overlaps.transpose(1, 2, 0)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
         self.signal_controllers: dict[str, SignalController] = {}
         self.drivers: list[Decision] = []
-        self.driver = np.full(shape, -1)
-        self.activated, self.driven = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
         self.kept = [False] * len(entities)
-        self.visible = np.ones(shape, dtype=np.bool_)
         self.tracks: list[list[Track]] = [[] for _ in entities]
-        self.track = np.full(shape, FREE)
-        self.turn, self.sideways, self.velocity = (np.zeros(shape) for _ in range(3))
-        self.pace = np.full(shape, np.nan)
-        self.from_x, self.from_y, self.from_heading = (np.full(shape, np.nan) for _ in range(3))
-        self.gone, self.pull = (np.zeros(shape), np.zeros(shape)), (np.zeros(shape), np.zeros(shape))
-        self.stranded, self.moved, self.decided, self.jumped = (np.zeros(shape, dtype=np.bool_) for _ in range(4))
         self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
-        self.route = np.zeros(shape, dtype=np.int64)
-        self.at_end_since = np.full(shape, np.inf)
         self.watches_roads = False
-        self.off_road_since = np.full(shape, np.inf)
-        self.last_road, self.last_s = np.full(shape, -1), np.zeros(shape)
         self.variables: dict[str, Any] = {}
         self.parameters: dict[str, Any] = {}
         self.selections: dict[str, list[int]] = {}
         self.actor: int | None = None
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
-        self.last_step = 0.0
-        self.begun = False
         self.errors: dict[int, str] = {}
 
     def followed(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:

@@ -4,20 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world.state import World
-
-
-def hold_trailers(world: World) -> None:
-    """Let no trailer move by itself in the coming step.
-
-    Parameters
-    ----------
-    world : World
-    """
-    for tow in world.tows:
-        world.moved[tow.trailer] = True
 
 
 def align_trailers(world: World, entity: int, where: BoolArray) -> None:
@@ -43,27 +31,12 @@ def align_trailers(world: World, entity: int, where: BoolArray) -> None:
             align_trailers(world, t, where)
 
 
-def pull_trailers(world: World) -> None:
-    """Bring every trailer to where it is pulled: its axle comes after the hitch as on a rod.
+def place_trailers(world: World) -> None:
+    """Put trailers that are nowhere yet straight behind the vehicles that are there.
 
     Parameters
     ----------
     world : World
     """
     for tow in world.tows:
-        e, t = tow.vehicle, tow.trailer
-        align_trailers(world, e, world.present[e] & np.isnan(world.x[t]))
-        world.present[t] = world.present[e]
-        x = world.x[e] + tow.hitch * np.cos(world.heading[e])
-        y = world.y[e] + tow.hitch * np.sin(world.heading[e])
-        heading = np.arctan2(y - world.y[t], x - world.x[t])
-        # No full turn from one step to the next.
-        turn = within_half_turn(heading - world.heading[t])
-        pulled = world.present[t] & world.running
-        for state, value in (
-            (world.heading, world.heading[t] + turn),
-            (world.x, x - tow.coupler * np.cos(heading)),
-            (world.y, y - tow.coupler * np.sin(heading)),
-            (world.speed, world.speed[e]),
-        ):
-            state[t][pulled] = value[pulled]
+        align_trailers(world, tow.vehicle, world.running & world.present[tow.vehicle] & np.isnan(world.x[tow.trailer]))

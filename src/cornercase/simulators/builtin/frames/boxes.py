@@ -1,0 +1,81 @@
+"""Which boxes overlap, in one scenario."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+
+from cornercase._common.compiling import kernel
+from cornercase.simulators.builtin.frames.scene import CENTER_X, LENGTH, REACH, WIDTH
+from cornercase.simulators.builtin.world.layout import HEADING, PRESENT, X, Y
+
+_kernel = kernel(error_model="numpy", _nrt=False)
+
+
+@_kernel
+def overlap(scene, n, a, b):
+    """Whether the boxes of two entities share a point; never that of one who is not there.
+
+    Parameters
+    ----------
+    scene : Scene
+    n : int
+        Scenario.
+    a, b : int
+        Rows of the entities.
+
+    Returns
+    -------
+    bool
+    """
+    state, boxes = scene.floats[n], scene.boxes
+    if not (scene.flags[n, PRESENT, a] and scene.flags[n, PRESENT, b]):
+        return False
+    # Whose reference points are this far apart has no box near the other's.
+    dx, dy, far = state[X, a] - state[X, b], state[Y, a] - state[Y, b], boxes[a, REACH] + boxes[b, REACH]
+    if not dx * dx + dy * dy <= far * far:
+        return False
+    cos_a, sin_a = math.cos(state[HEADING, a]), math.sin(state[HEADING, a])
+    cos_b, sin_b = math.cos(state[HEADING, b]), math.sin(state[HEADING, b])
+    x_a, y_a = state[X, a] + boxes[a, CENTER_X] * cos_a, state[Y, a] + boxes[a, CENTER_X] * sin_a
+    x_b, y_b = state[X, b] + boxes[b, CENTER_X] * cos_b, state[Y, b] + boxes[b, CENTER_X] * sin_b
+    reach = math.hypot(boxes[a, LENGTH], boxes[a, WIDTH]) + math.hypot(boxes[b, LENGTH], boxes[b, WIDTH])
+    if not math.hypot(x_a - x_b, y_a - y_b) <= 0.5 * reach:
+        return False
+    one = (x_a, y_a, cos_a, sin_a, 0.5 * boxes[a, LENGTH], 0.5 * boxes[a, WIDTH])
+    two = (x_b, y_b, cos_b, sin_b, 0.5 * boxes[b, LENGTH], 0.5 * boxes[b, WIDTH])
+    return not (_apart_along(one, two) or _apart_along(two, one))
+
+
+@_kernel
+def _apart_along(one, two):
+    """Whether an edge of the first box has the boxes on either side of it (separating axes)."""
+    for side in range(2):
+        # Corners as they come: front right, front left, rear left, rear right.
+        begin, end = _corner(one, side), _corner(one, side + 1)
+        axis_x, axis_y = end[0] - begin[0], end[1] - begin[1]
+        low, high = _reach(one, axis_x, axis_y)
+        least, most = _reach(two, axis_x, axis_y)
+        if not (high >= least and most >= low):
+            return True
+    return False
+
+
+@_kernel
+def _reach(box, axis_x, axis_y):
+    low, high = math.inf, -math.inf
+    for k in range(4):
+        x, y = _corner(box, k)
+        along = x * axis_x + y * axis_y
+        low, high = min(low, along), max(high, along)
+    return low, high
+
+
+@_kernel
+def _corner(box, k):
+    x, y, cos, sin, half_length, half_width = box
+    along = half_length if k < 2 else -half_length
+    across = half_width if k == 1 or k == 2 else -half_width
+    return x + cos * along - sin * across, y + sin * along + cos * across

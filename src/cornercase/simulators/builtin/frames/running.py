@@ -1,0 +1,176 @@
+"""Scenarios run from one happening of their storyboard to the next."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from cornercase._common.compiling import kernel
+from cornercase._common.typing import BoolArray, IntArray
+from cornercase.drivers import Driven, accelerate, route_row, workspace
+from cornercase.simulators.builtin.frames.acting import act
+from cornercase.simulators.builtin.frames.leaves import stays, take_down
+from cornercase.simulators.builtin.frames.motion import move, record
+from cornercase.simulators.builtin.frames.scene import MAX_SPEED
+from cornercase.simulators.builtin.world.layout import (
+    BEFORE,
+    DISTANCE,
+    DRIVEN,
+    DRIVER,
+    HEADING,
+    PRESENT,
+    SPEED,
+    TARGET_SPEED,
+    TRACK,
+    VISIBLE,
+    X,
+    Y,
+)
+
+RESTS, ACTS, BEGUN, GOES, ENDS, WAITS, ELSEWHERE, OVER = range(8)
+"""What becomes of a scenario: nothing; its storyboard has looked; its actions have acted, too; it goes on; an action
+ends, or cannot act here; its storyboard has to look; an entity needs a new part of its way; it has ended."""
+
+_kernel = kernel(error_model="numpy", _nrt=False)
+
+
+class Course(NamedTuple):
+    """How N scenarios are to be run.
+
+    Attributes
+    ----------
+    status : ndarray of int8, shape (N,)
+        `ACTS`, `BEGUN`, `GOES` or `RESTS` before; what has become of it after.
+    looks : ndarray of bool, shape (N,)
+        Whether the storyboard has to look in each frame.
+    driven : ndarray of int64, shape (D,)
+        Row of the entity of each driver.
+    """
+
+    status: npt.NDArray[np.int8]
+    looks: BoolArray
+    driven: IntArray
+
+
+class Rules(NamedTuple):
+    """What holds for all scenarios.
+
+    Attributes
+    ----------
+    time_step : float
+        s.
+    most : int
+        How many frames a scenario has at most.
+    stop_at_collision : bool
+    drives : bool
+        Whether drivers decide here.
+    """
+
+    time_step: float
+    most: int
+    stop_at_collision: bool
+    drives: bool
+
+
+@kernel(error_model="numpy")
+def run_on(scene, tracks, fleet, actions, leaves, course, rules, first, last):
+    """Run scenarios on until their storyboard has to look.
+
+    Each is run by itself, so that it does not matter how they are shared among threads.
+
+    Parameters
+    ----------
+    scene : Scene
+    tracks : Tracks
+    fleet : Fleet
+    actions : Actions
+    leaves : Leaves
+    course : Course
+    rules : Rules
+    first, last : int
+        Scenarios, the last one not included.
+    """
+    entities = scene.floats.shape[2]
+    work, others = workspace(entities - 1), np.empty((4, entities - 1))
+    floats, flags = np.empty(scene.floats.shape[1:]), np.empty(scene.flags.shape[1:], dtype=np.bool_)
+    memory = np.empty(actions.memory.shape[1:])
+    for n in range(first, last):
+        status = course.status[n]
+        if status == RESTS:
+            continue
+        if status == BEGUN:
+            dt = rules.time_step if scene.frames[n] > 0 else 0.0
+            status = _finish(scene, tracks, fleet, course, rules, n, dt, work, others)
+            if course.looks[n] and status == GOES:
+                status = WAITS
+        while status in (GOES, ACTS):
+            if status == GOES:
+                if scene.frames[n] >= rules.most:
+                    status = OVER
+                    break
+                if not stays(scene, leaves, n):
+                    status = WAITS
+                    break
+                _note_speeds(scene, n)
+            floats[:], flags[:], memory[:] = scene.floats[n], scene.flags[n], actions.memory[n]
+            if act(scene, tracks, actions, n, rules.time_step):
+                begun = status == ACTS
+                status = _finish(scene, tracks, fleet, course, rules, n, rules.time_step, work, others)
+                if begun and course.looks[n] and status == GOES:
+                    status = WAITS
+            else:
+                scene.floats[n], scene.flags[n], actions.memory[n] = floats, flags, memory
+                status = ENDS if status == ACTS else WAITS
+        if status == WAITS and scene.frames[n] >= rules.most:
+            status = OVER
+        if status == WAITS or course.looks[n]:
+            take_down(scene, leaves, n)
+        course.status[n] = status
+
+
+@_kernel
+def _note_speeds(scene, n):
+    for e in range(scene.floats.shape[2]):
+        scene.floats[n, BEFORE, e] = scene.floats[n, SPEED, e]
+
+
+@_kernel
+def _finish(scene, tracks, fleet, course, rules, n, dt, work, others):
+    """Do the part of a frame that comes after the storyboard; what becomes of the scenario then."""
+    if rules.drives and dt > 0.0:
+        for d in range(course.driven.shape[0]):
+            _drive(scene, tracks, fleet, n, d, course.driven[d], dt, work, others)
+    elsewhere = move(scene, tracks, n, dt)
+    collides = record(scene, n, dt)
+    if collides and rules.stop_at_collision:
+        return OVER
+    return ELSEWHERE if elsewhere else GOES
+
+
+@_kernel
+def _drive(scene, tracks, fleet, n, d, e, dt, work, others):
+    """Let a driver decide the speed of its entity at the end of the coming time step, where it is in charge."""
+    f, b, numbers = scene.floats[n], scene.flags[n], scene.numbers[n]
+    track = numbers[TRACK, e]
+    if not (b[PRESENT, e] and b[DRIVEN, e] and numbers[DRIVER, e] == d and track >= 0):
+        return
+    # A trajectory with times leaves the driver nothing to decide.
+    route = route_row(fleet, d, track, n)
+    if tracks.timed[tracks.row[e, track]] or route < 0:
+        return
+    for a in range(others.shape[1]):
+        k = a if a < e else a + 1
+        there = b[PRESENT, k] and b[VISIBLE, k]
+        others[0, a] = f[X, k] if there else math.nan
+        others[1, a] = f[Y, k] if there else math.nan
+        others[2, a] = f[HEADING, k] if there else math.nan
+        others[3, a] = f[SPEED, k] if there else math.nan
+    driven = Driven(f[DISTANCE, e], f[X, e], f[Y, e], f[HEADING, e], f[SPEED, e], f[TARGET_SPEED, e])
+    acceleration = accelerate(fleet, d, n, route, scene.time[n], dt, driven, others, work)
+    f[SPEED, e] = min(max(f[SPEED, e] + acceleration * dt, 0.0), scene.boxes[e, MAX_SPEED])

@@ -1,0 +1,64 @@
+"""Rows of the tables that hold the state of all entities of a batch: (scenario, row, entity) each.
+
+What compiled code does to one scenario it does to one block of memory.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+(
+    X, Y, HEADING, SPEED, ACCELERATION, ODOMETER, STANDING_SINCE, DISTANCE, OFFSET, TURN, SIDEWAYS, PACE, VELOCITY,
+    LAST_S, AT_END_SINCE, OFF_ROAD_SINCE, TARGET_SPEED, FROM_X, FROM_Y, FROM_HEADING, GONE_X, GONE_Y, PULL_X, PULL_Y,
+    BEFORE,
+) = range(25)  # fmt: skip
+"""Rows of numbers."""
+
+ROWS_OF_FLOATS: Final = 25
+
+(
+    PRESENT, CHANGES_LANES, STRANDED, MOVED, DECIDED, ACTIVATED, DRIVEN, VISIBLE, JUMPED,
+) = range(9)  # fmt: skip
+"""Rows of what is or is not so."""
+
+TRACK, ROUTE, LAST_ROAD, DRIVER = range(4)
+"""Rows of whole numbers."""
+
+FLOATS: Final = {
+    "x": (X, float("nan")),
+    "y": (Y, float("nan")),
+    "heading": (HEADING, float("nan")),
+    "speed": (SPEED, 0.0),
+    "acceleration": (ACCELERATION, 0.0),
+    "odometer": (ODOMETER, 0.0),
+    "standing_since": (STANDING_SINCE, float("inf")),
+    "distance": (DISTANCE, 0.0),
+    "offset": (OFFSET, 0.0),
+    "turn": (TURN, 0.0),
+    "sideways": (SIDEWAYS, 0.0),
+    "pace": (PACE, float("nan")),
+    "velocity": (VELOCITY, 0.0),
+    "last_s": (LAST_S, 0.0),
+    "at_end_since": (AT_END_SINCE, float("inf")),
+    "off_road_since": (OFF_ROAD_SINCE, float("inf")),
+    "target_speed": (TARGET_SPEED, float("inf")),
+    "from_x": (FROM_X, float("nan")),
+    "from_y": (FROM_Y, float("nan")),
+    "from_heading": (FROM_HEADING, float("nan")),
+    "before": (BEFORE, 0.0),
+}
+"""Names of numbers in the world, with their rows and what they begin with; velocities have two rows each."""
+
+FLAGS: Final = {
+    "present": (PRESENT, False),
+    "changes_lanes": (CHANGES_LANES, False),
+    "stranded": (STRANDED, False),
+    "moved": (MOVED, False),
+    "decided": (DECIDED, False),
+    "activated": (ACTIVATED, False),
+    "driven": (DRIVEN, False),
+    "visible": (VISIBLE, True),
+    "jumped": (JUMPED, False),
+}
+
+NUMBERS: Final = {"track": (TRACK, -1), "route": (ROUTE, 0), "last_road": (LAST_ROAD, -1), "driver": (DRIVER, -1)}

@@ -1,0 +1,97 @@
+"""Compiled frames: the same as frames in which the storyboard looks each time, whoever shares the machine."""
+
+import os
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+from alone import ROOT
+from cornercase import LogicalScenario
+from cornercase._common.errors import SimulationError
+from cornercase.optimizers import RandomOptimizer
+from cornercase.recordings import Recording
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators.builtin import stepping
+from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
+from storyboards import storyboard, write_roads
+
+EXAMPLES = ROOT / "examples"
+
+
+def drawn(name: str, count: int) -> list[ConcreteScenario]:
+    base = EXAMPLES / name / name
+    logical = LogicalScenario.read(f"{base}.xosc", f"{base}.space.xosc")
+    points = RandomOptimizer(logical.space, 3).ask(count)
+    return [logical.concrete(values) for values in logical.space.values(points)]
+
+
+def recordings(concretes: list[ConcreteScenario]) -> list[Recording | SimulationError]:
+    return list(BuiltinSimulator(duration=20.0).run(concretes))
+
+
+def look_in_each_frame(monkeypatch) -> None:
+    plain = stepping.Stepper.__init__
+
+    def init(self, *arguments) -> None:
+        plain(self, *arguments)
+        self._by_hand = True
+
+    monkeypatch.setattr(stepping.Stepper, "__init__", init)
+
+
+def assert_same(found, held, tolerance: float) -> None:
+    for one, other in zip(found, held, strict=True):
+        assert isinstance(one, SimulationError) == isinstance(other, SimulationError)
+        if isinstance(one, SimulationError):
+            assert str(one) == str(other)
+            continue
+        np.testing.assert_array_equal(one.time, other.time)
+        for name in ("x", "y", "heading", "speed", "acceleration"):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0.0, atol=tolerance, err_msg=name)
+        assert one.collisions == other.collisions
+
+
+@pytest.mark.parametrize("name", ["x_intersection", "t_intersection"])
+def test_examples_are_the_same_with_a_look_in_each_frame(name, monkeypatch):
+    held = recordings(drawn(name, 12))
+    look_in_each_frame(monkeypatch)
+    assert_same(recordings(drawn(name, 12)), held, 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_random_storyboards_are_the_same_with_a_look_in_each_frame(seed, tmp_path, monkeypatch):
+    write_roads(tmp_path)
+    path = Path(tmp_path) / "storyboard.xosc"
+    path.write_text(storyboard(Random(1000 + seed)))
+    held = recordings([ConcreteScenario(path, {})])
+    look_in_each_frame(monkeypatch)
+    assert_same(recordings([ConcreteScenario(path, {})]), held, 1e-9)
+
+
+def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
+    concretes = drawn("x_intersection", 70)
+    found = []
+    for threads in (1, 2, 5):
+        monkeypatch.setattr(os, "cpu_count", lambda threads=threads: threads)
+        monkeypatch.setattr(stepping, "_WORTH_A_THREAD", 2)
+        found.append(recordings(concretes))
+    for other in found[1:]:
+        assert_same(other, found[0], 0.0)
+
+
+def test_a_scenario_looks_only_where_something_happens(monkeypatch):
+    looks = []
+    plain = Storyboard.look
+
+    def look(self, dt: float) -> None:
+        looks.append(int(self._world.running.sum()))
+        plain(self, dt)
+
+    monkeypatch.setattr(Storyboard, "look", look)
+    (recording,) = recordings(drawn("x_intersection", 1))
+    assert isinstance(recording, Recording)
+    assert len(recording.time) > 300
+    assert sum(looks) < 15
