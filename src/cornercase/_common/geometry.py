@@ -15,7 +15,7 @@ _CONTACT = 1e-9
 _STEADY = 1e-12
 """Acceleration in m/s² that is rounding: it takes two weeks for a metre."""
 
-_ACROSS = 1e-7
+ACROSS = 1e-7
 """Cosine of an angle that rounding does not tell from a quarter turn."""
 
 _SIGNS_ALONG = np.array([1.0, 1.0, -1.0, -1.0])
@@ -50,7 +50,7 @@ def looks_ahead(angle: npt.ArrayLike) -> BoolArray:
     -------
     ndarray of bool, shape (...)
     """
-    return np.asarray(np.cos(angle) > -_ACROSS)
+    return np.asarray(np.cos(angle) > -ACROSS)
 
 
 def box_corners(

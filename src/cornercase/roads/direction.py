@@ -1,4 +1,4 @@
-"""The direction of roads' reference lines, compiled, for one place at a time."""
+"""Where roads' reference lines run and which way, compiled, for one place at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -13,6 +13,8 @@ import numpy as np
 
 from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads.edges import RoadEdges, road_edges, road_margins
+from cornercase.roads.locating import SLACK
 from cornercase.roads.reference_line import Geometry, turns_evenly
 from cornercase.roads.road import Road
 
@@ -27,24 +29,35 @@ class RoadTables(NamedTuple):
     Attributes
     ----------
     known : ndarray of bool, shape (R,)
-        Whether kernels know all pieces of a road.
+        Whether kernels know the direction of all pieces of a road.
+    plain : ndarray of bool, shape (R,)
+        Whether all its pieces are straight or arcs, of which kernels know the places, too.
+    length : ndarray of float64, shape (R,)
+        m.
     first : ndarray of int64, shape (R + 1,)
         First piece of each road, and the number of pieces.
-    s, heading : ndarray of float64, shape (P,)
+    s, x, y, heading : ndarray of float64, shape (P,)
         Where pieces begin, in m and rad.
     shape : ndarray of int64, shape (P,)
         What kind of piece it is.
     numbers : ndarray of float64, shape (P, 8)
         Its curvature at the begin in 1/m and the change of it in 1/m²; or its length in m, the largest value of its
         parameter, and the coefficients of the derivatives of two polynomials, the highest first.
+    edges : RoadEdges
+        How far they reach to both sides.
     """
 
     known: BoolArray
+    plain: BoolArray
+    length: FloatArray
     first: IntArray
     s: FloatArray
+    x: FloatArray
+    y: FloatArray
     heading: FloatArray
     shape: IntArray
     numbers: FloatArray
+    edges: RoadEdges
 
 
 def road_tables(roads: Sequence[Road]) -> RoadTables:
@@ -63,14 +76,22 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
     for k, piece in enumerate(pieces):
         found = _numbers(piece)
         numbers[k, : len(found)] = found
+    begins = np.array([(piece.s, piece.x, piece.y, piece.heading) for piece in pieces]).reshape(-1, 4).T.copy()
     return RoadTables(
         np.array([all(piece.kind != "poly3" for piece in road.geometries) for road in roads], dtype=np.bool_),
+        np.array([all(map(_plain, road.geometries)) for road in roads], dtype=np.bool_),
+        np.array([road.length for road in roads], dtype=np.float64),
         np.cumsum([0, *(len(road.geometries) for road in roads)], dtype=np.int64),
-        np.array([piece.s for piece in pieces], dtype=np.float64),
-        np.array([piece.heading for piece in pieces], dtype=np.float64),
+        *begins,
         np.array([_CURVE if piece.kind == "paramPoly3" else _TURNS for piece in pieces], dtype=np.int64),
         numbers,
+        road_edges(roads),
     )
+
+
+def _plain(piece: Geometry) -> bool:
+    bent = piece.kind == "spiral" and turns_evenly(*piece.numbers, piece.length)
+    return piece.kind in ("line", "arc") or bent
 
 
 def _numbers(piece: Geometry) -> tuple[float, ...]:
@@ -86,7 +107,7 @@ def _numbers(piece: Geometry) -> tuple[float, ...]:
     return ()
 
 
-@kernel(error_model="numpy")
+@kernel(error_model="numpy", _nrt=False)
 def road_heading(roads, road, s):
     """Direction of a road's s, of a road that is known.
 
@@ -103,6 +124,61 @@ def road_heading(roads, road, s):
     float
         rad.
     """
+    piece = _piece(roads, road, s)
+    along, numbers = s - roads.s[piece], roads.numbers[piece]
+    if roads.shape[piece] == _TURNS:
+        return roads.heading[piece] + (numbers[0] * along + 0.5 * numbers[1] * (along * along))
+    p = along / numbers[0] * numbers[1]
+    du, dv = (numbers[2] * p + numbers[3]) * p + numbers[4], (numbers[5] * p + numbers[6]) * p + numbers[7]
+    return roads.heading[piece] + math.atan2(dv, du)
+
+
+@kernel(error_model="numpy", _nrt=False)
+def stays_on_road(roads, road, s, x, y):
+    """Whether a point that moves is still on the plain road that it was on, or not far beside it.
+
+    Parameters
+    ----------
+    roads : RoadTables
+    road : int
+        Index of the road.
+    s : float
+        Where on the road it was a moment ago, in m.
+    x, y : float
+        Where it is, in m.
+
+    Returns
+    -------
+    stays : bool
+    s : float
+        Where on the road it is, in m.
+    """
+    length = roads.length[road]
+    s = min(max(s, 0.0), length)
+    at_x, at_y, heading = _plain_place(roads, _piece(roads, road, s), s)
+    dx, dy, cos, sin = x - at_x, y - at_y, math.cos(heading), math.sin(heading)
+    along, t = s + dx * cos + dy * sin, dy * cos - dx * sin
+    if not (along >= 0.0 and along <= length):
+        return False, s
+    right, left = road_margins(roads.edges, road, along)
+    return t >= right - SLACK and t <= left + SLACK, along
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _plain_place(roads, piece, s):
+    """Place on a straight piece or an arc, and its direction there."""
+    along, curvature = s - roads.s[piece], roads.numbers[piece, 0]
+    turn = curvature * along
+    half = 0.5 * turn / math.pi
+    chord = along if turn == 0.0 else along * (math.sin(math.pi * half) / (math.pi * half))
+    u, v = chord * math.cos(0.5 * turn), chord * math.sin(0.5 * turn)
+    heading = roads.heading[piece]
+    cos, sin = math.cos(heading), math.sin(heading)
+    return roads.x[piece] + cos * u - sin * v, roads.y[piece] + sin * u + cos * v, heading + turn
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _piece(roads, road, s):
     low, high = roads.first[road], roads.first[road + 1]
     # The first piece begins everywhere.
     while high - low > 1:
@@ -111,9 +187,4 @@ def road_heading(roads, road, s):
             low = middle
         else:
             high = middle
-    along, numbers = s - roads.s[low], roads.numbers[low]
-    if roads.shape[low] == _TURNS:
-        return roads.heading[low] + (numbers[0] * along + 0.5 * numbers[1] * (along * along))
-    p = along / numbers[0] * numbers[1]
-    du, dv = (numbers[2] * p + numbers[3]) * p + numbers[4], (numbers[5] * p + numbers[6]) * p + numbers[7]
-    return roads.heading[low] + math.atan2(dv, du)
+    return low

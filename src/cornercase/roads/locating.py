@@ -15,8 +15,8 @@ from cornercase.roads.road import Road
 # Lanes are sampled at this distance in m, or at a larger one where there would be more samples than this.
 _SAMPLED: Final = 0.5
 _MOST_SAMPLES: Final = 2_000_000
-# So far beside it, in m, an entity still counts as on the road that it was on; esmini's figure.
-_SLACK: Final = 2.0
+SLACK: Final = 2.0
+"""So far beside it, in m, an entity still counts as on the road that it was on; esmini's figure."""
 
 
 # Points lie no further out than this, in m.
@@ -109,7 +109,7 @@ class Locator:
     ) -> tuple[IntArray, FloatArray]:
         """Find the road of points that move; as `RoadNetwork.road_from`."""
         road, s = last.copy(), last_s.copy()
-        lost = ~self._holds(last, x, y, s, 1, _SLACK)
+        lost = ~self._holds(last, x, y, s, 1, SLACK)
         if lost.any():
             at = np.flatnonzero(lost)
             new = self.locate(x[at], y[at])

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from lxml import etree
@@ -22,6 +22,9 @@ from cornercase.roads.reference_line import read_number
 from cornercase.roads.road import Road, read_road
 from cornercase.roads.soundness import require_sound
 from cornercase.scenario import read_xml
+
+if TYPE_CHECKING:
+    from cornercase.roads.direction import RoadTables
 
 _LONGEST_PATH: Final = 5000.0
 _LONGEST_BACK: Final = 500.0
@@ -370,6 +373,14 @@ class RoadNetwork:
             m.
         """
         return self._locator.road_from(last, last_s, x, y, heading)
+
+    @cached_property
+    def tables(self) -> RoadTables:
+        """Tables of the roads for compiled code."""
+        # Who needs none does not load the compiler.
+        from cornercase.roads.direction import road_tables
+
+        return road_tables(self.roads)
 
     @cached_property
     def _locator(self) -> Locator:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import FOREIGN, Fleet, form_fleet, with_route
+from cornercase.roads import road_tables
 from cornercase.simulators.builtin.actions.controller import Driving
 from cornercase.simulators.builtin.frames.leaves import gather_leaves
 from cornercase.simulators.builtin.frames.running import (
@@ -97,6 +98,7 @@ class Stepper:
         self._by_hand = by_hand or coupling is not None or world.watches_roads or bool(world.signal_controllers)
         self._actions = gather_actions([one.action for one in storyboard.actions], world.scenarios)
         self._read_triggers()
+        self._roads = road_tables([]) if world.network is None else world.network.tables
         self._pool, self._planned = TrackPool(), dict[tuple[int, int], int]()
         driven = np.array([one.entity for one in self._drivings], dtype=np.int64)
         status = np.full(world.scenarios, RESTS, dtype=np.int8)
@@ -199,7 +201,8 @@ class Stepper:
         self._plan_routes()
         scenarios = self._world.scenarios
         threads = max(min(os.cpu_count() or 1, scenarios // _WORTH_A_THREAD), 1)
-        run = partial(run_on, self.scene, tracks, self._fleet, self._actions, self._leaves, self._course, self._rules)
+        who = (self.scene, tracks, self._roads, self._fleet, self._actions, self._leaves)
+        run = partial(run_on, *who, self._course, self._rules)
         if threads == 1:
             run(0, scenarios)
             return

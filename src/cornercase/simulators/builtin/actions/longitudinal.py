@@ -11,7 +11,8 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
-from cornercase.simulators.builtin.frames.table import DIMENSIONS, SHAPES, SPEED_ACTION
+from cornercase.simulators.builtin.frames.synchronising import REACHED, SPRING
+from cornercase.simulators.builtin.frames.table import DIMENSIONS, DISTANCE_ACTION, SHAPES, SPEED_ACTION
 from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.paths.transitions import Transition
 from cornercase.simulators.builtin.world.gaps import along_roads, distance_ahead, longitudinal_gap
@@ -19,17 +20,11 @@ from cornercase.simulators.builtin.world.motion import put_ahead
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, lane_of
 
-# A distance that is kept within this, in m, is reached.
-_REACHED: Final = 0.1
-
 # Speeds and times that differ by less, in m/s and s, are the same.
 _TINY: Final = 1e-6
 
 # Larger than all limits.
 _UNLIMITED: Final = 1e10
-
-# Stiffness of the spring that keeps a distance, in 1/m, times the largest acceleration.
-_SPRING: Final = 0.4
 
 
 class SpeedAction(Action):
@@ -124,16 +119,20 @@ class LongitudinalDistanceAction(Action):
     """
 
     domains = (LONGITUDINAL,)
+    # The order is that of the names in `frames.synchronising`.
+    remembered = ("_acceleration", "_behind", "_wanted", "_up", "_down", "_fastest", "_jerk_up", "_jerk_down")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
         self._other = entity_index(element, scope, world)
         self._continuous = scope.flag(element, "continuous", False)
         self._free = scope.flag(element, "freespace", False)
-        self._system = scope.text(element, "coordinateSystem", "entity")
+        system = scope.text(element, "coordinateSystem", "entity")
+        self._on_roads = system in ("lane", "road", "trajectory") and not self._free
         side = scope.text(element, "displacement", "trailingReferencedEntity")
-        gap, self._distance = element.get("timeGap"), scope.number(element, "distance", 0.0)
-        self._gap = None if gap is None else scope.number(element, "timeGap")
+        distance, self._timed = scope.number(element, "distance", 0.0), element.get("timeGap") is not None
+        # A time in s, or a distance in m.
+        self._wanted = scope.number(element, "timeGap") if self._timed else distance
         n, own = scope.scenarios, world.entities[entity]
         limits = element.find("DynamicConstraints")
         self._rigid = limits is None
@@ -142,26 +141,31 @@ class LongitudinalDistanceAction(Action):
         self._fastest = _limit(limits, "maxSpeed", own.max_speed, 250.0 / 3.6, scope)
         self._jerk_up = _limit(limits, "maxAccelerationRate", np.inf, _UNLIMITED, scope)
         self._jerk_down = _limit(limits, "maxDecelerationRate", np.inf, _UNLIMITED, scope)
-        self._behind = np.full(n, side != "leadingReferencedEntity")
+        self._behind = np.full(n, 1.0 if side != "leadingReferencedEntity" else 0.0)
         # Where the entity is first, ahead or behind, it stays.
         self._undecided = np.full(n, side == "any")
         self._acceleration = np.zeros(n)
+
+    def options(self) -> tuple[int, ...]:
+        if self._rigid or self._on_roads:
+            return super().options()
+        return DISTANCE_ACTION, self._entity, self._other, self._continuous, self._free, self._timed
 
     def start(self, world: World, where: BoolArray) -> None:
         new = where & self._undecided
         if new.any():
             ahead = longitudinal_gap if self._free else distance_ahead
-            self._behind[new] = (ahead(world, self._entity, self._other) >= 0.0)[new]
+            self._behind[new] = np.where(ahead(world, self._entity, self._other) >= 0.0, 1.0, 0.0)[new]
             self._undecided[new] = False
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, o = self._entity, self._other
         speed, other = world.speed[e], world.speed[o]
-        wanted = np.abs(self._distance if self._gap is None else np.abs(other) * self._gap)
+        wanted = np.abs(np.abs(other) * self._wanted if self._timed else self._wanted)
         way = self._measure(world)
         # To who drives on roads that do not connect there is no distance: the entity keeps its speed.
         where = where & np.isfinite(way)
-        error = np.where(np.isfinite(way), way, 0.0) - np.where(self._behind, wanted, -wanted)
+        error = np.where(np.isfinite(way), way, 0.0) - np.where(self._behind > 0.0, wanted, -wanted)
         if self._rigid:
             put_ahead(world, e, where, error)
             world.set_speed(e, where, other)
@@ -169,12 +173,12 @@ class LongitudinalDistanceAction(Action):
             a = self._spring(error, speed - other, dt)
             self._acceleration[where] = a[where]
             world.set_speed(e, where, np.clip(speed + a * dt, -self._fastest, self._fastest))
-        reached = (np.abs(error) < _REACHED) & (not self._continuous)
+        reached = (np.abs(error) < REACHED) & (not self._continuous)
         return np.asarray(where & reached)
 
     def _spring(self, error: FloatArray, closing: FloatArray, dt: float) -> FloatArray:
         """Acceleration in m/s², shape (N,), within the limits."""
-        stiffness = _SPRING * np.where(error < 0, self._up, self._down)
+        stiffness = SPRING * np.where(error < 0, self._up, self._down)
         a = np.clip(error * stiffness - 2.0 * np.sqrt(stiffness) * closing, -self._down, self._up)
         before = self._acceleration
         sinks, rises = (a < 0) & (a < before), (a >= 0) & (a > before)
@@ -185,7 +189,7 @@ class LongitudinalDistanceAction(Action):
         """Signed distance ahead to the other, shape (N,)."""
         if self._free:
             return longitudinal_gap(world, self._entity, self._other)
-        if self._system in ("lane", "road", "trajectory"):
+        if self._on_roads:
             place = lane_of(world, self._other)
             return ahead_on_road(world, self._entity, place, along_roads(world, self._entity, place))
         return distance_ahead(world, self._entity, self._other)

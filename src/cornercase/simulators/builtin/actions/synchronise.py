@@ -12,28 +12,31 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.actions.longitudinal import child
+from cornercase.simulators.builtin.frames.synchronising import (
+    AWAY,
+    BRAKING,
+    FINAL_DIFFERENCE,
+    FINAL_FACTOR,
+    FINAL_SPEED,
+    FIRST,
+    HARDEST,
+    LAST,
+    NEVER,
+    NEW,
+    NO_FINAL_SPEED,
+    ON_LINE,
+    STANDING,
+    STEADY,
+    WAITING,
+)
+from cornercase.simulators.builtin.frames.table import SYNCHRONISATION
 from cornercase.simulators.builtin.paths.positions import entity_index, read_position
 from cornercase.simulators.builtin.tracks.track import Pose
-from cornercase.simulators.builtin.world.gaps import remaining
+from cornercase.simulators.builtin.world.gaps import KnownPlaces, remaining
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, on_lane, speed_along_road
 
-# What an entity does on its way to its place: nothing yet; the first of two phases of constant acceleration, below or
-# above the mean speed; the last phase; waiting for the master to move; braking hard; standing until the last phase
-# begins; going on at the final speed.
-_NEW, _FIRST, _LAST, _WAITING, _BRAKING, _STANDING, _STEADY = range(7)
-
 _TINY: Final = 1e-6
-_NEVER: Final = 1e10
-
-# m/s²; how hard an entity brakes that has no room for anything else. esmini's figure.
-_HARDEST: Final = 8.0
-
-# So much further from its place than in the last step, in m, an entity has passed it.
-_AWAY: Final = 1e-3
-
-# A speed that differs from that of the last phase by less, in m/s, begins it.
-_ON_LINE: Final = 0.1
 
 
 class SynchronizeAction(Action):
@@ -45,6 +48,12 @@ class SynchronizeAction(Action):
     """
 
     domains = (LONGITUDINAL,)
+    # The order is that of the names in `frames.synchronising`.
+    remembered = (
+        "_mode", "_convex", "_last", "_last_master",
+        *(f"_{name}{end}" for end in ("", "_master") for name in ("x", "y", "road", "s", "track", "place", "tolerance")),
+        "_steady_distance", "_steady_time", "_final",
+    )  # fmt: skip
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -54,26 +63,28 @@ class SynchronizeAction(Action):
         self._tolerance = scope.number(element, "targetTolerance", 0.0)
         self._tolerance_master = scope.number(element, "targetToleranceMaster", 0.0)
         n = scope.scenarios
-        self._final: FloatArray | None = None
-        self._relative: FloatArray | None = None
+        self._final, self._of_final = np.zeros(n), NO_FINAL_SPEED
         self._steady_distance, self._steady_time = np.zeros(n), np.zeros(n)
         final = element.find("FinalSpeed")
         inner = None if final is None else next(iter(final.iterchildren("*")), None)
         if inner is not None:
             self._read_final(inner, scope)
-        self._factor = inner is not None and scope.text(inner, "speedTargetValueType", "delta") == "factor"
-        self._mode = np.full(n, _NEW)
-        self._convex = np.zeros(n, dtype=np.bool_)
+        self._mode, self._convex = np.full(n, float(NEW)), np.zeros(n)
         self._last, self._last_master = np.full(n, np.inf), np.full(n, np.inf)
-        self._target: Pose | None = None
-        self._target_master: Pose | None = None
-        self._known: tuple[dict[int, FloatArray], dict[int, FloatArray]] = ({}, {})
+        self._x, self._y, self._road, self._s = (np.full(n, np.nan) for _ in range(4))
+        self._x_master, self._y_master, self._road_master, self._s_master = (np.full(n, np.nan) for _ in range(4))
+        self._track, self._place, self._track_master, self._place_master = (np.full(n, np.nan) for _ in range(4))
+
+    def options(self) -> tuple[int, ...]:
+        return SYNCHRONISATION, self._entity, self._master, self._of_final
 
     def _read_final(self, element: etree._Element, scope: Scope) -> None:
         if element.tag == "AbsoluteSpeed":
-            self._final = scope.number(element, "value")
+            self._final, self._of_final = scope.number(element, "value"), FINAL_SPEED
         elif element.tag == "RelativeSpeedToMaster":
-            self._relative = scope.number(element, "value")
+            self._final = scope.number(element, "value")
+            factor = scope.text(element, "speedTargetValueType", "delta") == "factor"
+            self._of_final = FINAL_FACTOR if factor else FINAL_DIFFERENCE
         else:
             raise InputError(
                 f"{scope.source}, line {element.sourceline}: <FinalSpeed> is no <AbsoluteSpeed> or"
@@ -88,61 +99,65 @@ class SynchronizeAction(Action):
 
     def start(self, world: World, where: BoolArray) -> None:
         target, master = self._read_target(world), self._read_target_master(world)
-        if self._target is None or self._target_master is None:
-            self._target, self._target_master = target, master
-        for mine, new in ((self._target, target), (self._target_master, master)):
-            mine.x[where], mine.y[where] = new.x[where], new.y[where]
-        self._target, self._target_master = _on_roads(world, self._target), _on_roads(world, self._target_master)
-        for known in self._known:
-            for places in known.values():
-                places[where] = np.nan
-        self._mode[where] = _NEW
+        self._x[where], self._y[where] = target.x[where], target.y[where]
+        self._x_master[where], self._y_master[where] = master.x[where], master.y[where]
+        if world.network is not None:
+            self._road[where], _, self._s[where], _ = world.network.locate(target.x[where], target.y[where])
+            self._road_master[where], _, self._s_master[where], _ = world.network.locate(
+                master.x[where], master.y[where]
+            )
+        self._place[where] = self._place_master[where] = np.nan
+        self._mode[where] = NEW
         self._last[where] = self._last_master[where] = np.inf
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        assert self._target is not None
-        assert self._target_master is not None
         e, m = self._entity, self._master
-        signed = _way(world, m, self._target_master, self._known[1])
-        way, way_master = np.abs(_way(world, e, self._target, self._known[0])), np.abs(signed)
+        target = Pose(self._x, self._y, np.zeros(world.scenarios), road=self._road, s=self._s)
+        master = Pose(self._x_master, self._y_master, target.heading, road=self._road_master, s=self._s_master)
+        signed = _way(world, m, master, KnownPlaces(self._track_master, self._place_master), where)
+        way = np.abs(_way(world, e, target, KnownPlaces(self._track, self._place), where))
+        way_master = np.abs(signed)
         done = (way < self._tolerance + _TINY) | (way_master < self._tolerance_master + _TINY)
-        done |= (way > self._last + _AWAY) | (way_master > self._last_master + _AWAY)
+        done |= (way > self._last + AWAY) | (way_master > self._last_master + AWAY)
         self._last[where], self._last_master[where] = way[where], way_master[where]
         way = np.maximum(way - self._tolerance, _TINY)
         way_master = np.maximum(way_master - self._tolerance_master, _TINY)
         # Of the master's speed, the part along its road and towards its target counts.
         ahead = _sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
-        speed_master = ahead * speed_along_road(world, m)
+        speed_master = ahead * speed_along_road(world, m, where)
         comes = (speed_master > _TINY) & (dt > 0)
-        time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), _NEVER)
+        time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), NEVER)
         done |= comes & (time < dt)
 
-        final, waited = self._final_speed(world), self._mode == _WAITING
-        if final is None:
-            wanted = self._arrive(world, dt, way, time, comes)
+        final, waited = self._final_speed(world), self._mode == WAITING
+        if self._of_final == NO_FINAL_SPEED:
+            wanted = self._arrive(world, dt, way, time, comes, where)
         else:
             wanted = self._arrive_with(world, dt, way, time, final, comes, where & ~done)
             wanted = np.where(done, final, wanted)
         # An entity with a driver is asked for a speed that it can reach.
         speed = np.clip(wanted, 0.0, world.entities[e].max_speed)
         # Who arrives without a final speed keeps its own, unless its master has just stopped coming.
-        change = where if final is not None else where & ~(done & (comes | waited))
+        change = where & ~(done & (comes | waited)) if self._of_final == NO_FINAL_SPEED else where
         own = np.where(np.isfinite(wanted), wanted, world.speed[e])
         world.set_speed(e, change, np.where(world.driven[e], speed, own))
         return where & done
 
-    def _final_speed(self, world: World) -> FloatArray | None:
-        if self._relative is None:
-            return self._final
+    def _final_speed(self, world: World) -> FloatArray:
         master = world.speed[self._master]
-        return np.asarray(master * self._relative if self._factor else master + self._relative)
+        if self._of_final == FINAL_FACTOR:
+            return np.asarray(master * self._final)
+        return np.asarray(master + self._final) if self._of_final == FINAL_DIFFERENCE else self._final
 
-    def _arrive(self, world: World, dt: float, way: FloatArray, time: FloatArray, comes: BoolArray) -> FloatArray:
+    def _arrive(
+        self, world: World, dt: float, way: FloatArray, time: FloatArray, comes: BoolArray, where: BoolArray
+    ) -> FloatArray:
         """Speed at the end of the step, with one constant acceleration."""
         speed, mean, driven = world.speed[self._entity], way / time, world.driven[self._entity]
         even = speed + 2.0 * (mean - speed) / time * dt
-        waits = ~comes & (self._mode != _WAITING)
-        self._mode = np.where(driven, self._mode, np.where(comes, _LAST, _WAITING))
+        waits = ~comes & (self._mode != WAITING)
+        free = where & ~driven
+        self._mode[free] = np.where(comes, LAST, WAITING)[free]
         return np.where(driven, mean, np.where(comes, even, np.where(waits, 0.0, speed)))
 
     def _arrive_with(
@@ -157,13 +172,13 @@ class SynchronizeAction(Action):
     ) -> FloatArray:
         """Speed at the end of the step, with a final speed."""
         v0, mode = world.speed[self._entity], self._mode.copy()
-        shown = _sign(v0) * speed_along_road(world, self._entity)
+        shown = _sign(v0) * speed_along_road(world, self._entity, acting)
         safe = np.maximum(np.abs(final), 1e-9)
         steady_way = np.where(self._steady_time > 0, self._steady_time * final, self._steady_distance)
         steady_time = steady_way / safe
-        begins = (steady_way > 0) & (mode != _STEADY)
+        begins = (steady_way > 0) & (mode != STEADY)
         reached = begins & ((way - steady_way < _TINY) | (time - steady_time < _TINY))
-        mode[reached] = _STEADY
+        mode[reached] = STEADY
         shorter = begins & ~reached
         way, time = np.where(shorter, way - steady_way, way), np.where(shorter, time - steady_time, time)
 
@@ -176,61 +191,54 @@ class SynchronizeAction(Action):
             result[where] = np.broadcast_to(speed, v0.shape)[where]
             left = left & ~where
 
-        settle(mode == _STEADY, final)
+        settle(mode == STEADY, final)
         stands = ~comes & left
-        result[stands & (mode != _WAITING)] = 0.0
-        mode[stands] = _WAITING
+        result[stands & (mode != WAITING)] = 0.0
+        mode[stands] = WAITING
         left &= ~stands
         # An entity that waited begins anew; with a steady state the last phase comes next, as in esmini.
-        released = left & (mode == _WAITING)
-        mode[released] = np.where((v0 > 0) | (steady_way <= 0), _NEW, _LAST)[released]
-        settle(released & (mode == _LAST), 0.0)
-        braking = mode == _BRAKING
-        stopped = braking & (v0 - _HARDEST * dt < 0)
-        mode[stopped & left] = _NEW
-        settle(braking, np.maximum(v0 - _HARDEST * dt, 0.0))
-        standing = (mode == _STANDING) & left
-        mode[standing & (time < 2.0 * way / safe)] = _LAST
-        settle((mode == _STANDING), 0.0)
+        released = left & (mode == WAITING)
+        mode[released] = np.where((v0 > 0) | (steady_way <= 0), NEW, LAST)[released]
+        settle(released & (mode == LAST), 0.0)
+        braking = mode == BRAKING
+        stopped = braking & (v0 - HARDEST * dt < 0)
+        mode[stopped & left] = NEW
+        settle(braking, np.maximum(v0 - HARDEST * dt, 0.0))
+        standing = (mode == STANDING) & left
+        mode[standing & (time < 2.0 * way / safe)] = LAST
+        settle((mode == STANDING), 0.0)
         line = 2.0 * way / time - np.maximum(final, 0.0)
-        settle(mode == _LAST, np.where((time < 1e-3) | (way < 1e-3), 0.0, np.maximum(line, 0.0)))
-        passed = (mode == _FIRST) & left & (np.abs(v0 - (2.0 * way / time - final)) < _ON_LINE)
-        mode[passed] = _LAST
+        settle(mode == LAST, np.where((time < 1e-3) | (way < 1e-3), 0.0, np.maximum(line, 0.0)))
+        passed = (mode == FIRST) & left & (np.abs(v0 - (2.0 * way / time - final)) < ON_LINE)
+        mode[passed] = LAST
         settle(passed, v0)
-        new = (mode == _NEW) & left
-        mode[new] = _FIRST
+        new = (mode == NEW) & left
+        mode[new] = FIRST
         self._convex[new] = ((final + v0) / 2.0 < way / time)[new]
 
         rate, apex = _first_phase(shown, final, way, time)
-        turned = left & (mode == _FIRST) & np.where(self._convex, rate < 0, rate > 0)
-        mode[turned] = _LAST
+        turned = left & (mode == FIRST) & np.where(self._convex > 0.0, rate < 0, rate > 0)
+        mode[turned] = LAST
         rate = np.where(turned, 0.0, rate)
         # Instead of driving backwards it stops, waits, and continues in time.
-        back = left & (mode == _FIRST) & (apex < 0)
+        back = left & (mode == FIRST) & (apex < 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             stop_time = 2.0 * shown * way / (shown**2 + final**2)
             gentle = np.where(stop_time > _TINY, -shown / stop_time, 0.0)
         hard = back & (stop_time * shown / 2.0 > way / 2.0)
-        rate = np.where(back, np.where(hard, -_HARDEST, gentle), rate)
-        mode[hard] = _BRAKING
+        rate = np.where(back, np.where(hard, -HARDEST, gentle), rate)
+        mode[hard] = BRAKING
         stopped = back & (shown + rate * dt < 0)
-        mode[stopped] = _STANDING
+        mode[stopped] = STANDING
         settle(stopped, 0.0)
         settle(left, v0 + rate * dt)
-        self._mode = np.where(acting, mode, self._mode)
+        self._mode[acting] = mode[acting]
         return np.asarray(result)
 
 
-def _on_roads(world: World, place: Pose) -> Pose:
-    """Return a place with where on the roads it is."""
-    if world.network is None:
-        return place
-    return Pose(place.x, place.y, place.heading, *world.network.locate(place.x, place.y))
-
-
-def _way(world: World, entity: int, target: Pose, known: dict[int, FloatArray]) -> FloatArray:
+def _way(world: World, entity: int, target: Pose, known: KnownPlaces, where: BoolArray) -> FloatArray:
     """Distance to a target along the entity's trajectory, else along its road's reference line, in m, shape (N,)."""
-    way = remaining(world, entity, target, known)
+    way = remaining(world, entity, target, known, where)
     follows = on_lane(world, entity)
     return np.where(follows, ahead_on_road(world, entity, target, way), way) if follows.any() else way
 

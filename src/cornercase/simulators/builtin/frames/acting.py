@@ -9,12 +9,15 @@ import math
 from typing import Final
 
 from cornercase._common.compiling import kernel
-from cornercase.simulators.builtin.frames.motion import advance, settle
+from cornercase.simulators.builtin.frames.motion import advance, set_speed, settle
 from cornercase.simulators.builtin.frames.scene import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
+from cornercase.simulators.builtin.frames.synchronising import keep_distance, synchronise
 from cornercase.simulators.builtin.frames.table import (
+    DISTANCE_ACTION,
     LANE_CHANGE,
     LANE_OFFSET,
     SPEED_ACTION,
+    SYNCHRONISATION,
     TRAJECTORY_ACTION,
 )
 from cornercase.simulators.builtin.tracks.line_kernels import (
@@ -27,7 +30,6 @@ from cornercase.simulators.builtin.tracks.line_kernels import (
 from cornercase.simulators.builtin.tracks.pool import LINE
 from cornercase.simulators.builtin.world.layout import (
     AT_END_SINCE,
-    DECIDED,
     DISTANCE,
     DRIVEN,
     HEADING,
@@ -35,7 +37,6 @@ from cornercase.simulators.builtin.world.layout import (
     OFFSET,
     PACE,
     SPEED,
-    TARGET_SPEED,
     TRACK,
     TURN,
 )
@@ -52,13 +53,14 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 
 
 @_kernel
-def act(scene, tracks, actions, n, dt):
+def act(scene, tracks, roads, actions, n, dt):
     """Let all actions of a scenario act for one time step.
 
     Parameters
     ----------
     scene : Scene
     tracks : Tracks
+    roads : RoadTables
     actions : Actions
     n : int
         Scenario.
@@ -82,18 +84,13 @@ def act(scene, tracks, actions, n, dt):
             goes_on = _change_lane(scene, tracks, actions, n, j, dt)
         elif kind == LANE_OFFSET:
             goes_on = _change_offset(scene, tracks, actions, n, j, dt)
+        elif kind == SYNCHRONISATION:
+            goes_on = synchronise(scene, tracks, roads, actions, n, j, dt)
+        elif kind == DISTANCE_ACTION:
+            goes_on = keep_distance(scene, actions, n, j, dt)
         if not goes_on:
             return False
     return True
-
-
-@_kernel
-def _set_speed(scene, n, e, speed):
-    f, b = scene.floats[n], scene.flags[n]
-    f[TARGET_SPEED, e] = speed
-    if not b[DRIVEN, e]:
-        f[SPEED, e] = speed
-    b[DECIDED, e] = True
 
 
 @_kernel
@@ -149,7 +146,7 @@ def _change_speed(scene, actions, n, j, dt):
     m[2] = parameter
     if parameter > span - _TINY and abs(speed - end) < _TINY:
         m[5], speed = 1.0, end
-    _set_speed(scene, n, e, speed)
+    set_speed(scene, n, e, speed)
     if scene.time[n] == 0.0:
         f[SPEED, e] = speed
     return continuous or not m[5] > 0.0

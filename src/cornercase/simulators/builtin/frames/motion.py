@@ -38,6 +38,7 @@ from cornercase.simulators.builtin.world.layout import (
     SPEED,
     STANDING_SINCE,
     STRANDED,
+    TARGET_SPEED,
     TRACK,
     TURN,
     VELOCITY,
@@ -164,6 +165,25 @@ def settle(scene, tracks, n, e, row):
     f = scene.floats[n]
     x, y, heading = place_on(tracks, row, n, f[DISTANCE, e], f[OFFSET, e])
     f[X, e], f[Y, e], f[HEADING, e] = x, y, heading + f[TURN, e]
+
+
+@_kernel
+def set_speed(scene, n, e, speed):
+    """Give an entity a speed, or tell its driver to want it.
+
+    Parameters
+    ----------
+    scene : Scene
+    n, e : int
+        Scenario and entity.
+    speed : float
+        m/s.
+    """
+    f, b = scene.floats[n], scene.flags[n]
+    f[TARGET_SPEED, e] = speed
+    if not b[DRIVEN, e]:
+        f[SPEED, e] = speed
+    b[DECIDED, e] = True
 
 
 @_kernel

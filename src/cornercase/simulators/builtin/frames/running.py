@@ -79,7 +79,7 @@ class Rules(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def run_on(scene, tracks, fleet, actions, leaves, course, rules, first, last):
+def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, last):
     """Run scenarios on until their storyboard has to look.
 
     Each is run by itself, so that it does not matter how they are shared among threads.
@@ -88,6 +88,7 @@ def run_on(scene, tracks, fleet, actions, leaves, course, rules, first, last):
     ----------
     scene : Scene
     tracks : Tracks
+    roads : RoadTables
     fleet : Fleet
     actions : Actions
     leaves : Leaves
@@ -119,7 +120,7 @@ def run_on(scene, tracks, fleet, actions, leaves, course, rules, first, last):
                     break
                 _note_speeds(scene, n)
             floats[:], flags[:], memory[:] = scene.floats[n], scene.flags[n], actions.memory[n]
-            if act(scene, tracks, actions, n, rules.time_step):
+            if act(scene, tracks, roads, actions, n, rules.time_step):
                 begun = status == ACTS
                 status = _finish(scene, tracks, fleet, course, rules, n, rules.time_step, work, others)
                 if begun and course.looks[n] and status == GOES:

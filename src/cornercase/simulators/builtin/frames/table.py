@@ -19,7 +19,7 @@ DIMENSIONS: Final = ("time", "rate", "distance")
 
 OPTIONS: Final = 8
 """How many whole numbers describe an action: its kind, its entity, and what it needs besides."""
-MEMORY: Final = 16
+MEMORY: Final = 24
 """How many numbers an action can remember of each scenario."""
 
 
@@ -29,7 +29,7 @@ class Actions(NamedTuple):
     Attributes
     ----------
     options : ndarray of int64, shape (J, 8)
-    memory : ndarray of float64, shape (N, J, 16)
+    memory : ndarray of float64, shape (N, J, 24)
         What each remembers of each scenario.
     running : ndarray of bool, shape (N, J)
     """

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
-from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.tracks.track import Pose, Track
 from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
@@ -17,12 +17,26 @@ from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 _ASTRAY: Final = 20.0
 
 
-def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArray] | None = None) -> FloatArray:
+class KnownPlaces(NamedTuple):
+    """Where a target that stays where it is lies on the track that an entity follows, kept from one step to the next.
+
+    Attributes
+    ----------
+    track : ndarray of float64, shape (N,)
+        Number of that track.
+    place : ndarray of float64, shape (N,)
+        Distance along it in m, infinite where it does not lead there; NaN where that is not known.
+    """
+
+    track: FloatArray
+    place: FloatArray
+
+
+def remaining(world: World, entity: int, target: Pose, known: KnownPlaces, where: BoolArray) -> FloatArray:
     """Distance along the entity's track to a target, in m, shape (N,); negative once it is passed.
 
     A trajectory leads to where it comes nearest to the target. Where the entity has no track that leads there it is the
-    distance as the crow flies. For a target that stays where it is, `known` keeps its place on each track from one call
-    to the next.
+    distance as the crow flies.
 
     Parameters
     ----------
@@ -30,15 +44,22 @@ def remaining(world: World, entity: int, target: Pose, known: dict[int, FloatArr
     entity : int
         Row of the entity.
     target : Pose
-    known : dict of int to ndarray, optional
-        Places of the target by track, which are added to.
+    known : KnownPlaces
+        What is known of the target; what is found out is added.
+    where : ndarray of bool, shape (N,)
+        Scenarios in which it is asked for.
 
     Returns
     -------
     ndarray of float64, shape (N,)
         m.
     """
-    way = _on_track(world, entity, target, {} if known is None else known, beside=True)
+    way = np.full(world.scenarios, np.inf)
+    for k, track, rows in world.followed(entity, where & np.isfinite(target.x + target.y)):
+        new = rows[(known.track[rows] != k) | np.isnan(known.place[rows])]
+        if new.size:
+            known.track[new], known.place[new] = k, _place_on(world, entity, track, target, new, beside=True)
+        way[rows] = known.place[rows] - world.distance[entity][rows]
     crow = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
     return np.where(np.isfinite(way), way, crow)
 
@@ -58,7 +79,9 @@ def along_roads(world: World, entity: int, target: Pose) -> FloatArray:
     ndarray of float64, shape (N,)
         m; infinite where no road leads from one to the other.
     """
-    result = _on_track(world, entity, target, {})
+    result = np.full(world.scenarios, np.inf)
+    for _, track, rows in world.followed(entity, np.isfinite(target.x + target.y)):
+        result[rows] = _place_on(world, entity, track, target, rows) - world.distance[entity][rows]
     rows = np.flatnonzero(~np.isfinite(result) & np.isfinite(world.x[entity] + target.x))
     own = lane_of(world, entity) if rows.size else None
     if world.network is not None and own is not None and own.road is not None and own.s is not None:
@@ -69,25 +92,17 @@ def along_roads(world: World, entity: int, target: Pose) -> FloatArray:
     return result
 
 
-def _on_track(
-    world: World, entity: int, target: Pose, known: dict[int, FloatArray], *, beside: bool = False
+def _place_on(
+    world: World, entity: int, track: Track, target: Pose, rows: IntArray, *, beside: bool = False
 ) -> FloatArray:
-    """Distance along the entity's track to a target in m, shape (N,); infinite where its track does not lead there.
+    """Distance along a track to a target in m, shape (R,); infinite where the track does not lead there.
 
     With `beside`, a trajectory leads to places however far beside it, too.
     """
-    result = np.full(world.scenarios, np.inf)
-    for k, track, rows in world.followed(entity, np.isfinite(target.x + target.y)):
-        places = known.setdefault(k, np.full(world.scenarios, np.nan))
-        new = rows[np.isnan(places[rows])]
-        if new.size:
-            along = track.nearest(target.x[new], target.y[new], new, world.distance[entity][new])
-            x, y, _ = track.at(along, np.zeros(len(new)), new)
-            near = np.hypot(x - target.x[new], y - target.y[new]) < _ASTRAY
-            leads = near | (beside and not isinstance(track, LaneTrack))
-            places[new] = np.where(leads, along, np.inf)
-        result[rows] = places[rows] - world.distance[entity][rows]
-    return result
+    along = track.nearest(target.x[rows], target.y[rows], rows, world.distance[entity][rows])
+    x, y, _ = track.at(along, np.zeros(len(rows)), rows)
+    near = np.hypot(x - target.x[rows], y - target.y[rows]) < _ASTRAY
+    return np.where(near | (beside and not isinstance(track, LaneTrack)), along, np.inf)
 
 
 def offset_from(world: World, entity: int, other: int) -> FloatArray:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Final
+from dataclasses import replace
 
 import numpy as np
 
 from cornercase._common.geometry import looks_ahead
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
+from cornercase.simulators.builtin.frames.synchronising import BESIDE
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Pose
 from cornercase.simulators.builtin.world.state import World
-
-# Further than this from the middle of its new lane, in m, the lane of an entity that changes lanes is looked up.
-_BESIDE: Final = 1.0
 
 
 def on_lane(world: World, entity: int) -> BoolArray:
@@ -54,11 +52,17 @@ def lane_of(world: World, entity: int) -> Pose:
     pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
     if world.network is None:
         return pose
-    place = world.network.locate(world.x[entity], world.y[entity])
-    pose = Pose(pose.x, pose.y, pose.heading, *place)
     # As in esmini, only who changes lanes comes to another lane, however far an offset leads aside.
-    near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < _BESIDE)
-    for _, track, rows in world.followed(entity, near & world.present[entity]):
+    near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < BESIDE)
+    along = on_lane(world, entity) & near & world.present[entity]
+    n = world.scenarios
+    road, lane, s, offset = np.full(n, -1), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
+    free = np.flatnonzero(~along)
+    if free.size:
+        place = world.network.locate(world.x[entity][free], world.y[entity][free])
+        road[free], lane[free], s[free], offset[free] = place
+    pose = replace(pose, road=road, lane=lane, s=s, offset=offset)
+    for _, track, rows in world.followed(entity, along):
         if isinstance(track, LaneTrack):
             pose = track.lane_pose(pose, rows, world.distance[entity][rows], world.offset[entity][rows])
     return pose
@@ -128,7 +132,7 @@ def looks_along(world: World, pose: Pose) -> BoolArray:
     return looks_ahead(pose.heading - road_heading(world, pose))
 
 
-def speed_along_road(world: World, entity: int) -> FloatArray:
+def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
     """Speed of the last step along the road that an entity is on, without sign, in m/s, shape (N,).
 
     On a bend it is that of the chord, seen along the road where the step ended.
@@ -138,6 +142,8 @@ def speed_along_road(world: World, entity: int) -> FloatArray:
     world : World
     entity : int
         Row of the entity.
+    where : ndarray of bool, shape (N,)
+        Scenarios in which it is asked for.
 
     Returns
     -------
@@ -147,8 +153,9 @@ def speed_along_road(world: World, entity: int) -> FloatArray:
     direction = world.heading[entity].copy()
     if world.network is not None:
         lane = on_lane(world, entity)
-        direction = np.where(lane, road_heading(world, lane_of(world, entity)), direction)
-        at = np.flatnonzero(~lane & world.present[entity])
+        if lane.any():
+            direction = np.where(lane, road_heading(world, lane_of(world, entity)), direction)
+        at = np.flatnonzero(~lane & where & world.present[entity])
         x, y, heading = world.x[entity][at], world.y[entity][at], world.heading[entity][at]
         road, s = world.network.road_from(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
         world.last_road[entity][at], world.last_s[entity][at] = road, s

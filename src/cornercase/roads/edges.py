@@ -1,0 +1,125 @@
+"""How far roads reach to both sides of their reference lines, compiled, for one place at a time."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cornercase._common.compiling import kernel
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads.lane import Polynomial
+from cornercase.roads.road import Road
+
+_RIGHT, _LEFT = 0, 1
+
+
+class RoadEdges(NamedTuple):
+    """Tables of the widths of R roads, which have S lane sections with L lanes in all, and of Q cubics.
+
+    Attributes
+    ----------
+    sections : ndarray of int64, shape (R + 1,)
+        First section of each road, and the number of sections.
+    start : ndarray of float64, shape (S,)
+        Where sections begin, in m.
+    lanes : ndarray of int64, shape (2 S + 1,)
+        First lane to the right and to the left of each section, from the middle outwards, and the number of lanes.
+    cubics : ndarray of int64, shape (R + L + 1,)
+        First cubic of each road's lane offset and of each lane's width or border, and the number of cubics.
+    bordered : ndarray of bool, shape (L,)
+        Whether the cubics of a lane are its border.
+    coefficients : ndarray of float64, shape (Q, 5)
+        Where each begins in m, and its coefficients, the lowest first.
+    """
+
+    sections: IntArray
+    start: FloatArray
+    lanes: IntArray
+    cubics: IntArray
+    bordered: BoolArray
+    coefficients: FloatArray
+
+
+def road_edges(roads: Sequence[Road]) -> RoadEdges:
+    """Tables of the widths of roads.
+
+    Parameters
+    ----------
+    roads : sequence of Road
+
+    Returns
+    -------
+    RoadEdges
+    """
+    lines: list[tuple[Polynomial, ...]] = [road.offsets for road in roads]
+    starts, counts, bordered = [], [], []
+    for road in roads:
+        for start, lanes in road.sections:
+            starts.append(start)
+            for sign in (-1, 1):
+                side = [lanes[number] for number in sorted((k for k in lanes if k * sign > 0), key=abs)]
+                counts.append(len(side))
+                bordered += [bool(lane.borders) for lane in side]
+                lines += [lane.borders or lane.widths for lane in side]
+    return RoadEdges(
+        np.cumsum([0, *(len(road.sections) for road in roads)], dtype=np.int64),
+        np.array(starts, dtype=np.float64),
+        np.cumsum([0, *counts], dtype=np.int64),
+        np.cumsum([0, *map(len, lines)], dtype=np.int64),
+        np.array(bordered, dtype=np.bool_),
+        np.array([cubic for line in lines for cubic in line], dtype=np.float64).reshape(-1, 5),
+    )
+
+
+@kernel(error_model="numpy", _nrt=False)
+def road_margins(edges, road, s):
+    """Lateral coordinates of a road's edges.
+
+    Parameters
+    ----------
+    edges : RoadEdges
+    road : int
+        Index of the road.
+    s : float
+        m.
+
+    Returns
+    -------
+    right, left : float
+        m.
+    """
+    section = edges.sections[road]
+    while section + 1 < edges.sections[road + 1] and edges.start[section + 1] <= s:
+        section += 1
+    middle = _value(edges, road, s)
+    return _edge(edges, section, _RIGHT, middle, s), _edge(edges, section, _LEFT, middle, s)
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _edge(edges, section, side, middle, s):
+    first, last = edges.lanes[2 * section + side], edges.lanes[2 * section + side + 1]
+    roads, edge, sign = edges.sections.size - 1, middle, 1.0 if side == _LEFT else -1.0
+    for lane in range(first, last):
+        value = _value(edges, roads + lane, s - edges.start[section])
+        if edges.bordered[lane]:
+            edge = middle + value
+        elif value > 0.0:
+            edge = edge + sign * value
+    return edge
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _value(edges, line, s):
+    """Value of cubics that follow each other; 0 where there are none."""
+    k, last, table = edges.cubics[line], edges.cubics[line + 1], edges.coefficients
+    if k == last:
+        return 0.0
+    while k + 1 < last and table[k + 1, 0] <= s:
+        k += 1
+    d = s - table[k, 0]
+    return table[k, 1] + d * (table[k, 2] + d * (table[k, 3] + d * table[k, 4]))
