@@ -51,7 +51,8 @@ class SynchronizeAction(Action):
     # The order is that of the names in `frames.synchronising`.
     remembered = (
         "_mode", "_convex", "_last", "_last_master",
-        *(f"_{name}{end}" for end in ("", "_master") for name in ("x", "y", "road", "s", "track", "place", "tolerance")),
+        "_x", "_y", "_road", "_s", "_track", "_place", "_tolerance",
+        "_x_master", "_y_master", "_road_master", "_s_master", "_track_master", "_place_master", "_tolerance_master",
         "_steady_distance", "_steady_time", "_final",
     )  # fmt: skip
 

@@ -20,14 +20,14 @@ from cornercase.simulators.builtin.frames.table import (
     SYNCHRONISATION,
     TRAJECTORY_ACTION,
 )
-from cornercase.simulators.builtin.tracks.line_kernels import (
-    direction_on,
-    distance_at,
-    last_time,
-    line_length,
-    oriented_on,
+from cornercase.simulators.builtin.tracks.place_kernels import (
+    trajectory_direction,
+    trajectory_distance_at,
+    trajectory_end,
+    trajectory_length,
+    trajectory_oriented,
 )
-from cornercase.simulators.builtin.tracks.pool import LINE
+from cornercase.simulators.builtin.tracks.pool import LANE, OTHER
 from cornercase.simulators.builtin.world.layout import (
     AT_END_SINCE,
     DISTANCE,
@@ -159,24 +159,24 @@ def _follow_trajectory(scene, tracks, actions, n, j, dt):
     e, timed = options[1], options[2]
     track = scene.numbers[n, TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
-    if row < 0 or tracks.kind[row] != LINE:
+    if row < 0 or tracks.kind[row] == LANE or tracks.kind[row] == OTHER:
         return False
     before = f[DISTANCE, e]
     if timed:
-        time, last = scene.time[n] + dt + m[2], last_time(tracks, row, n)
+        time, last = scene.time[n] + dt + m[2], trajectory_end(tracks, row, n)
         if time > last - _TINY:
             return False
-        along = distance_at(tracks, row, n, time)
+        along = trajectory_distance_at(tracks, row, n, time)
         if dt > 0.0:
-            against = math.cos(f[HEADING, e] - direction_on(tracks, row, n, before)) < -_TINY
+            against = math.cos(f[HEADING, e] - trajectory_direction(tracks, row, n, before)) < -_TINY
             gone = abs(along - before) / dt
             f[SPEED, e] = -gone if (along < before) != against else gone
     else:
-        way, length = f[SPEED, e] * m[0] * dt, line_length(tracks, row, n)
+        way, length = f[SPEED, e] * m[0] * dt, trajectory_length(tracks, row, n)
         along = min(max(before + way, 0.0), length)
         if (along > length - _TINY and way > 0.0) or (along < _TINY and way < 0.0):
             return False
-    oriented = oriented_on(tracks, row, n, along)
+    oriented = trajectory_oriented(tracks, row, n, along)
     if not oriented and m[1] > 0.0:
         # From here on the line alone gives the heading: settled by the storyboard.
         return False

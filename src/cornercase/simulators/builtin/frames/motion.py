@@ -12,7 +12,7 @@ from cornercase._common.compiling import kernel
 from cornercase.simulators.builtin.frames.boxes import overlap
 from cornercase.simulators.builtin.tracks.lane_kernels import advance_lane, goes_over
 from cornercase.simulators.builtin.tracks.place_kernels import place_on
-from cornercase.simulators.builtin.tracks.pool import LANE, LINE
+from cornercase.simulators.builtin.tracks.pool import LANE, OTHER
 from cornercase.simulators.builtin.world.layout import (
     ACCELERATION,
     AT_END_SINCE,
@@ -144,10 +144,10 @@ def advance(scene, tracks, n, e, row, way, arrived):
         there = distance >= tracks.length[row] - _ON_END or (distance <= _ON_END and back)
         f[AT_END_SINCE, e] = min(since, arrived) if there else math.inf
         f[DISTANCE, e] = distance
-    elif tracks.kind[row] == LINE:
-        f[DISTANCE, e] += way
-    else:
+    elif tracks.kind[row] == OTHER:
         return
+    else:
+        f[DISTANCE, e] += way
     settle(scene, tracks, n, e, row)
 
 

@@ -35,9 +35,20 @@ class ClothoidSpline(Trajectory):
         Where segments begin, by their number, that do not begin where the one before ends.
     turns : ndarray of float64, shape (N, K), optional
         By how much in rad the heading of each segment differs at its beginning from that of the place.
+
+    Attributes
+    ----------
+    begin : ndarray of float64, shape (N, K + 1)
+        Distance in m at which the segments begin, and the last one ends.
+    x, y, heading : ndarray of float64, shape (N, C)
+        Where the chords begin, and the last one ends, in m and rad.
+    chord : ndarray of float64, shape (N,)
+        How long all chords but the last one are, in m.
+    last : ndarray of int64, shape (N,)
+        The last chord.
     """
 
-    _arrays = ("_start", "_rate", "_begin", "lengths", "_x", "_y", "_turn", "_clock")
+    _arrays = ("_start", "_rate", "begin", "lengths", "_x", "_y", "_turn", "_clock")
 
     def __init__(
         self,
@@ -51,11 +62,13 @@ class ClothoidSpline(Trajectory):
         begins: Mapping[int, Pose] | None = None,
         turns: FloatArray | None = None,
     ) -> None:
-        self._start, self._rate, self._clock = start, (end - start) / length, clock
+        self._start, self._rate, self._clock = start, (end - start) / length, None
+        if clock is not None:
+            self._clock = np.ascontiguousarray(clock)
         self.version = 0
         ends = np.cumsum(length, axis=1)
-        self._begin = np.concatenate([np.zeros((len(x), 1)), ends], axis=1)
-        self.lengths = ends[:, -1]
+        self.begin = np.concatenate([np.zeros((len(x), 1)), ends], axis=1)
+        self.lengths = ends[:, -1].copy()
         nodes = [(x, y, heading)]
         for k in range(length.shape[1]):
             u, v, turn = clothoid(length[:, k], start[:, k], self._rate[:, k])
@@ -71,20 +84,20 @@ class ClothoidSpline(Trajectory):
 
     def _sample(self) -> None:
         lengths = np.nan_to_num(self.lengths, posinf=0.0)
-        self._chord = np.maximum(_CHORD, lengths / _MOST_CHORDS)
-        chords = np.ceil(lengths / self._chord)
-        self._final = np.maximum(chords.astype(np.int64) - 1, 0)
+        self.chord = np.maximum(_CHORD, lengths / _MOST_CHORDS)
+        chords = np.ceil(lengths / self.chord)
+        self.last = np.maximum(chords.astype(np.int64) - 1, 0)
         every = np.arange(len(lengths))
         points = [
-            self._on_curve(np.minimum(k * self._chord, lengths), every) for k in range(int(chords.max(initial=0.0)) + 1)
+            self._on_curve(np.minimum(k * self.chord, lengths), every) for k in range(int(chords.max(initial=0.0)) + 1)
         ]
         self.x, self.y, self.heading = (np.stack(parts, axis=1) for parts in zip(*points, strict=True))
 
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         length = self.lengths.take(rows)
         along = np.clip(distance, 0.0, length)
-        chord = self._chord.take(rows)
-        k = np.minimum(np.nan_to_num(along / chord).astype(np.int64), self._final.take(rows))
+        chord = self.chord.take(rows)
+        k = np.minimum(np.nan_to_num(along / chord).astype(np.int64), self.last.take(rows))
         before = chord * k
         span = np.minimum(before + chord, length) - before
         part = (along - before) / np.where(span > 0.0, span, 1.0)
@@ -101,7 +114,7 @@ class ClothoidSpline(Trajectory):
 
     def _on_curve(self, along: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         piece, node = self._piece(along, rows)
-        u, v, turn = clothoid(along - self._begin.take(node), self._start.take(piece), self._rate.take(piece))
+        u, v, turn = clothoid(along - self.begin.take(node), self._start.take(piece), self._rate.take(piece))
         h0 = self._turn.take(node)
         cos, sin = np.cos(h0), np.sin(h0)
         return self._x.take(node) + cos * u - sin * v, self._y.take(node) + sin * u + cos * v, h0 + turn
@@ -109,7 +122,7 @@ class ClothoidSpline(Trajectory):
     def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
         along = np.clip(distance, 0.0, self.lengths.take(rows))
         piece, node = self._piece(along, rows)
-        return np.asarray(self._start.take(piece) + self._rate.take(piece) * (along - self._begin.take(node)))
+        return np.asarray(self._start.take(piece) + self._rate.take(piece) * (along - self.begin.take(node)))
 
     def _piece(self, along: FloatArray, rows: IntArray) -> tuple[IntArray, IntArray]:
         """Flat places of the clothoid that each scenario is on, and of the node before it."""
@@ -117,7 +130,7 @@ class ClothoidSpline(Trajectory):
         k = np.zeros(len(rows), dtype=np.int64)
         first = rows * (count + 1)
         for later in range(1, count):
-            k += self._begin.take(first + later) <= along
+            k += self.begin.take(first + later) <= along
         return rows * count + k, first + k
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
@@ -151,17 +164,17 @@ class ClothoidSpline(Trajectory):
         rows = np.arange(len(time))
         k = np.clip((self._clock <= time[:, None]).sum(axis=1) - 1, 0, self._clock.shape[1] - 2)
         begin, end = self._clock[rows, k], self._clock[rows, k + 1]
-        way = self._begin[rows, k + 1] - self._begin[rows, k]
+        way = self.begin[rows, k + 1] - self.begin[rows, k]
         speed = way / np.where(end > begin, end - begin, 1.0)
-        return np.asarray(self._begin[rows, k] + np.clip(time - begin, 0.0, end - begin) * speed)
+        return np.asarray(self.begin[rows, k] + np.clip(time - begin, 0.0, end - begin) * speed)
 
     def clock_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
         assert self._clock is not None
         rows = np.arange(len(distance))
-        k = np.clip((self._begin <= distance[:, None]).sum(axis=1) - 1, 0, self._clock.shape[1] - 2)
+        k = np.clip((self.begin <= distance[:, None]).sum(axis=1) - 1, 0, self._clock.shape[1] - 2)
         begin, end = self._clock[rows, k], self._clock[rows, k + 1]
-        way = self._begin[rows, k + 1] - self._begin[rows, k]
-        part = (distance - self._begin[rows, k]) / np.where(way > 0.0, way, 1.0)
+        way = self.begin[rows, k + 1] - self.begin[rows, k]
+        part = (distance - self.begin[rows, k]) / np.where(way > 0.0, way, 1.0)
         return begin + part * (end - begin), way / np.where(end > begin, end - begin, np.inf)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from cornercase._common.addresses import address_of
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
 from cornercase.simulators.builtin.tracks.columns import COLUMNS
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.polyline import Polyline
@@ -18,7 +19,9 @@ LANE: Final = 0
 """Kind of a track along lanes."""
 LINE: Final = 1
 """Kind of a track through vertices."""
-OTHER: Final = 2
+CHORDS: Final = 2
+"""Kind of a track along the chords of a spline."""
+OTHER: Final = 3
 """Kind of a track that kernels do not know."""
 
 _LINE_ARRAYS: Final = ("distance", "x", "y", "heading", "directions", "facing", "time", "speeds", "rates")
@@ -35,13 +38,13 @@ class Tracks(NamedTuple):
     row : ndarray of int64, shape (E, K)
         Which of the tracks each track of each entity is; -1 where it has fewer.
     kind : ndarray of int64, shape (G,)
-        `LANE`, `LINE` or `OTHER`.
+        `LANE`, `LINE`, `CHORDS` or `OTHER`.
     address : ndarray of int64, shape (G, 14)
         Where its arrays lie.
     size : ndarray of int64, shape (G,)
-        Samples of a lane, vertices of a line.
+        Samples of a lane, vertices of a line, ends of a spline's chords.
     bends : ndarray of int64, shape (G,)
-        Places along a lane at which the bend of the reference line is known.
+        Places along a lane at which the bend of the reference line is known; ends of a spline's segments.
     chord : ndarray of float64, shape (G,)
         Largest gap between two samples of a lane that follow each other, in m.
     length : ndarray of float64, shape (G,)
@@ -49,7 +52,7 @@ class Tracks(NamedTuple):
     span : ndarray of float64, shape (G, 2)
         Distances in m between which a lane is followed; beyond them another one leads on.
     closed, timed : ndarray of bool, shape (G,)
-        Whether a line goes on from its end to its start, and whether it has a clock.
+        Whether a line goes on from its end to its start, and whether a line or spline has a clock.
     turning : ndarray of int64, shape (G,)
         Where the heading turns along a line, as place in `TURNINGS`.
     """
@@ -81,6 +84,8 @@ class TrackPool:
         self._rows: dict[int, int] = {}
         # The tables hold addresses of what these hold.
         self._held: list[Track] = []
+        # Splines are sampled anew when they are started again: by row, and as of which version.
+        self._splines: dict[int, tuple[ClothoidSpline, int]] = {}
         self.tracks = _tables(0)
 
     def gather(self, followed: Sequence[Sequence[Track]]) -> Tracks:
@@ -96,6 +101,9 @@ class TrackPool:
         Tracks
         """
         counts = [len(tracks) for tracks in followed]
+        for g, (spline, version) in self._splines.items():
+            if spline.version != version:
+                self._enter_spline(self.tracks, g, g, spline)
         if counts == self._counts:
             return self.tracks
         new = {id(track): track for tracks in followed for track in tracks if id(track) not in self._rows}
@@ -124,6 +132,16 @@ class TrackPool:
             for column, name in enumerate(_LINE_ARRAYS):
                 array = getattr(track, name)
                 tables.address[g, column] = 0 if array is None else address_of(array)
+        elif isinstance(track, ClothoidSpline):
+            tables.kind[g], tables.timed[g] = CHORDS, track.time is not None
+            self._enter_spline(tables, g, self._rows[id(track)], track)
+
+    def _enter_spline(self, tables: Tracks, g: int, row: int, spline: ClothoidSpline) -> None:
+        self._splines[row] = (spline, spline.version)
+        tables.size[g], tables.bends[g] = spline.x.shape[1], spline.begin.shape[1]
+        arrays = (spline.begin, spline.x, spline.y, spline.heading, spline.lengths, spline.chord, spline.time)
+        for column, array in enumerate((*arrays, spline.last)):
+            tables.address[g, column] = 0 if array is None else address_of(array)
 
 
 def _tables(count: int) -> Tracks:

@@ -8,6 +8,7 @@ import numpy as np
 
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.polyline import Polyline
 from cornercase.simulators.builtin.tracks.track import Track, Trajectory
@@ -29,11 +30,11 @@ def move_elsewhere(world: World, dt: float) -> None:
         s.
     """
     for e, tracks in enumerate(world.tracks):
-        if not any(isinstance(track, Trajectory) and not isinstance(track, Polyline) for track in tracks):
+        if not any(isinstance(track, Trajectory) and not isinstance(track, Polyline | ClothoidSpline) for track in tracks):
             continue
         way = np.where(np.isnan(world.pace[e]), world.speed[e], world.pace[e]) * dt
         for _, track, at in world.followed(e, world.running & world.present[e] & ~world.moved[e]):
-            if not isinstance(track, LaneTrack | Polyline):
+            if not isinstance(track, LaneTrack | Polyline | ClothoidSpline):
                 _advance(world, e, track, at, way[at])
 
 
