@@ -1,0 +1,59 @@
+"""Compiled reference lines and edges of roads against those that they are twins of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import road_networks as rn
+from cornercase.roads import RoadNetwork, stays_on_road
+from cornercase.roads.edges import road_margins
+from cornercase.roads.locating import SLACK, Locator
+
+_ROOT = Path(__file__).parents[2]
+_FILES = ("examples/x_intersection/x_intersection.xodr", "tests/data/everything/road.xodr")
+_BORDERS = (
+    '<laneSection s="0"><left><lane id="1" type="driving"><border sOffset="0" a="3" b="0.01" c="0" d="0"/></lane>'
+    '<lane id="2" type="driving"><border sOffset="0" a="6" b="0" c="0.001" d="0"/></lane></left>'
+    '<center><lane id="0" type="none"/></center></laneSection>'
+    '<laneSection s="12"><center><lane id="0" type="none"/></center><right><lane id="-1" type="driving">'
+    '<width sOffset="0" a="3" b="0.2" c="0" d="0"/><width sOffset="5" a="4" b="-0.5" c="0" d="0"/></lane></right></laneSection>'
+)
+
+
+def _networks(folder: Path) -> list[RoadNetwork]:
+    shapes = ("<line/>", '<arc curvature="-0.02"/>', '<spiral curvStart="0.01" curvEnd="0.01"/>')
+    made = [rn.road(str(k), 30.0, at=(40.0 * k, 5.0, 0.7), shape=one) for k, one in enumerate(shapes)]
+    made.append(rn.road("borders", 30.0, at=(0.0, 50.0, 2.0), sections=_BORDERS))
+    return [rn.network(folder, *made), *(RoadNetwork.read(_ROOT / file) for file in _FILES)]
+
+
+def test_edges_are_the_same_compiled(tmp_path: Path) -> None:
+    for network in _networks(tmp_path):
+        for k, road in enumerate(network.roads):
+            s = np.concatenate([np.linspace(-1.0, road.length + 1.0, 17), road.seams])
+            for at, right, left in zip(s, *road.margins(s), strict=True):
+                assert road_margins(network.tables.edges, k, at) == pytest.approx((right, left), rel=1e-14, abs=1e-14)
+
+
+def test_who_stays_on_its_road_is_the_same_compiled(tmp_path: Path) -> None:
+    random, stayed = np.random.default_rng(0), 0
+    for network in _networks(tmp_path):
+        tables, locator = network.tables, Locator(network.roads)
+        for k, road in enumerate(network.roads):
+            if not tables.plain[k]:
+                assert any(piece.kind not in ("line", "arc") for piece in road.geometries)
+                continue
+            s, t = random.uniform(-3.0, road.length + 3.0, 40), random.uniform(-15.0, 15.0, 40)
+            x, y, _ = road.at(np.clip(s, 0.0, road.length), t)
+            guess = s + random.normal(0.0, 3.0, 40)
+            found = guess.copy()
+            inside = locator._holds(np.full(40, k), x, y, found, 1, SLACK)
+            for i in range(40):
+                stays, at = stays_on_road(tables, k, guess[i], x[i], y[i])
+                assert stays == inside[i]
+                assert not stays or at == pytest.approx(found[i], rel=1e-13, abs=1e-12)
+            stayed += int(inside.sum())
+    assert stayed > 100

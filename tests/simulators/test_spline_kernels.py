@@ -1,0 +1,68 @@
+"""Compiled splines of clothoids against those that they are twins of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cornercase.simulators.builtin.tracks import chord_kernels, pool
+from cornercase.simulators.builtin.tracks import place_kernels as kernels
+from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
+
+
+@st.composite
+def _splines(draw: st.DrawFn) -> ClothoidSpline:
+    scenarios, segments = draw(st.integers(1, 3)), draw(st.integers(1, 4))
+    random = np.random.default_rng(draw(st.integers(0, 1000)))
+    shape = (scenarios, segments)
+    length = random.uniform(0.1, draw(st.sampled_from([0.7, 30.0, 4000.0])), shape)
+    gaps = random.uniform(0.0, 5.0, (scenarios, segments + 1)) * random.integers(0, 2, (scenarios, segments + 1))
+    clock = np.cumsum(gaps, axis=1) if draw(st.booleans()) else None
+    x, y, heading = random.normal(0.0, 10.0, (3, scenarios))
+    return ClothoidSpline(x, y, heading, *random.normal(0.0, 0.05, (2, *shape)), length, clock)
+
+
+def _check(tracks: pool.Tracks, spline: ClothoidSpline, offset: float) -> None:
+    rows = np.arange(len(spline.x))
+    ends = [spline.chord * k + d for k in (0, 1, 2) for d in (-1e-9, 0.0)]
+    for distance in [share * spline.lengths for share in (-0.2, 0.0, 0.31, 0.77, 1.0, 1.1)] + ends:
+        same = np.stack(spline.at(distance, np.full(len(rows), offset), rows), axis=1)
+        for n in rows.tolist():
+            place = kernels.place_on(tracks, 0, n, distance[n], offset)
+            np.testing.assert_allclose(place, same[n], rtol=1e-12, atol=1e-12)
+            direction = spline.direction(distance[n : n + 1], rows[n : n + 1])[0]
+            assert kernels.trajectory_direction(tracks, 0, n, distance[n]) == pytest.approx(direction, abs=1e-12)
+            assert not kernels.trajectory_oriented(tracks, 0, n, distance[n])
+    for n in rows.tolist():
+        assert kernels.trajectory_length(tracks, 0, n) == spline.lengths[n]
+    if spline.time is None:
+        return
+    for time in [spline.time[:, k] + d for k in range(spline.time.shape[1]) for d in (-0.3, 0.0, 0.3)]:
+        there = spline.distance_at(time)
+        for n in rows.tolist():
+            assert kernels.trajectory_end(tracks, 0, n) == spline.time[n, -1]
+            assert kernels.trajectory_distance_at(tracks, 0, n, time[n]) == there[n]
+
+
+@given(_splines(), st.sampled_from([0.0, 1.5, -3.0]))
+@settings(max_examples=60, deadline=None)
+def test_splines_are_the_same_compiled(spline: ClothoidSpline, offset: float) -> None:
+    tracks = pool.TrackPool().gather([[spline]])
+    assert tracks.kind.tolist() == [pool.CHORDS]
+    assert tracks.timed.tolist() == [spline.time is not None]
+    _check(tracks, spline, offset)
+
+
+def test_a_spline_that_is_started_again_shows_at_once() -> None:
+    def spline(length: float) -> ClothoidSpline:
+        zero, lengths = np.zeros(2), np.full((2, 1), length)
+        return ClothoidSpline(zero, zero, zero, 0.0 * lengths, 0.0 * lengths + 0.02, lengths)
+
+    one, held = spline(3.0), pool.TrackPool()
+    held.gather([[one]])
+    one.adopt(spline(40.0), np.array([False, True]))
+    tracks = held.gather([[one]])
+    assert [chord_kernels.chords_length(tracks, 0, n) for n in range(2)] == [3.0, 40.0]
+    _check(tracks, one, 1.0)
