@@ -21,7 +21,8 @@ def _splines(draw: st.DrawFn) -> ClothoidSpline:
     gaps = random.uniform(0.0, 5.0, (scenarios, segments + 1)) * random.integers(0, 2, (scenarios, segments + 1))
     clock = np.cumsum(gaps, axis=1) if draw(st.booleans()) else None
     x, y, heading = random.normal(0.0, 10.0, (3, scenarios))
-    return ClothoidSpline(x, y, heading, *random.normal(0.0, 0.05, (2, *shape)), length, clock)
+    start, end = random.normal(0.0, 0.05, (2, *shape))
+    return ClothoidSpline(x, y, heading, start, end, length, clock)
 
 
 def _check(tracks: pool.Tracks, spline: ClothoidSpline, offset: float) -> None:

@@ -76,13 +76,16 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
     for k, piece in enumerate(pieces):
         found = _numbers(piece)
         numbers[k, : len(found)] = found
-    begins = np.array([(piece.s, piece.x, piece.y, piece.heading) for piece in pieces]).reshape(-1, 4).T.copy()
+    s, x, y, heading = np.array([(one.s, one.x, one.y, one.heading) for one in pieces]).reshape(-1, 4).T.copy()
     return RoadTables(
         np.array([all(piece.kind != "poly3" for piece in road.geometries) for road in roads], dtype=np.bool_),
         np.array([all(map(_plain, road.geometries)) for road in roads], dtype=np.bool_),
         np.array([road.length for road in roads], dtype=np.float64),
         np.cumsum([0, *(len(road.geometries) for road in roads)], dtype=np.int64),
-        *begins,
+        s,
+        x,
+        y,
+        heading,
         np.array([_CURVE if piece.kind == "paramPoly3" else _TURNS for piece in pieces], dtype=np.int64),
         numbers,
         road_edges(roads),
@@ -90,8 +93,10 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
 
 
 def _plain(piece: Geometry) -> bool:
-    bent = piece.kind == "spiral" and turns_evenly(*piece.numbers, piece.length)
-    return piece.kind in ("line", "arc") or bent
+    if piece.kind != "spiral":
+        return piece.kind in ("line", "arc")
+    begin, end = piece.numbers
+    return bool(turns_evenly(begin, end, piece.length))
 
 
 def _numbers(piece: Geometry) -> tuple[float, ...]:

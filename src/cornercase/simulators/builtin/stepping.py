@@ -34,7 +34,7 @@ from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard.triggers import Condition, Past
 from cornercase.simulators.builtin.tracks.pool import TrackPool
 from cornercase.simulators.builtin.tracks.track import Trajectory
-from cornercase.simulators.builtin.world.motion import go_on_along_lanes, move_elsewhere, watch_roads
+from cornercase.simulators.builtin.world.motion import go_on_along_lanes, watch_roads
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.towing import place_trailers
 
@@ -160,7 +160,6 @@ class Stepper:
         if self._coupling is not None:
             self._coupling.step(world, dt)
         place_trailers(world)
-        move_elsewhere(world, dt)
         world.begun = True
 
     def _watch(self) -> BoolArray:

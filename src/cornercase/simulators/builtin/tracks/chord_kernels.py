@@ -1,7 +1,7 @@
 """Compiled twins of `ClothoidSpline`, for one scenario at a time."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
 
 from __future__ import annotations
 

@@ -8,34 +8,14 @@ import numpy as np
 
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
-from cornercase.simulators.builtin.tracks.polyline import Polyline
-from cornercase.simulators.builtin.tracks.track import Track, Trajectory
+from cornercase.simulators.builtin.tracks.track import Track
 from cornercase.simulators.builtin.world.lanes import go_on
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import on_road
 
 # An entity this close to the end of a road, in m, is at the end.
 _ON_END: Final = 1e-3
-
-
-def move_elsewhere(world: World, dt: float) -> None:
-    """Advance who follows a curve that compiled code does not know by one time step.
-
-    Parameters
-    ----------
-    world : World
-    dt : float
-        s.
-    """
-    for e, tracks in enumerate(world.tracks):
-        if not any(isinstance(track, Trajectory) and not isinstance(track, Polyline | ClothoidSpline) for track in tracks):
-            continue
-        way = np.where(np.isnan(world.pace[e]), world.speed[e], world.pace[e]) * dt
-        for _, track, at in world.followed(e, world.running & world.present[e] & ~world.moved[e]):
-            if not isinstance(track, LaneTrack | Polyline | ClothoidSpline):
-                _advance(world, e, track, at, way[at])
 
 
 def watch_roads(world: World, where: BoolArray) -> None:
