@@ -17,6 +17,7 @@ from cornercase.simulators.builtin.frames.scene import MAX_SPEED
 from cornercase.simulators.builtin.tracks.lane_kernels import lane_place
 from cornercase.simulators.builtin.tracks.pool import LANE
 from cornercase.simulators.builtin.world.layout import (
+    BESIDE,
     CHANGES_LANES,
     DISTANCE,
     DRIVEN,
@@ -50,8 +51,6 @@ AWAY: Final = 1e-3
 """So much further from its place than in the last step, in m, an entity has passed it."""
 ON_LINE: Final = 0.1
 """A speed that differs from that of the last phase by less, in m/s, begins it."""
-BESIDE: Final = 1.0
-"""Further than this from the middle of its new lane, in m, the lane of an entity that changes lanes is looked up."""
 REACHED: Final = 0.1
 """A distance that is kept within this, in m, is reached."""
 SPRING: Final = 0.4

@@ -62,3 +62,6 @@ FLAGS: Final = {
 }
 
 NUMBERS: Final = {"track": (TRACK, -1), "route": (ROUTE, 0), "last_road": (LAST_ROAD, -1), "driver": (DRIVER, -1)}
+
+BESIDE: Final = 1.0
+"""Further than this from the middle of its new lane, in m, the lane of an entity that changes lanes is looked up."""

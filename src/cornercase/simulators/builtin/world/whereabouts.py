@@ -9,9 +9,9 @@ import numpy as np
 from cornercase._common.geometry import looks_ahead
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
-from cornercase.simulators.builtin.frames.synchronising import BESIDE
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Pose
+from cornercase.simulators.builtin.world.layout import BESIDE
 from cornercase.simulators.builtin.world.state import World
 
 
