@@ -13,15 +13,14 @@ import math
 from cornercase._common.compiling import kernel
 from cornercase.drivers.way import lay
 
+# m; boxes that are less apart are tested exactly.
+_HAIR = 1e-6
+
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 _kernel = kernel(error_model="numpy", _nrt=False)
 
 # What is called from one place, or does little, spares the call.
 _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
-
-
-# m; boxes that are less apart are tested exactly.
-_HAIR = 1e-6
 
 
 @_kernel
@@ -41,7 +40,7 @@ def meeting(places, row, ego, margin, other, horizon):
     margin : float
         m on either side by which the driven entity counts as wider.
     other : tuple
-        Legs (L, 6) as in `_foresee`, half length, half width, speed.
+        Legs (L, 6) as of `foresee`, half length, half width, speed.
     horizon : float
         s; 0 for the other where it is now.
 
@@ -150,12 +149,10 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
         if k > until:
             if way is not None:
                 k, until = next_rows(way, k, margin, other, horizon)
-                if k >= count:
-                    break
             else:
                 k += rows_apart(places, most, k, ego, margin, other, horizon)
-                if k >= count:
-                    break
+            if k >= count:
+                break
         if way is not None:
             lay(way, k)
         if meeting(places, k, ego, margin, other, horizon)[0] <= horizon:
