@@ -31,8 +31,8 @@ from cornercase.simulators.builtin.world.layout import (
 
 (
     CONSTANT, CLOCK, TRAVELED, SPEED_IS, RELATIVE_SPEED, ACCELERATION_IS, STANDS, AT_END, COLLIDES, REACHES, APART,
-    APART_FROM_PLACE, HEADWAY, TIME_TO_COLLISION,
-) = range(14)  # fmt: skip
+    APART_FROM_PLACE, HEADWAY, TIME_TO_COLLISION, TURNED,
+) = range(15)  # fmt: skip
 """What is asked: what only the storyboard itself changes (the first value says whether it holds), the time …"""
 
 GREATER, LESS, EQUAL, GREATER_OR_EQUAL, LESS_OR_EQUAL, NOT_EQUAL = range(6)
@@ -297,6 +297,10 @@ def holds(scene, leaves, n, k):
         near = math.hypot(v[0] - f[X, e], v[1] - f[Y, e]) < v[3]
         turn = (v[2] - f[HEADING, e] + math.pi) % (2.0 * math.pi) - math.pi
         return near and (option == 0 or abs(turn) < ALIGNED)
+    if kind == TURNED:
+        heading = f[HEADING, e] if option > 0 else 0.0
+        turn = heading - f[HEADING, other] if other >= 0 else heading
+        return abs((turn - v[0] + math.pi) % (2.0 * math.pi) - math.pi) < v[1] + TOLERANCE
     if kind == APART_FROM_PLACE:
         return _compares(rule, abs(_gap_to_place(scene, n, e, v[0], v[1], option)), v[2])
     if kind == COLLIDES:

@@ -372,7 +372,11 @@ def _angle(element: etree._Element, scope: Scope, world: World) -> EntityTest:
         apart = np.abs(within_half_turn(now - angle))
         return np.asarray(apart < tolerance + TOLERANCE)
 
-    return holds
+    if kind == "heading" and other is None and system in ("road", "lane") and world.network is not None:
+        return holds
+    if kind != "heading" or (other is None and system == "entity"):
+        return Known(holds, Leaf(leaves.TURNED, values=(angle, tolerance)))
+    return Known(holds, Leaf(leaves.TURNED, -1 if other is None else other, option=1, values=(angle, tolerance)))
 
 
 BY_ENTITY: Final[dict[str, Callable[[etree._Element, Scope, World], EntityTest]]] = {
