@@ -28,10 +28,10 @@ PARAMETERS = "".join(
     f'<ParameterDeclaration name="{name}" parameterType="double" value="{value}"/>'
     for name, value in (("speed", 10), ("final", 8), ("gap", 10))
 )
-LINE = f"""<Polyline><Vertex>{place(400, 12)}</Vertex><Vertex>{place(260, -1)}</Vertex><Vertex>{place(150, -1)}</Vertex>
+LINE = f"""<Polyline><Vertex>{place(400, 5)}</Vertex><Vertex>{place(260, -1)}</Vertex><Vertex>{place(150, -1)}</Vertex>
 </Polyline>"""
 BEND = f"""<ClothoidSpline><ClothoidSplineSegment curvatureStart="0" curvatureEnd="0" length="60"><PositionStart>
-{place(320, 1, 'h="3.1"')}</PositionStart></ClothoidSplineSegment><ClothoidSplineSegment curvatureStart="0" curvatureEnd="0.01"
+<WorldPosition x="320" y="1" h="3.1"/></PositionStart></ClothoidSplineSegment><ClothoidSplineSegment curvatureStart="0" curvatureEnd="0.01"
 length="70"/></ClothoidSpline>"""
 TRACKS = {
     "lane": moving("400", "$speed", lane="1"),
