@@ -112,7 +112,7 @@ def _numbers(piece: Geometry) -> tuple[float, ...]:
     return ()
 
 
-@kernel(error_model="numpy", _nrt=False)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_heading(roads, road, s):
     """Direction of a road's s, of a road that is known.
 
@@ -138,7 +138,7 @@ def road_heading(roads, road, s):
     return roads.heading[piece] + math.atan2(dv, du)
 
 
-@kernel(error_model="numpy", _nrt=False)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def stays_on_road(roads, road, s, x, y):
     """Whether a point that moves is still on the plain road that it was on, or not far beside it.
 
@@ -169,7 +169,7 @@ def stays_on_road(roads, road, s, x, y):
     return t >= right - SLACK and t <= left + SLACK, along
 
 
-@kernel(error_model="numpy", _nrt=False)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _plain_place(roads, piece, s):
     """Place on a straight piece or an arc, and its direction there."""
     along, curvature = s - roads.s[piece], roads.numbers[piece, 0]
@@ -182,7 +182,7 @@ def _plain_place(roads, piece, s):
     return roads.x[piece] + cos * u - sin * v, roads.y[piece] + sin * u + cos * v, heading + turn
 
 
-@kernel(error_model="numpy", _nrt=False)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _piece(roads, road, s):
     low, high = roads.first[road], roads.first[road + 1]
     # The first piece begins everywhere.

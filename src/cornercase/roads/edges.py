@@ -76,7 +76,7 @@ def road_edges(roads: Sequence[Road]) -> RoadEdges:
     )
 
 
-@kernel(error_model="numpy", _nrt=False)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_margins(edges, road, s):
     """Lateral coordinates of a road's edges.
 
@@ -100,7 +100,7 @@ def road_margins(edges, road, s):
     return _edge(edges, section, _RIGHT, middle, s), _edge(edges, section, _LEFT, middle, s)
 
 
-@kernel(error_model="numpy", _nrt=False)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _edge(edges, section, side, middle, s):
     first, last = edges.lanes[2 * section + side], edges.lanes[2 * section + side + 1]
     roads, edge, sign = edges.sections.size - 1, middle, 1.0 if side == _LEFT else -1.0
@@ -113,7 +113,7 @@ def _edge(edges, section, side, middle, s):
     return edge
 
 
-@kernel(error_model="numpy", _nrt=False)
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _value(edges, line, s):
     """Value of cubics that follow each other; 0 where there are none."""
     k, last, table = edges.cubics[line], edges.cubics[line + 1], edges.coefficients

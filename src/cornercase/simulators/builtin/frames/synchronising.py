@@ -68,7 +68,7 @@ _ACCELERATION, _BEHIND, _DISTANCE, _UP, _DOWN, _FASTEST, _JERK_UP, _JERK_DOWN = 
 # As conditions number distances: along the heading, and that between boxes.
 _AHEAD, _GAP_AHEAD = 1, 4
 
-_kernel = kernel(error_model="numpy", _nrt=False)
+_kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 
 @_kernel
