@@ -30,7 +30,7 @@ PARAMETERS = "".join(
 )
 LINE = f"""<Polyline><Vertex>{place(400, 5)}</Vertex><Vertex>{place(260, -1)}</Vertex><Vertex>{place(150, -1)}</Vertex>
 </Polyline>"""
-BEND = f"""<ClothoidSpline><ClothoidSplineSegment curvatureStart="0" curvatureEnd="0" length="60"><PositionStart>
+BEND = """<ClothoidSpline><ClothoidSplineSegment curvatureStart="0" curvatureEnd="0" length="60"><PositionStart>
 <WorldPosition x="320" y="1" h="3.1"/></PositionStart></ClothoidSplineSegment><ClothoidSplineSegment curvatureStart="0" curvatureEnd="0.01"
 length="70"/></ClothoidSpline>"""
 TRACKS = {
