@@ -117,6 +117,8 @@ def _go(scene, tracks, n, e, row, dt):
     # An entity stops at the end of its trajectory if there is no road on which to continue.
     if b[STRANDED, e]:
         f[SPEED, e], way = 0.0, 0.0
+    if way == 0.0:
+        return
     f[X, e] += way * math.cos(f[HEADING, e])
     f[Y, e] += way * math.sin(f[HEADING, e])
 

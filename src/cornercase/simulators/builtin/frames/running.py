@@ -119,20 +119,41 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
                     status = WAITS
                     break
                 _note_speeds(scene, n)
-            floats[:], flags[:], memory[:] = scene.floats[n], scene.flags[n], actions.memory[n]
+            _copy(scene.floats[n], floats)
+            _copy(scene.flags[n], flags)
+            _remember(actions, n, actions.memory[n], memory)
             if act(scene, tracks, roads, actions, n, rules.time_step):
                 begun = status == ACTS
                 status = _finish(scene, tracks, fleet, course, rules, n, rules.time_step, work, others)
                 if begun and course.looks[n] and status == GOES:
                     status = WAITS
             else:
-                scene.floats[n], scene.flags[n], actions.memory[n] = floats, flags, memory
+                _copy(floats, scene.floats[n])
+                _copy(flags, scene.flags[n])
+                _remember(actions, n, memory, actions.memory[n])
                 status = ENDS if status == ACTS else WAITS
         if status == WAITS and scene.frames[n] >= rules.most:
             status = OVER
         if status == WAITS or course.looks[n]:
             take_down(scene, leaves, n)
         course.status[n] = status
+
+
+@_kernel
+def _remember(actions, n, source, target):
+    """Copy what the actions that run in a scenario remember."""
+    for j in range(actions.running.shape[1]):
+        if actions.running[n, j]:
+            for k in range(source.shape[1]):
+                target[j, k] = source[j, k]
+
+
+@_kernel
+def _copy(source, target):
+    """Copy a table, number by number: an assignment of slices looks first whether they overlap."""
+    for k in range(source.shape[0]):
+        for e in range(source.shape[1]):
+            target[k, e] = source[k, e]
 
 
 @_kernel
