@@ -135,7 +135,9 @@ def _radii(embedding: FloatArray, min_samples: int, method: ClusteringMethod) ->
     reach = np.sort(between, axis=1)[:, min(min_samples, len(between)) - 1]
     largest = float(between.max(initial=0.0))
     tiny = 1e-9 + 1e-6 * largest
-    tried = {float(np.quantile(reach, q)) for q in EPS_QUANTILES}
+    # A quantile is often a distance itself. A little more keeps the neighbour at that distance within the radius, on
+    # every machine: last digits of the embedding would decide otherwise.
+    tried = {float(np.quantile(reach, q)) + tiny for q in EPS_QUANTILES}
     tried |= {float(reach.max()) * factor for factor in EPS_FACTORS}
     tried |= {largest * share for share in EPS_SHARES}
     return [
