@@ -300,6 +300,6 @@ def test_last_digits_of_distances_do_not_decide():
     for seed in range(3):
         distances = between(np.random.default_rng(seed).gamma(2.0, size=(61, 2)))
         held, found = cluster(distances), cluster(distances * 1.1)
-        assert [one.n_clusters for one in found.candidates] == [one.n_clusters for one in held.candidates]
+        assert [one.clusters for one in found.candidates] == [one.clusters for one in held.candidates]
         assert [one.noise for one in found.candidates] == [one.noise for one in held.candidates]
         assert np.array_equal(found.labels, held.labels)
