@@ -50,9 +50,11 @@ _SHORT: Final = 1e-4
 _SIDEWAYS: Final = 0.5 * math.pi - 1e-3
 
 _kernel = kernel(error_model="numpy", _nrt=False)
+# What is called in one place: passing the tables on costs more than what it does.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
-@_kernel
+@_part
 def act(scene, tracks, roads, actions, n, dt):
     """Let all actions of a scenario act for one time step.
 

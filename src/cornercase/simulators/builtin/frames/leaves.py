@@ -54,6 +54,8 @@ VALUES: Final = 4
 """How many numbers a leaf has in each scenario."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
+# What is called in one place: passing the tables on costs more than what it does.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Leaf(NamedTuple):
@@ -176,7 +178,7 @@ def gather_leaves(found: list[list[list[Asked]]], delays: list[FloatArray], scen
     )
 
 
-@_kernel
+@_part
 def stays(scene, leaves, n):
     """Whether no trigger fires, and nothing has changed for those to which matters what was before.
 

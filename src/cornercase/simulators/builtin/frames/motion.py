@@ -54,9 +54,11 @@ _STILL: Final = 1e-6
 _DRIFT: Final = 1e-3
 
 _kernel = kernel(error_model="numpy", _nrt=False)
+# What is called in one place: passing the tables on costs more than what it does.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
-@_kernel
+@_part
 def move(scene, tracks, n, dt):
     """Advance every entity of a scenario by one time step with its present speed, then the clock.
 
@@ -105,7 +107,7 @@ def move(scene, tracks, n, dt):
     return beyond
 
 
-@_kernel
+@_part
 def _go(scene, tracks, n, e, row, dt):
     f, b = scene.floats[n], scene.flags[n]
     way = (f[SPEED, e] if math.isnan(f[PACE, e]) else f[PACE, e]) * dt
@@ -188,7 +190,7 @@ def set_speed(scene, n, e, speed):
     b[DECIDED, e] = True
 
 
-@_kernel
+@_part
 def _stop_at_ends(scene, tracks, n, dt):
     """Stop who is at the end of its road once the last step has moved it neither on nor sideways, as in esmini."""
     f, b = scene.floats[n], scene.flags[n]
@@ -219,7 +221,7 @@ def _pull_trailer(scene, n, t):
     f[SPEED, trailer] = f[SPEED, e]
 
 
-@_kernel
+@_part
 def _measure(f, b, e, dt):
     """Take down which way an entity has gone in the step, and how fast."""
     if not dt > 0.0:
@@ -240,13 +242,13 @@ def _measure(f, b, e, dt):
         f[SPEED, e] = f[VELOCITY, e]
 
 
-@_kernel
+@_part
 def _held(f, e):
     """Velocity with which an entity goes on along its heading."""
     return f[SPEED, e] * math.cos(f[HEADING, e]), f[SPEED, e] * math.sin(f[HEADING, e])
 
 
-@_kernel
+@_part
 def record(scene, n, dt):
     """Record where all entities of a scenario are, and who has begun to touch whom.
 

@@ -38,6 +38,8 @@ RESTS, ACTS, BEGUN, GOES, ENDS, WAITS, ELSEWHERE, OVER = range(8)
 ends, or cannot act here; its storyboard has to look; an entity needs a new part of its way; it has ended."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
+# Passing the tables on costs more than what a small kernel does; what is called in one place grows no code by this.
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Course(NamedTuple):
@@ -105,12 +107,8 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
         status = course.status[n]
         if status == RESTS:
             continue
-        if status == BEGUN:
-            dt = rules.time_step if scene.frames[n] > 0 else 0.0
-            status = _finish(scene, tracks, fleet, course, rules, n, dt, work, others)
-            if course.looks[n] and status == GOES:
-                status = WAITS
-        while status in (GOES, ACTS):
+        while status in (GOES, ACTS, BEGUN):
+            begun, dt = status != GOES, rules.time_step if scene.frames[n] > 0 else 0.0
             if status == GOES:
                 if scene.frames[n] >= rules.most:
                     status = OVER
@@ -119,19 +117,19 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
                     status = WAITS
                     break
                 _note_speeds(scene, n)
-            _copy(scene.floats[n], floats)
-            _copy(scene.flags[n], flags)
-            _remember(actions, n, actions.memory[n], memory)
-            if act(scene, tracks, roads, actions, n, rules.time_step):
-                begun = status == ACTS
-                status = _finish(scene, tracks, fleet, course, rules, n, rules.time_step, work, others)
-                if begun and course.looks[n] and status == GOES:
-                    status = WAITS
-            else:
-                _copy(floats, scene.floats[n])
-                _copy(flags, scene.flags[n])
-                _remember(actions, n, memory, actions.memory[n])
-                status = ENDS if status == ACTS else WAITS
+            if status != BEGUN:
+                _copy(scene.floats[n], floats)
+                _copy(scene.flags[n], flags)
+                _remember(actions, n, actions.memory[n], memory)
+                if not act(scene, tracks, roads, actions, n, dt):
+                    _copy(floats, scene.floats[n])
+                    _copy(flags, scene.flags[n])
+                    _remember(actions, n, memory, actions.memory[n])
+                    status = ENDS if status == ACTS else WAITS
+                    break
+            status = _finish(scene, tracks, fleet, course, rules, n, dt, work, others)
+            if begun and course.looks[n] and status == GOES:
+                status = WAITS
         if status == WAITS and scene.frames[n] >= rules.most:
             status = OVER
         if status == WAITS or course.looks[n]:
@@ -156,13 +154,13 @@ def _copy(source, target):
             target[k, e] = source[k, e]
 
 
-@_kernel
+@_part
 def _note_speeds(scene, n):
     for e in range(scene.floats.shape[2]):
         scene.floats[n, BEFORE, e] = scene.floats[n, SPEED, e]
 
 
-@_kernel
+@_part
 def _finish(scene, tracks, fleet, course, rules, n, dt, work, others):
     """Do the part of a frame that comes after the storyboard; what becomes of the scenario then."""
     if rules.drives and dt > 0.0:
@@ -175,7 +173,7 @@ def _finish(scene, tracks, fleet, course, rules, n, dt, work, others):
     return ELSEWHERE if elsewhere else GOES
 
 
-@_kernel
+@_part
 def _drive(scene, tracks, fleet, n, d, e, dt, work, others):
     """Let a driver decide the speed of its entity at the end of the coming time step, where it is in charge."""
     f, b, numbers = scene.floats[n], scene.flags[n], scene.numbers[n]
