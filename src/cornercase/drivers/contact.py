@@ -160,7 +160,7 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
     return -1
 
 
-@_kernel
+@_part
 def next_rows(way, k, margin, other, horizon):
     """The next places ahead at which the driven entity may touch the other.
 
@@ -189,7 +189,7 @@ def next_rows(way, k, margin, other, horizon):
     return k + int(begin / way.step), k + min(int(end / way.step) + 1, straight)
 
 
-@_kernel
+@_part
 def _stretch(places, k, ego, margin, other, horizon, length):
     """First stretch of a straight line on which the driven entity may touch the other's swept box.
 
@@ -245,7 +245,7 @@ def _clip(first, last, rate, middle, radius):
     return max(first, min(one, two)), min(last, max(one, two))
 
 
-@_kernel
+@_part
 def rows_apart(places, most, k, ego, margin, other, horizon):
     """How many places, from one on, are too far from the other to be touched.
 

@@ -20,9 +20,10 @@ from cornercase.drivers.yielding import decide
 
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 _kernel = kernel(error_model="numpy", _nrt=False)
+_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
-@_kernel
+@_part
 def accelerate(fleet, d, n, route, time, time_step, driven, others, work):
     """Acceleration that a driver gives its entity for the coming time step, in one scenario.
 
