@@ -159,24 +159,6 @@ def box_axes(box: FloatArray) -> FloatArray:
     return np.stack([first, np.stack([-first[..., 1], first[..., 0]], -1)], -2)
 
 
-def sweep_axes(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Directions that can separate the hull of two boxes from another convex shape.
-
-    Parameters
-    ----------
-    start, end : ndarray of float64, shape (..., 4, 2)
-        The box before and after a small move.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., 8, 2)
-        Unit vectors: along and across both boxes, and square to the way of each corner.
-    """
-    way = end - start
-    square = _unit(np.stack([-way[..., 1], way[..., 0]], -1))
-    return np.concatenate([box_axes(start), box_axes(end), square], -2)
-
-
 def _unit(vectors: FloatArray) -> FloatArray:
     norm = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(norm > 0.0, vectors / np.where(norm > 0.0, norm, 1.0), np.array([1.0, 0.0]) + 0.0 * norm)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -17,6 +19,9 @@ from cornercase._common.locks import taken_lock
 from cornercase.study.migrations import SCHEMA, SCHEMA_VERSION, TABLES, migrate, schema_version
 
 _APPLICATION: Final = 0x434F524E  # "CORN"
+
+# s between transactions of which it is waited for that they are on the disk.
+_SECONDS_BETWEEN_FORCED: Final = 1.0
 
 
 class Database:
@@ -36,6 +41,7 @@ class Database:
         self.connection = connection
         self._lock = lock
         self._closed = False
+        self._forced = -math.inf
 
     @classmethod
     def create(cls, path: Path, meta: Iterable[tuple[str, str]]) -> Database:
@@ -123,8 +129,6 @@ class Database:
                 _require_plain(path, connection)
                 if lock is not None:
                     connection.execute("PRAGMA journal_mode = WAL")
-                    # A scenario counts as run only when it is on the disk.
-                    connection.execute("PRAGMA synchronous = FULL")
                     migrate(connection)
                 else:
                     connection = _of_today(connection)
@@ -198,6 +202,9 @@ class Database:
     def writing(self) -> Iterator[sqlite3.Connection]:
         """Give the connection for a transaction: what is written in it is stored wholly or not at all.
 
+        A killed process loses none of it. That it is on the disk, where a power cut cannot reach it, is waited for
+        once a second at most: many scenarios end within that time.
+
         Yields
         ------
         sqlite3.Connection
@@ -208,8 +215,14 @@ class Database:
             The file is closed, or cannot be written.
         """
         self._require_open()
-        with _sentences(self.path), self.connection:
-            yield self.connection
+        forces = time.monotonic() - self._forced >= _SECONDS_BETWEEN_FORCED
+        with _sentences(self.path):
+            if not self.connection.in_transaction:
+                self.connection.execute(f"PRAGMA synchronous = {'FULL' if forces else 'NORMAL'}")
+            with self.connection:
+                yield self.connection
+        if forces:
+            self._forced = time.monotonic()
 
     def _require_open(self) -> None:
         if self._closed:

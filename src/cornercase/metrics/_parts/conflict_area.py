@@ -9,9 +9,10 @@ from scipy.ndimage import label
 from scipy.optimize import brentq
 
 from cornercase._common.errors import InputError
-from cornercase._common.geometry import box_corners, separation, sweep_axes
+from cornercase._common.geometry import box_corners
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.metrics._parts.boxes import boxes
+from cornercase.metrics._parts.hulls import fill_axes, find_meetings, least_gap
 from cornercase.recordings import Recording
 
 Area = tuple[float, float, float, float, float]
@@ -24,8 +25,6 @@ _ARC = 0.005
 
 TOUCH = 1e-9
 """Times in s that are the same but for rounding."""
-
-_PAIRS_AT_ONCE = 4_000
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,8 @@ class _Sweep:
         self.center, self.heading, self.time, self.speed, self.size = center, heading, time, speed, size
         poses = box_corners(center[..., 0], center[..., 1], heading, *size)
         self.corners = poses.reshape(-1, 8, 2)
-        self.axes = sweep_axes(poses[:, 0], poses[:, 1])
+        self.axes = np.empty_like(self.corners)
+        fill_axes(self.corners, self.axes)
 
     @classmethod
     def of(cls, recording: Recording, name: str) -> _Sweep:
@@ -150,15 +150,8 @@ class _Sweep:
 
 def _meeting(a: _Sweep, b: _Sweep) -> BoolArray:
     """Which step of `a` meets which of `b`, (n, m)."""
-    meets = np.zeros((len(a.corners), len(b.corners)), dtype=np.bool_)
-    middle_a, reach_a = _circle(a)
-    middle_b, reach_b = _circle(b)
-    apart = np.hypot(*(middle_b[None, :, k] - middle_a[:, None, k] for k in (0, 1)))
-    i, j = np.nonzero(apart <= reach_a[:, None] + reach_b)
-    for k in range(0, len(i), _PAIRS_AT_ONCE):
-        some_i, some_j = i[k : k + _PAIRS_AT_ONCE], j[k : k + _PAIRS_AT_ONCE]
-        gap = separation(a.corners[some_i], a.axes[some_i], b.corners[some_j], b.axes[some_j])
-        meets[some_i, some_j] = gap <= 0.0
+    meets = np.empty((len(a.corners), len(b.corners)), dtype=np.bool_)
+    find_meetings(a.corners, a.axes, *_circle(a), b.corners, b.axes, *_circle(b), meets)
     return meets
 
 
@@ -206,9 +199,7 @@ def _share(corners: FloatArray, obstacles: FloatArray, axes: FloatArray) -> floa
     start, way = corners[:4], corners[4:] - corners[:4]
 
     def gap(share: float) -> float:
-        reached = start + share * way
-        hull = np.concatenate([start, reached])
-        return float(separation(hull, sweep_axes(start, reached), obstacles, axes).min())
+        return float(least_gap(start, way, share, obstacles, axes))
 
     if gap(0.0) <= 0.0:
         return 0.0

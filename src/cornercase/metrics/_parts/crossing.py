@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
+from cornercase.metrics._parts.crossing_kernel import find_crossings
 from cornercase.recordings import Recording
 
 _REACH = 1e-6
@@ -16,8 +17,8 @@ _STILL = 1e-9
 _PARALLEL = 1e-6
 """Sine of the angle below which two pieces of track run beside each other and do not cross."""
 
-_BLOCK = 256
-"""Pieces of track that are set against the whole other track at once, to keep the arrays small."""
+_MOST = 256
+"""Crossings for which there is room at first."""
 
 
 def ways_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
@@ -80,20 +81,12 @@ def _crossings(a: _Track, b: _Track) -> tuple[FloatArray, FloatArray]:
     """Where the tracks cross, as lengths along each, shape (K,)."""
     length_a, length_b = np.hypot(*a.step.T), np.hypot(*b.step.T)
     unit_a, unit_b = a.step / length_a[:, None], b.step / length_b[:, None]
-    found_a, found_b = [np.empty(0)], [np.empty(0)]
-    for first in range(0, len(length_a), _BLOCK):
-        some = slice(first, first + _BLOCK)
-        apart_x = b.start[None, :, 0] - a.start[some, None, 0]
-        apart_y = b.start[None, :, 1] - a.start[some, None, 1]
-        ahead_x, ahead_y = unit_a[some, None, 0], unit_a[some, None, 1]
-        sine = ahead_x * unit_b[:, 1] - ahead_y * unit_b[:, 0]
-        crosses = np.abs(sine) > _PARALLEL
-        sine = np.where(crosses, sine, 1.0)
-        on_a = (apart_x * unit_b[:, 1] - apart_y * unit_b[:, 0]) / sine
-        on_b = (apart_x * ahead_y - apart_y * ahead_x) / sine
-        crosses &= (on_a >= -_REACH) & (on_a <= length_a[some, None] + _REACH)
-        crosses &= (on_b >= -_REACH) & (on_b <= length_b + _REACH)
-        i, j = np.nonzero(crosses)
-        found_a.append(a.along[some][i] + on_a[i, j])
-        found_b.append(b.along[j] + on_b[i, j])
-    return np.concatenate(found_a), np.concatenate(found_b)
+    most = _MOST
+    while True:
+        found = np.empty((2, most))
+        count = find_crossings(
+            *(a.start, unit_a, length_a, a.along), *(b.start, unit_b, length_b, b.along), _PARALLEL, _REACH, found
+        )
+        if count <= most:
+            return found[0, :count], found[1, :count]
+        most = count
