@@ -14,7 +14,7 @@ from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.analysis import Analysis, read_analysis, save_analysis
-from cornercase.clustering.aspects import aspects_of, require_aspect, series_of
+from cornercase.clustering.aspects import EGO_TRAJECTORY, aspects_of, require_aspect, series_of
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
 from cornercase.clustering.estimator import ScenarioClustering
 from cornercase.clustering.outcomes import tell_outcome
@@ -97,13 +97,19 @@ def _analyzed(
     if len(ids) < 2:
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
     begun = time.monotonic()
-    outcomes = [tell_outcome(study.recording(i), study.meta.ego, study.meta.other) for i in ids.tolist()]
+    outcomes, ways = [], []
+    # Each recording is unpacked once.
+    for i in ids.tolist():
+        recording = study.recording(i)
+        outcomes.append(tell_outcome(recording, study.meta.ego, study.meta.other))
+        ways.append(recording.center(study.meta.ego))
     study.save_outcomes(dict(zip(ids.tolist(), outcomes, strict=True)))
     study.add_elapsed("read", time.monotonic() - begun)
     results = {}
     for aspect in aspects:
         begun = time.monotonic()
-        distances = distance_matrix(series_of(study, aspect), progress=progress)
+        series = ways if aspect == EGO_TRAJECTORY else series_of(study, aspect)
+        distances = distance_matrix(series, progress=progress)
         measured = time.monotonic()
         if keep and aspect in study.analyses():
             found, fitted = _joined(read_analysis(study, aspect), ids, distances)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
-from sklearn.cluster import DBSCAN, HDBSCAN
+from sklearn.cluster import HDBSCAN
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.clusters import NOISE, Clustering, ClusteringMethod
-
+from cornercase.clustering.dbscan import find_clusters
 
 def find_dense_regions(embedding: FloatArray, eps: float, min_samples: int, method: ClusteringMethod) -> IntArray:
     """Cluster points by density.
@@ -35,7 +35,9 @@ def find_dense_regions(embedding: FloatArray, eps: float, min_samples: int, meth
     R. Campello, D. Moulavi, J. Sander, "Density-based clustering based on hierarchical density estimates", 2013.
     """
     if method == "dbscan":
-        return order_by_size(DBSCAN(eps=eps, min_samples=min_samples).fit_predict(embedding))
+        labels = np.empty(len(embedding), dtype=np.int64)
+        find_clusters(np.ascontiguousarray(embedding, dtype=np.float64), eps, min_samples, labels)
+        return order_by_size(labels)
     least = max(2, min_samples)
     if np.ptp(embedding, axis=0).max() <= eps or len(embedding) <= least:
         return np.zeros(len(embedding), dtype=np.int64)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse.csgraph import minimum_spanning_tree
 from sklearn.metrics import silhouette_samples
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering.spanning_tree import find_tree
 
 _CLOSEST = 1e-5
 
@@ -89,12 +89,11 @@ def density_validity(distances: FloatArray, labels: IntArray, *, dimensions: flo
         # One core distance can decide the reach of many neighbours. Many reaches then are equal, and the tree would
         # depend on the order of the scenarios. The small term lets the nearer neighbour come first.
         reach += 1e-6 * between
-        np.fill_diagonal(reach, 0.0)
-        tree = minimum_spanning_tree(reach).tocoo()
-        degree = np.bincount(np.concatenate((tree.row, tree.col)), minlength=len(members))
-        internal = degree > 1
-        edges = internal[tree.row] & internal[tree.col]
-        sparseness.append(tree.data[edges].max() if edges.any() else tree.data.max())
+        ends, lengths = np.empty((2, len(members) - 1), dtype=np.int64), np.empty(len(members) - 1)
+        find_tree(reach, ends, lengths)
+        internal = np.bincount(ends.ravel(), minlength=len(members)) > 1
+        edges = internal[ends].all(axis=0)
+        sparseness.append(lengths[edges].max() if edges.any() else lengths.max())
         inner.append(members[internal])
     separation = np.full((len(groups), len(groups)), np.inf)
     for a in range(len(groups)):

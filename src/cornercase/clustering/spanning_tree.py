@@ -1,0 +1,29 @@
+"""Compiled minimum spanning tree of a matrix of distances, by Prim's algorithm."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.compiling import kernel
+
+
+@kernel(error_model="numpy")
+def find_tree(between, ends, lengths):
+    """Edges of the tree, their two ends (2, n - 1) and lengths (n - 1,); distances (n, n) are symmetric."""
+    count = len(between)
+    nearest, reach = np.zeros(count, dtype=np.int64), between[0].copy()
+    outside = np.ones(count, dtype=np.bool_)
+    outside[0] = False
+    for edge in range(count - 1):
+        chosen = -1
+        for i in range(count):
+            if outside[i] and (chosen < 0 or reach[i] < reach[chosen]):
+                chosen = i
+        ends[0, edge], ends[1, edge], lengths[edge] = nearest[chosen], chosen, reach[chosen]
+        outside[chosen] = False
+        for i in range(count):
+            if outside[i] and between[chosen, i] < reach[i]:
+                nearest[i], reach[i] = chosen, between[chosen, i]
