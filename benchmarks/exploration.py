@@ -1,7 +1,7 @@
 """Searches judged by what they missed: critical sets known on a dense grid, beside what each search finds of them.
 
-python benchmarks/exploration.py [--quick] [--steps N] [--seeds N] [--only NAME] [--ncap FOLDER] [--truth FOLDER]
-                                 [--json FILE] [--plot FILE]
+python benchmarks/exploration.py [--quick] [--steps N] [--seeds N] [--only NAME] [--search NAME]… [--round-share SHARE]
+                                 [--ncap FOLDER] [--truth FOLDER] [--json FILE] [--plot FILE]
 
 The truth is the score of every scenario of a grid of N steps per parameter, run once and kept in a folder. Each search
 then works on that grid, so that its scores are looked up and nothing is interpolated. What it found is what one and
@@ -182,8 +182,11 @@ class Judge:
         return row | {"share": float(within), "missed": float(missed), "most missed": known.missed.high}
 
 
-def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...]) -> dict[str, Any]:
-    """Run one search and judge it at each size; and find when the criterion would have stopped it."""
+def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...], share: float) -> dict[str, Any]:
+    """Run one search and judge it at each size; and find when the criterion would have stopped it.
+
+    A round is of ten scenarios, or of that share of those before it where that is more.
+    """
     rows, stop = [], None
     critical = judge.case.critical
     points, spent, proposals = np.zeros((0, len(judge.steps))), 0.0, 0
@@ -193,7 +196,7 @@ def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...]) -> dict[s
             optimizer, points = SEARCHES[kind](judge.space, seed, critical, size), points[:0]
         while len(points) < size:
             begin = time.process_time()
-            new = optimizer.ask(min(10, size - len(points)))
+            new = optimizer.ask(min(max(10, int(share * len(points))), size - len(points)))
             if not len(new):
                 break
             optimizer.tell(new, judge.scores[judge.places(new)])
@@ -226,16 +229,16 @@ def begin_worker(*arguments: Any) -> None:
     _judge = Judge(*arguments)
 
 
-def work(kind: str, seed: int, sizes: tuple[int, ...]) -> dict[str, Any]:
+def work(kind: str, seed: int, sizes: tuple[int, ...], share: float) -> dict[str, Any]:
     with threadpool_limits(1):
-        return search(_judge, kind, seed, sizes)
+        return search(_judge, kind, seed, sizes, share)
 
 
 def table(name: str, runs: list[dict[str, Any]], sizes: tuple[int, ...]) -> list[dict[str, Any]]:
     """Print and return medians and quartiles."""
     rows = []
     print(f"{'search':18} {'size':>5} {'recall':>20} {'precision':>20} {'regions':>8} {'best':>7} {'CPU s each':>11}")
-    for kind in SEARCHES:
+    for kind in [one for one in SEARCHES if any(run["search"] == one for run in runs)]:
         mine = [run["rows"] for run in runs if run["search"] == kind]
         for k, size in enumerate(sizes):
             column = {key: [row[k][key] for row in mine] for key in mine[0][k]}
@@ -262,7 +265,7 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     colours = dict(zip(SEARCHES, tones, strict=True))
     for j, case in enumerate(cases):
         for i, quantity in enumerate(("recall", "precision")):
-            for kind in SEARCHES:
+            for kind in [one for one in SEARCHES if any(row["search"] == one for row in rows)]:
                 mine = [row for row in rows if row["case"] == case and row["search"] == kind]
                 sizes = [row["size"][0] for row in mine]
                 low, middle, high = np.array([np.percentile(row[quantity], (25, 50, 75)) for row in mine]).T
@@ -289,6 +292,8 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--only", choices=CASES)
+    parser.add_argument("--search", action="append", choices=SEARCHES, help="only this one; may be repeated")
+    parser.add_argument("--round-share", type=float, default=0.0, metavar="SHARE", help="of the scenarios run before")
     parser.add_argument("--ncap", type=Path, metavar="FOLDER", help="folder with CA-FC_2026 and AEB_VRU_2023")
     parser.add_argument("--truth", type=Path, default=Path("truth"), metavar="FOLDER")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -303,21 +308,22 @@ def main() -> None:
         judge = Judge(name, options.ncap, steps, options.truth)
         print(f"\n{name}: {len(judge.true)} scenarios, {judge.true.mean():.1%} critical "
               f"({judge.case.metric} <= {judge.case.critical:g}), {len(judge.large)} regions")  # fmt: skip
-        jobs = [(kind, seed) for kind in SEARCHES for seed in range(1 if kind == "grid" else seeds)]
+        jobs = [(kind, seed) for kind in options.search or SEARCHES for seed in range(1 if kind == "grid" else seeds)]
         begin = (name, options.ncap, steps, options.truth)
         with ProcessPoolExecutor(len(os.sched_getaffinity(0)), initializer=begin_worker, initargs=begin) as pool:
-            runs = list(pool.map(work, *zip(*jobs, strict=True), repeat(sizes)))
+            runs = list(pool.map(work, *zip(*jobs, strict=True), repeat(sizes), repeat(options.round_share)))
         every[name] = runs
         rows += table(name, runs, sizes)
         at = sizes.index(200) if 200 in sizes else -1
         found = [run["rows"][at] for run in runs if run["search"] == "level-set"]
-        goal = [float(np.median([row[key] for row in found])) for key in ("recall", "precision")]
-        needed[name] = grid_needed(judge, *goal)
-        print(f"a grid needs {needed[name] or 'more than all'} scenarios for what level-set finds with {sizes[at]}")
+        if found:
+            goal = [float(np.median([row[key] for row in found])) for key in ("recall", "precision")]
+            needed[name] = grid_needed(judge, *goal)
+            print(f"a grid needs {needed[name] or 'more than all'} scenarios for what level-set finds with {sizes[at]}")
     flat = [(run, row) for runs in every.values() for run in runs for row in run["rows"]]
     print("\nTruth within the 90 % interval, share of the runs")
     print(f"{'search':18} {'critical share':>15} {'missed share':>13}")
-    for kind in (*SEARCHES, "all"):
+    for kind in (*(options.search or SEARCHES), "all"):
         mine = [row for run, row in flat if kind in ("all", run["search"])]
         print(f"{kind:18} {np.mean([r['share'] for r in mine]):15.3f} {np.mean([r['missed'] for r in mine]):13.3f}")
     stops = [run["stop"] for runs in every.values() for run in runs if run["stop"]]
