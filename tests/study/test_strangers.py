@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 import cornercase as cc
+from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.study import Study
 from cornercase.study.codec import pack_arrays, unpack_arrays
@@ -499,3 +500,18 @@ def test_arrays_come_back_as_they_were_packed():
     for name, one in unpack_arrays(pack_arrays(arrays)).items():
         np.testing.assert_array_equal(one, arrays[name])
         assert one.dtype == np.asarray(arrays[name]).dtype
+
+
+def test_arrays_that_numpy_packed_are_read_too():
+    buffer = io.BytesIO()
+    columns = np.asfortranarray(np.arange(6.0).reshape(2, 3))
+    wide = np.zeros(2, dtype=[(f"field number {k} of a header that is longer than 64 KiB", "<f8") for k in range(1500)])
+    with pytest.warns(UserWarning, match="version 2.0"):
+        np.savez_compressed(buffer, columns=columns, wide=wide)
+    with pytest.raises(InputError, match="arrays that cannot be read"):
+        unpack_arrays(buffer.getvalue())
+    buffer = io.BytesIO()
+    np.savez(buffer, columns=columns)
+    found = unpack_arrays(buffer.getvalue())["columns"]
+    np.testing.assert_array_equal(found, columns)
+    assert found.flags.writeable

@@ -83,6 +83,21 @@ def test_a_reader_sees_each_scenario_as_soon_as_it_has_ended(study):
             reader.fail(3, SimulationError("a reader must not write"))
 
 
+def test_the_disk_is_waited_for_once_a_second(study):
+    def level():
+        return study._database.connection.execute("PRAGMA synchronous").fetchone()[0]
+
+    full, normal = 2, 1
+    study._database._forced = -np.inf
+    study.add_elapsed("simulate", 1.0)
+    assert level() == full
+    study.add_elapsed("simulate", 1.0)
+    assert level() == normal
+    study._database._forced -= 2.0
+    study.add_elapsed("simulate", 1.0)
+    assert level() == full
+
+
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     blobs = []
     for name in "ab":

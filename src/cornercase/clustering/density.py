@@ -11,6 +11,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.clusters import NOISE, Clustering, ClusteringMethod
 from cornercase.clustering.dbscan import find_clusters
 
+
 def find_dense_regions(embedding: FloatArray, eps: float, min_samples: int, method: ClusteringMethod) -> IntArray:
     """Cluster points by density.
 

@@ -80,7 +80,7 @@ class Stability:
 
 
 def _agreement(one: IntArray, two: IntArray) -> float:
-    """Adjusted Rand index of two labellings, each from -1 on; as scikit-learn's, with its checks it takes 30 times as long."""
+    """Adjusted Rand index of two labellings, each from -1 on; scikit-learn's checks take 30 times as long."""
     most = int(two.max()) + 2
     shared = np.bincount((one + 1) * most + two + 1, minlength=(int(one.max()) + 2) * most).reshape(-1, most)
     both, first, second = (int((x**2).sum()) for x in (shared, shared.sum(axis=1), shared.sum(axis=0)))

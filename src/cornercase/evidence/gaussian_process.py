@@ -8,7 +8,7 @@ from copy import copy
 import numpy as np
 from scipy.linalg import cholesky
 from scipy.linalg.blas import strmm
-from scipy.stats import norm
+from scipy.special import log_ndtr
 
 from cornercase._common.platform import available_cpus
 from cornercase._common.threads import one_thread
@@ -126,7 +126,7 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     for most_noise in _NOISES:
         process = GaussianProcess(most_noise).learn(points, values, found[-1] if found else None)
         mean, deviation = process.know(points[some], values[some]).leave_one_out()
-        sure.append(norm.logcdf(-side * mean / deviation).sum())
+        sure.append(log_ndtr(-side * mean / deviation).sum())
         found.append(process)
     best = found[int(np.argmax(sure))]
     # The slope of the hyperbolic tangent says how near a score is to the threshold.

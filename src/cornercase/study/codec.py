@@ -114,7 +114,7 @@ def _array(member: bytes) -> npt.NDArray[Any]:
 
 
 @lru_cache(maxsize=_HEADERS)
-def _read_header(header: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+def _read_header(header: bytes) -> tuple[Any, bool, np.dtype[Any]]:
     """Shape, whether it is stored column by column, and type; parsed once, as many arrays of a study are alike."""
     stream = io.BytesIO(header)
     version = _FORMAT.read_magic(stream)

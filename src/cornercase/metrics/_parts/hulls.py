@@ -60,9 +60,10 @@ def find_meetings(corners_a, axes_a, middle_a, reach_a, corners_b, axes_b, middl
     for i in range(len(corners_a)):
         for j in range(len(corners_b)):
             away = math.hypot(middle_b[j, 0] - middle_a[i, 0], middle_b[j, 1] - middle_a[i, 1])
-            out[i, j] = away <= reach_a[i] + reach_b[j] and _widest_gap(
-                corners_a[i], axes_a[i], corners_b[j], axes_b[j], True
-            ) <= 0.0
+            out[i, j] = (
+                away <= reach_a[i] + reach_b[j]
+                and _widest_gap(corners_a[i], axes_a[i], corners_b[j], axes_b[j], True) <= 0.0
+            )
 
 
 @kernel(error_model="numpy")
