@@ -506,7 +506,7 @@ def test_arrays_that_numpy_packed_are_read_too():
     buffer = io.BytesIO()
     columns = np.asfortranarray(np.arange(6.0).reshape(2, 3))
     wide = np.zeros(2, dtype=[(f"field number {k} of a header that is longer than 64 KiB", "<f8") for k in range(1500)])
-    with pytest.warns(UserWarning, match="version 2.0"):
+    with pytest.warns(UserWarning, match=r"format 2\.0"):
         np.savez_compressed(buffer, columns=columns, wide=wide)
     with pytest.raises(InputError, match="arrays that cannot be read"):
         unpack_arrays(buffer.getvalue())

@@ -71,6 +71,11 @@ class _Track:
         moves = np.flatnonzero(_lengths(points) > _STILL)
         self.start, self.step, self.along = points[moves], points[moves + 1] - points[moves], along[moves]
 
+    def pieces(self) -> FloatArray:
+        """Start, direction and length of each piece, and how far along it begins, (n, 6)."""
+        length = np.hypot(*self.step.T)
+        return np.column_stack([self.start, self.step / length[:, None], length, self.along])
+
 
 def _lengths(points: FloatArray) -> FloatArray:
     steps = np.diff(points, axis=0)
@@ -79,14 +84,11 @@ def _lengths(points: FloatArray) -> FloatArray:
 
 def _crossings(a: _Track, b: _Track) -> tuple[FloatArray, FloatArray]:
     """Where the tracks cross, as lengths along each, shape (K,)."""
-    length_a, length_b = np.hypot(*a.step.T), np.hypot(*b.step.T)
-    unit_a, unit_b = a.step / length_a[:, None], b.step / length_b[:, None]
+    pieces = a.pieces(), b.pieces()
     most = _MOST
     while True:
         found = np.empty((2, most))
-        count = find_crossings(
-            *(a.start, unit_a, length_a, a.along), *(b.start, unit_b, length_b, b.along), _PARALLEL, _REACH, found
-        )
+        count = find_crossings(*pieces, _PARALLEL, _REACH, found)
         if count <= most:
             return found[0, :count], found[1, :count]
         most = count

@@ -12,29 +12,30 @@ _MORE = 1.0 + 1e-9
 
 
 @kernel(error_model="numpy")
-def find_crossings(start_a, unit_a, length_a, along_a, start_b, unit_b, length_b, along_b, parallel, reach, out):
+def find_crossings(a, b, parallel, reach, out):
     """Where the pieces of two tracks cross, as lengths along each, (2, most), by pieces of `a`; returns how many do.
 
-    Pieces whose directions have a sine of at most `parallel` do not cross; one that ends up to `reach` short of the
-    other meets it.
+    Of each piece, (n, 6), there are its start, its direction, its length, and how far along the track it begins. Pieces
+    whose directions have a sine of at most `parallel` do not cross; one that ends up to `reach` short of the other meets
+    it.
     """
     count = 0
-    for i in range(len(length_a)):
-        for j in range(len(length_b)):
-            sine = unit_a[i, 0] * unit_b[j, 1] - unit_a[i, 1] * unit_b[j, 0]
+    for i in range(len(a)):
+        x_a, y_a, cos_a, sin_a, length_a, along_a = a[i]
+        for j in range(len(b)):
+            x_b, y_b, cos_b, sin_b, length_b, along_b = b[j]
+            sine = cos_a * sin_b - sin_a * cos_b
             if not abs(sine) > parallel:
                 continue
-            apart_x, apart_y = start_b[j, 0] - start_a[i, 0], start_b[j, 1] - start_a[i, 1]
-            over_a = apart_x * unit_b[j, 1] - apart_y * unit_b[j, 0]
-            over_b = apart_x * unit_a[i, 1] - apart_y * unit_a[i, 0]
+            over_a = (x_b - x_a) * sin_b - (y_b - y_a) * cos_b
+            over_b = (x_b - x_a) * sin_a - (y_b - y_a) * cos_a
             # Nearly all pieces are far from each other, and a product takes less time than a quotient.
-            if abs(over_a) > (length_a[i] + reach) * abs(sine) * _MORE:
-                continue
-            if abs(over_b) > (length_b[j] + reach) * abs(sine) * _MORE:
+            most = abs(sine) * _MORE
+            if abs(over_a) > (length_a + reach) * most or abs(over_b) > (length_b + reach) * most:
                 continue
             on_a, on_b = over_a / sine, over_b / sine
-            if -reach <= on_a <= length_a[i] + reach and -reach <= on_b <= length_b[j] + reach:
+            if -reach <= on_a <= length_a + reach and -reach <= on_b <= length_b + reach:
                 if count < out.shape[1]:
-                    out[0, count], out[1, count] = along_a[i] + on_a, along_b[j] + on_b
+                    out[0, count], out[1, count] = along_a + on_a, along_b + on_b
                 count += 1
     return count
