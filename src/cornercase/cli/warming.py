@@ -70,6 +70,8 @@ def _import_kernels() -> None:
 
 def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     """Yield small runs of all that compiles, each with its room: what they compile is found out by running it."""
+    import numpy as np
+
     from cornercase import clustering, drivers, exploration, metrics, optimizers, reduction, report, simulators
     from cornercase._common.errors import InputError
 
@@ -81,6 +83,9 @@ def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "clustering", partial(clustering.analyze, study)
         yield "reduction", partial(reduction.reduce, study, reduced, scenario=scenario)
         yield "evidence", partial(report.summarize, study)
+    # Two groups, far apart: so few scenarios of an example need not have any that could be judged.
+    along = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
+    yield "clustering", partial(clustering.cluster, np.abs(np.subtract.outer(along, along)))
     simulate = partial(simulators.simulate, scenario, duration=_SECONDS)
     for one in drivers.DRIVERS.names():
         yield "drivers", partial(simulate, drivers={"Ego": one})
