@@ -16,8 +16,8 @@ def find_crossings(a, b, parallel, reach, out):
     """Where the pieces of two tracks cross, as lengths along each, (2, most), by pieces of `a`; returns how many do.
 
     Of each piece, (n, 6), there are its start, its direction, its length, and how far along the track it begins. Pieces
-    whose directions have a sine of at most `parallel` do not cross; one that ends up to `reach` short of the other meets
-    it.
+    whose directions have a sine of at most `parallel` do not cross; one that ends up to `reach` short of the other
+    meets it.
     """
     count = 0
     for i in range(len(a)):
