@@ -52,7 +52,7 @@ class WorkerSimulator(Simulator):
 
     Examples
     --------
-    Four processes, each of which runs a quarter of the scenarios in lock-step:
+    Four processes, each of which runs a quarter of the scenarios at once:
 
     >>> from cornercase.simulators import WorkerSimulator
     >>> with WorkerSimulator("builtin", {"duration": 20.0}, workers=4, timeout=30.0) as simulator:

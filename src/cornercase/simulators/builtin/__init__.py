@@ -1,1 +1,1 @@
-"""The builtin simulator: all concrete scenarios of a batch in lock-step."""
+"""The builtin simulator: all concrete scenarios of a batch at once."""

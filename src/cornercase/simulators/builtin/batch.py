@@ -1,4 +1,4 @@
-"""Running one batch: concrete scenarios of one file, stepped in lock-step."""
+"""Running one batch: concrete scenarios of one file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""cornercase's own simulator: OpenSCENARIO on OpenDRIVE roads, all concrete scenarios in lock-step."""
+"""cornercase's own simulator: OpenSCENARIO on OpenDRIVE roads, all concrete scenarios at once."""
 
 from __future__ import annotations
 
