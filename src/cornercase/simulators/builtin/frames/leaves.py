@@ -13,7 +13,15 @@ import numpy as np
 from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.frames.boxes import overlap
-from cornercase.simulators.builtin.frames.scene import CENTER_X, LENGTH, WIDTH
+from cornercase.simulators.builtin.frames.gaps import (
+    ALL_WAYS,
+    ALONG,
+    TOLERANCE,
+    closing_speed,
+    component,
+    gap_to,
+    gap_to_place,
+)
 from cornercase.simulators.builtin.world.layout import (
     AT_END_SINCE,
     GONE_X,
@@ -38,15 +46,6 @@ from cornercase.simulators.builtin.world.layout import (
 GREATER, LESS, EQUAL, GREATER_OR_EQUAL, LESS_OR_EQUAL, NOT_EQUAL = range(6)
 """How two values compare."""
 
-ALL_WAYS, ALONG, ACROSS, UPWARDS = range(4)
-"""Which component of a velocity is meant."""
-
-EUCLIDEAN, LONGITUDINAL, LATERAL = range(3)
-"""How a distance is measured, as seen by the entity; `FREE` is added where it is that between boxes."""
-FREE: Final = 3
-
-TOLERANCE: Final = 1e-6
-"""By which values may miss each other in a comparison."""
 ALIGNED: Final = 0.05
 """A position with an orientation is reached with a heading that differs by less, in rad; esmini's figure."""
 
@@ -283,14 +282,14 @@ def holds(scene, leaves, n, k):
     if kind == TRAVELED:
         return f[ODOMETER, e] >= v[0]
     if kind == SPEED_IS:
-        asked = f[SPEED, e] if option == ALL_WAYS else _component(f, GONE_X, GONE_Y, e, e, option)
+        asked = f[SPEED, e] if option == ALL_WAYS else component(f, GONE_X, GONE_Y, e, e, option)
         return _compares(rule, asked, v[0])
     if kind == ACCELERATION_IS:
         if option != ALL_WAYS:
-            return _compares(rule, _component(f, PULL_X, PULL_Y, e, e, option), v[0])
+            return _compares(rule, component(f, PULL_X, PULL_Y, e, e, option), v[0])
         size = math.hypot(f[PULL_X, e], f[PULL_Y, e])
         # Against the heading it is negative.
-        return _compares(rule, -size if _component(f, PULL_X, PULL_Y, e, e, ALONG) < 0.0 else size, v[0])
+        return _compares(rule, -size if component(f, PULL_X, PULL_Y, e, e, ALONG) < 0.0 else size, v[0])
     if kind == STANDS:
         return time - f[STANDING_SINCE, e] > v[0]
     if kind == AT_END:
@@ -304,14 +303,14 @@ def holds(scene, leaves, n, k):
         turn = heading - f[HEADING, other] if other >= 0 else heading
         return abs((turn - v[0] + math.pi) % (2.0 * math.pi) - math.pi) < v[1] + TOLERANCE
     if kind == APART_FROM_PLACE:
-        return _compares(rule, abs(_gap_to_place(scene, n, e, v[0], v[1], option)), v[2])
+        return _compares(rule, abs(gap_to_place(scene, n, e, v[0], v[1], option)), v[2])
     if kind == COLLIDES:
         return overlap(scene, n, e, other)
     if kind == RELATIVE_SPEED:
         apart = f[SPEED, e] - f[SPEED, other]
         if option != ALL_WAYS:
-            own = _component(f, GONE_X, GONE_Y, e, other, option)
-            apart = own - _component(f, GONE_X, GONE_Y, other, other, option)
+            own = component(f, GONE_X, GONE_Y, e, other, option)
+            apart = own - component(f, GONE_X, GONE_Y, other, other, option)
         return _compares(rule, apart, v[0]) and scene.flags[n, PRESENT, other]
     gap = gap_to(scene, n, e, other, option)
     if kind == APART:
@@ -319,7 +318,7 @@ def holds(scene, leaves, n, k):
     if kind == HEADWAY:
         defined = gap >= 0.0 and f[SPEED, e] >= TOLERANCE and scene.flags[n, PRESENT, other]
         return defined and _compares(rule, gap / f[SPEED, e], v[0])
-    closing = _closing(f, e, other)
+    closing = closing_speed(f, e, other)
     if abs(gap) < TOLERANCE or abs(closing) < TOLERANCE or not scene.flags[n, PRESENT, other]:
         return False
     return gap / closing >= 0.0 and _compares(rule, gap / closing, v[0])
@@ -336,98 +335,3 @@ def _compares(rule, a, b):
     if rule == LESS_OR_EQUAL:
         return a <= b + TOLERANCE
     return (abs(a - b) <= TOLERANCE) == (rule == EQUAL)
-
-
-@_kernel
-def _component(f, x, y, e, axes, option):
-    """Component of an entity's velocity or acceleration along or across the heading of another, or upwards."""
-    cos, sin = math.cos(f[HEADING, axes]), math.sin(f[HEADING, axes])
-    if option == ALONG:
-        return f[x, e] * cos + f[y, e] * sin
-    return f[y, e] * cos - f[x, e] * sin if option == ACROSS else 0.0
-
-
-@_kernel
-def _closing(f, e, other):
-    """How fast the gap to another closes, measured along the way that the other goes."""
-    x, y = f[GONE_X, other], f[GONE_Y, other]
-    if abs(x) < TOLERANCE and abs(y) < TOLERANCE:
-        return f[SPEED, e]
-    own = (f[GONE_X, e] * x + f[GONE_Y, e] * y) / math.hypot(x, y)
-    backwards = (f[SPEED, e] < 0.0) != (own < 0.0)
-    return (own - abs(f[SPEED, other])) * (-1.0 if backwards else 1.0)
-
-
-@_kernel
-def gap_to(scene, n, e, other, option):
-    """Signed distance to another entity, as seen by the entity.
-
-    Parameters
-    ----------
-    scene : Scene
-    n, e, other : int
-        Scenario and rows of the entities.
-    option : int
-        Kind of distance, but for the Euclidean one between boxes.
-
-    Returns
-    -------
-    float
-        m; negative behind, and lateral ones to the right.
-    """
-    f = scene.floats[n]
-    cos, sin = math.cos(f[HEADING, e]), math.sin(f[HEADING, e])
-    dx, dy = f[X, other] - f[X, e], f[Y, other] - f[Y, e]
-    if option == EUCLIDEAN:
-        return math.hypot(dx, dy) if dx * cos + dy * sin > 0.0 else -math.hypot(dx, dy)
-    if option == LONGITUDINAL:
-        return dx * cos + dy * sin
-    if option == LATERAL:
-        return dy * cos - dx * sin
-    near, far = _extent(scene, n, e, other, option == LATERAL + FREE)
-    half = 0.5 * scene.boxes[e, WIDTH if option == LATERAL + FREE else LENGTH]
-    if near > half:
-        return near - half
-    return far + half if far < -half else 0.0
-
-
-@_kernel
-def _extent(scene, n, e, other, across):
-    """Least and largest coordinate of another's box ahead of, or to the left of, an entity's centre."""
-    f, boxes = scene.floats[n], scene.boxes
-    cos, sin = math.cos(f[HEADING, e]), math.sin(f[HEADING, e])
-    turned_cos, turned_sin = math.cos(f[HEADING, other]), math.sin(f[HEADING, other])
-    x, y = f[X, other] + boxes[other, CENTER_X] * turned_cos, f[Y, other] + boxes[other, CENTER_X] * turned_sin
-    own_x, own_y = f[X, e] + boxes[e, CENTER_X] * cos, f[Y, e] + boxes[e, CENTER_X] * sin
-    near, far = math.inf, -math.inf
-    for k in range(4):
-        along = 0.5 * boxes[other, LENGTH] * (1.0 if k < 2 else -1.0)
-        aside = 0.5 * boxes[other, WIDTH] * (1.0 if k == 1 or k == 2 else -1.0)
-        dx = x + turned_cos * along - turned_sin * aside - own_x
-        dy = y + turned_sin * along + turned_cos * aside - own_y
-        place = dy * cos - dx * sin if across else dx * cos + dy * sin
-        near, far = min(near, place), max(far, place)
-    return near, far
-
-
-@_kernel
-def _gap_to_place(scene, n, e, x, y, option):
-    """Signed distance to a place, as seen by the entity."""
-    f, box, free = scene.floats[n], scene.boxes[e], option >= FREE
-    dx, dy = x - f[X, e], y - f[Y, e]
-    cos, sin = math.cos(f[HEADING, e]), math.sin(f[HEADING, e])
-    along, across = dx * cos + dy * sin, dy * cos - dx * sin
-    if option == EUCLIDEAN:
-        return math.hypot(dx, dy) if along > 0.0 else -math.hypot(dx, dy)
-    if option == EUCLIDEAN + FREE:
-        along -= box[CENTER_X]
-        beyond = max(abs(along) - 0.5 * box[LENGTH], 0.0)
-        size = math.hypot(beyond, max(abs(across) - 0.5 * box[WIDTH], 0.0))
-        return -size if along < -0.5 * box[LENGTH] else size
-    if option == LATERAL or option == LATERAL + FREE:
-        size = max(abs(across) - (0.5 * box[WIDTH] if free else 0.0), 0.0)
-        return math.copysign(size, across)
-    if not free:
-        return along
-    front, rear = 0.5 * box[LENGTH] + box[CENTER_X], 0.5 * box[LENGTH] - box[CENTER_X]
-    return max(along - front, 0.0) if along > 0.0 else min(along + rear, 0.0)

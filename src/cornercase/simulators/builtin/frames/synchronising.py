@@ -11,7 +11,7 @@ from typing import Final
 from cornercase._common.compiling import kernel
 from cornercase._common.geometry import ACROSS
 from cornercase.roads import road_heading, stays_on_road
-from cornercase.simulators.builtin.frames.leaves import gap_to
+from cornercase.simulators.builtin.frames.gaps import FREE, LONGITUDINAL, gap_to
 from cornercase.simulators.builtin.frames.motion import set_speed
 from cornercase.simulators.builtin.frames.scene import MAX_SPEED
 from cornercase.simulators.builtin.tracks.lane_kernels import lane_place
@@ -65,8 +65,6 @@ _STEADY_DISTANCE, _STEADY_TIME, _FINAL = 18, 19, 20
 _PLACE_X, _PLACE_Y, _ROAD, _S, _ITS_TRACK, _ALONG, _TOLERANCE = range(7)
 
 _ACCELERATION, _BEHIND, _DISTANCE, _UP, _DOWN, _FASTEST, _JERK_UP, _JERK_DOWN = range(8)
-# As conditions number distances: along the heading, and that between boxes.
-_AHEAD, _GAP_AHEAD = 1, 4
 
 _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
@@ -159,7 +157,7 @@ def keep_distance(scene, actions, n, j, dt):
     between_boxes, timed = actions.options[j, 4], actions.options[j, 5]
     m, f = actions.memory[n, j], scene.floats[n]
     wanted = abs(abs(f[SPEED, other]) * m[_DISTANCE] if timed else m[_DISTANCE])
-    way = gap_to(scene, n, e, other, _GAP_AHEAD if between_boxes else _AHEAD)
+    way = gap_to(scene, n, e, other, LONGITUDINAL + FREE if between_boxes else LONGITUDINAL)
     if not math.isfinite(way):
         return True
     error = way - (wanted if m[_BEHIND] > 0.0 else -wanted)

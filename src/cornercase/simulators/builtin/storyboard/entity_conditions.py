@@ -13,8 +13,9 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
-from cornercase.simulators.builtin.frames import leaves
-from cornercase.simulators.builtin.frames.leaves import ALIGNED, TOLERANCE, Leaf
+from cornercase.simulators.builtin.frames import gaps, leaves
+from cornercase.simulators.builtin.frames.gaps import TOLERANCE
+from cornercase.simulators.builtin.frames.leaves import ALIGNED, Leaf
 from cornercase.simulators.builtin.paths.distances import Gap, read_gap
 from cornercase.simulators.builtin.paths.positions import entities_in, entity_index, read_position, stays_put
 from cornercase.simulators.builtin.world.contacts import overlap
@@ -97,7 +98,7 @@ def number_of_rule(rule: Callable[[Any, Any], Any]) -> int:
     return list(_RULES.values()).index(rule)
 
 
-_COMPONENTS: Final = {"": leaves.ALL_WAYS, "longitudinal": leaves.ALONG, "lateral": leaves.ACROSS}
+_COMPONENTS: Final = {"": gaps.ALL_WAYS, "longitudinal": gaps.ALONG, "lateral": gaps.ACROSS}
 
 
 def _traveled(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -138,7 +139,7 @@ def _along(world: World, vector: tuple[FloatArray, FloatArray], e: int, axes: in
 def _speed(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     rule, value = rule_of(element, scope), scope.number(element, "value")
     direction = scope.text(element, "direction", "")
-    option = _COMPONENTS.get(direction, leaves.UPWARDS)
+    option = _COMPONENTS.get(direction, gaps.UPWARDS)
     leaf = Leaf(leaves.SPEED_IS, rule=number_of_rule(rule), option=option, values=(value,))
     if not direction:
         return Known(lambda world, e: np.asarray(rule(world.speed[e], value)), leaf)
@@ -157,7 +158,7 @@ def _relative_speed(element: etree._Element, scope: Scope, world: World) -> Enti
             apart = own - theirs
         return np.asarray(rule(apart, value) & world.present[other])
 
-    option = _COMPONENTS.get(direction, leaves.UPWARDS)
+    option = _COMPONENTS.get(direction, gaps.UPWARDS)
     return Known(holds, Leaf(leaves.RELATIVE_SPEED, other, number_of_rule(rule), option, (value,)))
 
 
@@ -172,7 +173,7 @@ def _acceleration(element: etree._Element, scope: Scope, world: World) -> Entity
         size = np.hypot(world.pull[0][e], world.pull[1][e])
         return np.asarray(rule(np.where(_along(world, world.pull, e, e, "longitudinal") < 0.0, -size, size), value))
 
-    option = _COMPONENTS.get(direction, leaves.UPWARDS)
+    option = _COMPONENTS.get(direction, gaps.UPWARDS)
     return Known(holds, Leaf(leaves.ACCELERATION_IS, rule=number_of_rule(rule), option=option, values=(value,)))
 
 
@@ -249,10 +250,10 @@ def _distance(element: etree._Element, scope: Scope, world: World) -> EntityTest
 
 def _measured(gap: Gap, to_entity: bool) -> int | None:
     """How compiled code measures a distance; None where it cannot."""
-    kinds = {"euclidean": leaves.EUCLIDEAN, "longitudinal": leaves.LONGITUDINAL, "lateral": leaves.LATERAL}
+    kinds = {"euclidean": gaps.EUCLIDEAN, "longitudinal": gaps.LONGITUDINAL, "lateral": gaps.LATERAL}
     if (gap.along_road and gap.kind != "euclidean") or (to_entity and gap.free and gap.kind == "euclidean"):
         return None
-    return kinds[gap.kind] + leaves.FREE * gap.free
+    return kinds[gap.kind] + gaps.FREE * gap.free
 
 
 def _time_headway(element: etree._Element, scope: Scope, world: World) -> EntityTest:

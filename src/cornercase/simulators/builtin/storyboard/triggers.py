@@ -12,7 +12,8 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.frames import leaves
-from cornercase.simulators.builtin.frames.leaves import TOLERANCE, Asked, Leaf
+from cornercase.simulators.builtin.frames.gaps import TOLERANCE
+from cornercase.simulators.builtin.frames.leaves import Asked, Leaf
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.storyboard.element import Watch
 from cornercase.simulators.builtin.storyboard.entity_conditions import (
