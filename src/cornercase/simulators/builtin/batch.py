@@ -140,7 +140,9 @@ class Batch:
     def _collisions(self, i: int) -> tuple[Collision, ...]:
         """Who collided in one scenario, in order of time."""
         begun, names = self._stepper.scene.collided[i], self._world.names
-        found = [(float(begun[a, b]), a, b) for a, b in np.argwhere(~np.isnan(begun)).tolist()]
+        # Most scenarios have none.
+        happened = ~np.isnan(begun)
+        found = [(float(begun[a, b]), a, b) for a, b in np.argwhere(happened).tolist()] if happened.any() else []
         return tuple(Collision(time, (names[a], names[b])) for time, a, b in sorted(found))
 
 
