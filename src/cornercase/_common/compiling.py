@@ -21,7 +21,7 @@ from numba.core.runtime.nrt import rtsys
 from cornercase._common.kernel_contents import contents
 from cornercase._common.locks import held_lock
 
-_LOG = logging.getLogger("cornercase.compiling")
+_LOG = logging.getLogger(__name__)
 _KERNELS: WeakSet[Any] = WeakSet()
 
 
@@ -107,8 +107,8 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 class _Watch(event.Listener):
     """Hears of each kernel that numba begins to compile; without anybody else who listens, it says so once.
 
-    The message is a warning of the logger ``cornercase.compiling``, which Python shows on standard error where no
-    logging is set up. Worker processes wait for what the others compile, and leave the saying to them.
+    The message is a warning of the logger ``cornercase._common.compiling``, which Python shows on standard error where
+    no logging is set up. Worker processes wait for what the others compile, and leave the saying to them.
     """
 
     def __init__(self) -> None:

@@ -14,6 +14,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Scope, Value
 from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
 from cornercase.simulators.builtin.entities import read_entities
+from cornercase.simulators.builtin.frames.scene import CENTER_X, LENGTH, WIDTH
 from cornercase.simulators.builtin.openscenario import refuse_unusable
 from cornercase.simulators.builtin.paths.positions import entities_in
 from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
@@ -131,9 +132,9 @@ class Batch:
             heading=heading,
             speed=speed,
             acceleration=acceleration,
-            length=np.array([entity.length for entity in world.entities]),
-            width=np.array([entity.width for entity in world.entities]),
-            center_x=np.array([entity.center_x for entity in world.entities]),
+            length=scene.boxes[:, LENGTH].copy(),
+            width=scene.boxes[:, WIDTH].copy(),
+            center_x=scene.boxes[:, CENTER_X].copy(),
             collisions=self._collisions(i),
         )
 
