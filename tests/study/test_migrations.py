@@ -2,11 +2,14 @@
 
 ``study_version_1.db`` was written by the last version with schema 1: 10 scenarios of the T-intersection, run twice each,
 analysed and reduced. ``study_version_1_first_release.db`` is the same without what the first releases did not know.
+``study_version_2.db`` was written by the last version with schema 2, in the same way.
 """
 
 from __future__ import annotations
 
+import io
 import json
+import math
 import os
 import shutil
 import sqlite3
@@ -21,10 +24,11 @@ from command_line import cornercase
 from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering
 from cornercase.report import summarize, write_report
+from cornercase.report.words import put_in_words
 from cornercase.study import Study, migrations
 
 DATA = Path(__file__).parents[1] / "data"
-LAST, FIRST = "study_version_1.db", "study_version_1_first_release.db"
+LAST, FIRST, SECOND = "study_version_1.db", "study_version_1_first_release.db", "study_version_2.db"
 
 
 def version(path: Path) -> int:
@@ -32,7 +36,7 @@ def version(path: Path) -> int:
         return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
-@pytest.fixture(params=[LAST, FIRST])
+@pytest.fixture(params=[LAST, FIRST, SECOND])
 def old(request, tmp_path):
     return Path(shutil.copy(DATA / request.param, tmp_path / request.param))
 
@@ -59,8 +63,8 @@ def test_a_reader_leaves_an_old_study_as_it_is(old, monkeypatch):
     before = old.read_bytes()
     with Study.open(old, readonly=True) as study:
         assert study.meta.optimizer == "sobol"
-        assert study.meta.repeats == (2 if old.name == LAST else 1)
-        assert study.meta.critical == (1.5 if old.name == LAST else None)
+        assert study.meta.repeats == (1 if old.name == FIRST else 2)
+        assert study.meta.critical == (None if old.name == FIRST else 1.5)
         assert len(study.done()) == 10
         assert study.analyses() == ["ego-trajectory", "ttc", "distance"]
         arrays, info = study.analysis("distance")
@@ -100,8 +104,8 @@ def test_an_old_study_is_shown_exported_and_reported(old, tmp_path):
     assert "What the kept ones leave out" in (tmp_path / "r.html").read_text(encoding="utf-8")
     assert len(table) == 10
     assert table["cluster by distance"].dtype == "Int64"
-    # Only analyses of today store it.
-    assert "outcome" not in table
+    # Version 1 did not store it.
+    assert ("outcome" in table) == (old.name == SECOND)
 
 
 def test_an_old_study_is_analysed_again_by_the_command_line(old):
@@ -128,23 +132,53 @@ def test_landmarks_that_version_1_only_counted_are_those_that_it_drew():
 
 
 def test_a_migration_that_fails_leaves_the_study_as_it_was(old, monkeypatch):
+    before = version(old)
+    step = migrations._STEPS[before]
+
     def failing(connection):
-        migrations._from_1(connection)
+        step(connection)
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(migrations._STEPS, 1, failing)
+    monkeypatch.setitem(migrations._STEPS, before, failing)
     with pytest.raises(KeyboardInterrupt):
         Study.open(old)
     monkeypatch.undo()
-    assert version(old) == 1
+    assert version(old) == before
     with Study.open(old, readonly=True) as study:
         assert len(study.analysis("distance")[0]["labels"]) == 10
 
 
 def test_an_old_study_with_damaged_facts_is_refused_in_a_sentence(old):
+    before = version(old)
     with closing(sqlite3.connect(old)) as connection, connection:
         connection.execute("UPDATE analyses SET info = '{}' WHERE name = 'distance'")
     for readonly in (True, False):
         with pytest.raises(InputError, match="cannot be used as a study"):
             Study.open(old, readonly=readonly)
-    assert version(old) == 1
+    assert version(old) == before
+
+
+def test_the_distances_of_version_2_are_the_same_in_pieces(tmp_path):
+    old = Path(shutil.copy(DATA / SECOND, tmp_path / SECOND))
+    with closing(sqlite3.connect(old)) as connection:
+        packed = dict(connection.execute("SELECT analysis, data FROM arrays WHERE name = 'distances'").fetchall())
+    with Study.open(old) as study:
+        for name in study.analyses():
+            found = study.analysis(name, "distances")[0]["distances"]
+            np.testing.assert_array_equal(found, np.load(io.BytesIO(packed[name]))["distances"])
+    assert version(old) == 3
+
+
+def test_figures_of_what_they_were_chosen_with_are_not_told_any_more(tmp_path):
+    old = Path(shutil.copy(DATA / SECOND, tmp_path / SECOND))
+    with Study.open(old, readonly=True) as study:
+        summary = summarize(study)
+        write_report(study, tmp_path / "r.html")
+    rules = {rule.text: rule for one in summary.analyses.values() for each in one.profiles for rule in each.rules}
+    assert len(rules) > 1
+    for text, rule in rules.items():
+        # That all is everywhere was not found from any.
+        assert (math.isnan(rule.covers), math.isnan(rule.purity)) == ((text != "everywhere",) * 2)
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "c_start_time &lt;= " in page
+    assert "nan%" not in page + json.dumps(put_in_words(summary))

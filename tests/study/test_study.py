@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 import sqlite3
 import sys
@@ -9,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.distance import cdist, squareform
 
 from conftest import same_recording
 from cornercase._common.errors import InputError, SimulationError
@@ -16,6 +18,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.recordings import MOTION, Collision, Recording, read_recording
 from cornercase.scenario import Constraint, Declaration, ParameterSpace
 from cornercase.study import Study
+from cornercase.study import arrays as stored_arrays
 from synthetic import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:10", "b=0:1:0.1"])
@@ -116,17 +119,53 @@ def test_the_same_content_gives_the_same_bytes(tmp_path):
 
 
 def test_analyses_keep_types_and_the_last_one_counts(study):
+    apart = 1.0 - np.eye(3, dtype=np.float32)
     for gamma in (1.0, 2.0):
-        arrays = {"distances": np.eye(3, dtype=np.float32) * gamma, "labels": np.array([0, -1, 0])}
+        arrays = {"ids": np.array([1, 2, 3]), "distances": gamma * apart, "labels": np.array([0, -1, 0])}
         study.save_analysis("wttc", arrays, {"gamma": gamma, "candidates": [{"eps": 0.1}]})
     study.save_analysis("ego-trajectory", {}, {})
     loaded, info = study.analysis("wttc")
     assert loaded["distances"].dtype == np.float32
-    np.testing.assert_array_equal(loaded["distances"], 2.0 * np.eye(3))
+    np.testing.assert_array_equal(loaded["distances"], 2.0 * apart)
     assert info == {"gamma": 2.0, "candidates": [{"eps": 0.1}]}
     assert study.analyses() == ["ego-trajectory", "wttc"]
     with pytest.raises(InputError, match="no analysis by distance"):
         study.analysis("distance")
+
+
+def test_no_value_in_the_file_grows_with_the_number_of_pairs(tmp_path):
+    rng = np.random.default_rng(0)
+    points = rng.random((300, 2))
+    distances = cdist(points, points)
+    arrays = {"ids": np.arange(1, 301), "distances": distances, "embedding": rng.random((300, 40))}
+    with Study.create(tmp_path / "s.db", META) as study:
+        study.propose(1, points, SPACE.values(points))
+        # As SQLite's limit of 1e9 bytes, for 300 scenarios instead of 11,500.
+        study._database.connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 50_000)
+        study.save_analysis("wttc", arrays, {})
+        again = study.analysis("wttc")[0]
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(again[name], array)
+        study.save_analysis("wttc", {"ids": np.arange(1, 3), "distances": distances[:2, :2]}, {})
+        assert study.analysis("wttc", "distances")[0]["distances"].shape == (2, 2)
+        # Nothing of the larger one is left.
+        assert study._database.found("SELECT COUNT(*) FROM arrays") == [(2,)]
+
+
+@pytest.mark.parametrize("count", [1, 2, 255, 256, 257, 700])
+@pytest.mark.parametrize("kind", ["<f8", "<f4"])
+def test_half_of_the_distances_gives_back_all(study, count, kind, monkeypatch):
+    monkeypatch.setattr(stored_arrays, "_PIECE", 10_000)
+    points = np.random.default_rng(count).random((count, 2))
+    study.propose(2, points, SPACE.values(points))
+    distances = cdist(points, points).astype(kind)
+    study.save_analysis("wttc", {"ids": np.arange(count), "distances": distances}, {})
+    found = study.analysis("wttc", "distances")[0]["distances"]
+    assert found.dtype == distances.dtype
+    np.testing.assert_array_equal(found, distances)
+    packed = [one for (one,) in study._database.found("SELECT data FROM arrays WHERE name = 'distances' ORDER BY part")]
+    condensed = np.concatenate([np.load(io.BytesIO(one))["distances"] for one in packed])
+    np.testing.assert_array_equal(condensed, squareform(distances, checks=False))
 
 
 def test_time_spent_adds_up(study):

@@ -78,6 +78,10 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
     str
         HTML.
     """
+
+    def share(value: float) -> str:
+        return _UNKNOWN if math.isnan(value) else f"{value:.0%}"
+
     return make_table(
         ["cluster", "how it ends", "where", "of the cluster", "purity"],
         [
@@ -85,8 +89,8 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
                 name_cluster(one.cluster) if k == 0 else "",
                 ", ".join(f"{end} ({count})" for end, count in one.outcomes.items()) if k == 0 else "",
                 rule.text,
-                f"{rule.covers:.0%}",
-                f"{rule.purity:.0%}",
+                share(rule.covers),
+                share(rule.purity),
             ]
             for one in profiles
             for k, rule in enumerate(one.rules)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final
 
-from cornercase.clustering import Analysis
+from cornercase.clustering import Analysis, Rule
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, ReducedSet
 from cornercase.report.knowledge import CriticalKnowledge, Knowledge
@@ -152,11 +152,18 @@ def _clusters(one: Analysis) -> dict[str, Any]:
             "scenarios": profile.size,
             "outcomes": profile.outcomes,
             "median": {metric: median for metric, (_, median, _) in profile.scores.items()},
-            "where": [f"{rule.text} ({rule.covers:.0%} of it, {rule.purity:.0%} pure)" for rule in profile.rules],
+            "where": [_rule(rule) for rule in profile.rules],
         }
         for profile in one.profiles
         if profile.cluster >= 0
     }
+
+
+def _rule(rule: Rule) -> str:
+    # Studies of version 2 know the figures only of the scenarios that the rule was found from.
+    if math.isnan(rule.covers):
+        return rule.text
+    return f"{rule.text} ({rule.covers:.0%} of it, {rule.purity:.0%} pure)"
 
 
 def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:

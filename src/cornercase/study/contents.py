@@ -15,6 +15,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
+from cornercase.study.arrays import read_arrays
 from cornercase.study.codec import unpack_arrays, unpack_recording
 from cornercase.study.damage import damage_told, loaded, require
 from cornercase.study.database import Database
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
 _SHOWN: Final = 10
 # SQLite counts no further.
 _LARGEST_ID: Final = 2**63 - 1
-# Bytes of an array of an analysis that is not one of all pairs.
-_LARGEST_OTHERS: Final = 1 << 26
-
 
 # Files are read and checked; the optimizer proposes and learns; scenarios are simulated, measured and stored; the
 # critical set is judged; recordings are read back and compared; and so on.
@@ -310,15 +308,13 @@ class StudyContents:
         found = self._database.found("SELECT info FROM analyses WHERE name = ?", name)
         if not found:
             raise InputError(f"{self.path}: holds no analysis by {name}; run `analyze` first.")
-        known = [key for (key,) in self._database.found("SELECT name FROM arrays WHERE analysis = ?", name)]
+        question = "SELECT name FROM arrays WHERE analysis = ? AND part = 0"
+        known = [key for (key,) in self._database.found(question, name)]
         if missing := sorted(set(arrays).difference(known)):
             raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
-        question = "SELECT data FROM arrays WHERE analysis = ? AND name = ?"
-        packed = {key: self._database.found(question, name, key)[0][0] for key in arrays or known}
-        # The largest is that of the distances between all scenarios.
-        most = _LARGEST_OTHERS + 8 * sum(self._counts().values()) ** 2
-        with damage_told(self.path):
-            return {key: unpack_arrays(data, most)[key] for key, data in packed.items()}, loaded(found[0][0])
+        with damage_told(self.path), self.snapshot():
+            read = read_arrays(self._database.found, name, list(arrays or known), sum(self._counts().values()))
+            return read, loaded(found[0][0])
 
     def reduction(self) -> dict[str, Any] | None:
         """Read what is known of the reduced set, as in its manifest.

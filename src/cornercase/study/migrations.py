@@ -1,7 +1,8 @@
 """The schema of a study file, and the way from an earlier version to it.
 
-Version 2 holds each array of an analysis by itself, how each scenario ended, and every key that it knows. Version 1
-grew over time: a file of it may lack what its first releases did not know.
+Version 3 holds the arrays of an analysis in pieces, and of the distances one half. Version 2 holds each array as one
+value, and judges the bounds of clusters by the scenarios that they were found from.
+Version 1 has fewer tables and grew over time: a file of it may lack what its first releases did not know.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.typing import IntArray
+from cornercase.study.arrays import write_arrays
 from cornercase.study.codec import pack_arrays, unpack_arrays
 
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 
 SCHEMA: Final = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -33,12 +35,19 @@ CREATE TABLE repeats (
 CREATE TABLE outcomes (scenario INTEGER PRIMARY KEY REFERENCES scenarios, outcome TEXT NOT NULL);
 CREATE TABLE analyses (name TEXT PRIMARY KEY, info TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE arrays (
-    analysis TEXT NOT NULL REFERENCES analyses, name TEXT NOT NULL, data BLOB NOT NULL, UNIQUE (analysis, name));
+    analysis TEXT NOT NULL REFERENCES analyses, name TEXT NOT NULL, part INTEGER NOT NULL, data BLOB NOT NULL,
+    UNIQUE (analysis, name, part));
 CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROWID;
 """
 
 TABLES: Final = ("meta", "scenarios", "courses", "repeats", "outcomes", "analyses", "arrays", "elapsed")
 """Tables of a study, of any version; those that refer to others come after them."""
+
+_ARRAYS_OF_2: Final = """CREATE TABLE arrays (
+    analysis TEXT NOT NULL REFERENCES analyses, name TEXT NOT NULL, data BLOB NOT NULL, UNIQUE (analysis, name))"""
+
+# Bytes of an array of version 2 that is not one of all pairs.
+_LARGEST_OTHERS: Final = 1 << 26
 
 # Keys of `meta` that the first releases did not write.
 _LATER: Final = ("critical", "files", "pareto", "repeats", "weights")
@@ -85,6 +94,7 @@ def _from_1(connection: sqlite3.Connection) -> None:
     before = dict(connection.execute("SELECT name, arrays FROM analyses").fetchall())
     infos = {name: json.loads(info) for name, info in connection.execute("SELECT name, info FROM analyses")}
     connection.execute("DROP TABLE analyses")
+    connection.execute(_ARRAYS_OF_2)
     for statement in SCHEMA.split(";"):
         if statement.strip():
             connection.execute(statement.replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
@@ -141,4 +151,36 @@ def _whole_reduction(info: dict[str, Any], run: int) -> dict[str, Any]:
     return {"run": run, "shapes": [], "critical": {}} | info | {"coverage": coverage}
 
 
-_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1}
+def _from_2(connection: sqlite3.Connection) -> None:
+    """Cut arrays into pieces, and take back figures of what they were chosen with."""
+    connection.execute("ALTER TABLE arrays RENAME TO whole")
+    (statement,) = (one for one in SCHEMA.split(";") if "CREATE TABLE arrays" in one)
+    connection.execute(statement)
+    (scenarios,) = connection.execute("SELECT COUNT(*) FROM scenarios").fetchone()
+    for rowid, analysis, name in connection.execute("SELECT rowid, analysis, name FROM whole").fetchall():
+        (data,) = connection.execute("SELECT data FROM whole WHERE rowid = ?", (rowid,)).fetchone()
+        array = unpack_arrays(data, _LARGEST_OTHERS + 8 * scenarios**2)[name]
+        write_arrays(connection, analysis, {name: array})
+    connection.execute("DROP TABLE whole")
+    for name, info in connection.execute("SELECT name, info FROM analyses").fetchall():
+        judged = _judged_reduction(json.loads(info)) if name == "reduction" else _judged_analysis(json.loads(info))
+        connection.execute("UPDATE analyses SET info = ? WHERE name = ?", (json.dumps(judged), name))
+
+
+def _judged_analysis(info: dict[str, Any]) -> dict[str, Any]:
+    """Facts of a clustering, without what its rules were said to hold of the scenarios that they were found from."""
+
+    def judged(rule: dict[str, Any]) -> dict[str, Any]:
+        # What is true of all was not found from any.
+        return rule if rule["text"] == "everywhere" else rule | {"covers": math.nan, "purity": math.nan}
+
+    profiles = [one | {"rules": [judged(rule) for rule in one["rules"]]} for one in info["profiles"]]
+    return info | {"profiles": profiles}
+
+
+def _judged_reduction(info: dict[str, Any]) -> dict[str, Any]:
+    """Facts of a reduction, with what version 2 did not measure."""
+    return info
+
+
+_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1, 2: _from_2}

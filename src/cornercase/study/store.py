@@ -16,6 +16,7 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
+from cornercase.study.arrays import write_arrays
 from cornercase.study.codec import pack_arrays, pack_recording
 from cornercase.study.contents import StudyContents
 from cornercase.study.damage import damage_told
@@ -249,16 +250,14 @@ class Study(StudyContents):
         ----------
         name : str
         arrays : mapping of str to array_like of any shape
+            ``"distances"`` are those between all scenarios in ``"ids"``: square, symmetric, and 0 on the diagonal.
         info : mapping of str to object
             Further facts, plain values.
         """
         with self._database.writing() as connection:
             connection.execute("INSERT OR REPLACE INTO analyses VALUES (?, ?)", (name, json.dumps(dict(info))))
             connection.execute("DELETE FROM arrays WHERE analysis = ?", (name,))
-            connection.executemany(
-                "INSERT INTO arrays VALUES (?, ?, ?)",
-                [(name, key, pack_arrays({key: array})) for key, array in arrays.items()],
-            )
+            write_arrays(connection, name, arrays)
 
     def add_elapsed(self, stage: str, seconds: float) -> None:
         """Add to the time spent in a stage.
