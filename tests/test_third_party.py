@@ -9,11 +9,13 @@ import sys
 import pytest
 
 from command_line import SPACE, X
+from cornercase.clustering import read_analysis
 from cornercase.study import Study
 
 PARTS = '''
 import numpy as np
 
+from cornercase.clustering import Aspect
 from cornercase.drivers import Driver
 from cornercase.metrics import Metric
 from cornercase.optimizers import Optimizer
@@ -28,6 +30,15 @@ class SpeedDifference(Metric):
 
     def course(self, recording, ego, other):
         return np.abs(recording.speed[recording.index(ego)] - recording.speed[recording.index(other)])
+
+
+class Pace(Aspect):
+    """The ego's acceleration."""
+
+    name, unit = "pace", "m/s^2"
+
+    def series(self, recording, ego, other):
+        return recording.acceleration[recording.index(ego)][:, None]
 
 
 class Diagonal(Optimizer):
@@ -63,6 +74,8 @@ class Short(BuiltinSimulator):
 ENTRY_POINTS = """
 [cornercase.metrics]
 speed-difference = of_another:SpeedDifference
+[cornercase.aspects]
+pace = of_another:Pace
 [cornercase.optimizers]
 diagonal = of_another:Diagonal
 [cornercase.drivers]
@@ -111,6 +124,11 @@ def test_every_command_takes_the_parts_of_another_package(command, tmp_path):
         assert points[0] == pytest.approx([0.5] * 3, abs=0.05)
         assert points[-1] == pytest.approx([1.0] * 3, abs=0.05)
         assert study.recording(1).time[-1] == pytest.approx(5.0, abs=0.051)
+    analyzed = command("analyze", "study.db", "--by", "pace")
+    assert analyzed.returncode == 0, analyzed.stderr
+    with Study.open(tmp_path / "study.db", readonly=True) as study:
+        # Here no such package is installed.
+        assert read_analysis(study, "pace").unit == "m/s^2"
     # What it does not know is refused in one sentence, with what it knows.
     wrong = command(
         "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "speed-diference",

@@ -13,7 +13,7 @@ _PARAMETERS: Final = (
     "archetypes", "archetypes_by", "batch", "budget", "by", "continuous", "cover", "critical", "duration", "ego", "eps",
     "gamma", "keep", "max_seconds", "method", "min_samples", "on_collision", "optimizer", "other", "pareto", "patience",
     "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size", "space", "stop_when",
-    "time_step", "timeout", "within", "workers",
+    "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {

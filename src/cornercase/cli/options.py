@@ -62,7 +62,9 @@ Drivers = Annotated[
 Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
 By = Annotated[
     list[str] | None,
-    typer.Option("--by", metavar="ego-trajectory|METRIC", help="What to cluster by; default: all there is."),
+    typer.Option(
+        "--by", metavar="ASPECT|METRIC", help="What to cluster by; default: ego-trajectory, bearing and all metrics."
+    ),
 ]
 Gamma = Annotated[str, typer.Option(metavar="X|auto", help="Kernel width parameter.")]
 Eps = Annotated[str, typer.Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]

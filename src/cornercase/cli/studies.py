@@ -36,6 +36,10 @@ def analyze(
     eps: Eps = "auto",
     min_samples: MinSamples = "auto",
     method: Annotated[str, typer.Option(metavar="dbscan|hdbscan", help="What finds the clusters.")] = "dbscan",
+    window: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Match only instants that are so far apart at most, in s; default: any."),
+    ] = None,
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the clusters that are there; new scenarios join them.")
     ] = False,
@@ -43,9 +47,13 @@ def analyze(
 ) -> None:
     """Cluster what was run, by behaviour and by criticality.
 
+    Aspects: ego-trajectory, ego-speed, ego-motion, behaviour (the ego's way over time), interaction, relative, bearing
+    (of the other, as the ego sees it), those of other packages, and each metric.
+
     \b
     Example:
       cornercase analyze study.db --by ego-trajectory --by wttc
+      cornercase analyze study.db --by interaction --window 1
     """
     from cornercase import clustering
 
@@ -56,6 +64,7 @@ def analyze(
         eps=parsing.number_or_auto(eps, "--eps"),
         min_samples=parsing.count_or_auto(min_samples, "--min-samples"),
         method=parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
+        window=window,
         keep=keep,
         progress=True,
     )
@@ -84,7 +93,7 @@ def reduce(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
     by: Annotated[
         str | None,
-        typer.Option("--by", metavar="ego-trajectory|METRIC", help="Which clusters; default: the searched metric's."),
+        typer.Option("--by", metavar="ASPECT|METRIC", help="Which clusters; default: the searched metric's."),
     ] = None,
     archetypes: Annotated[
         str | None,

@@ -5,12 +5,13 @@ from .analysis import read_analyses as read_analyses
 from .analysis import read_analysis as read_analysis
 from .analysis import read_distances as read_distances
 from .analyzing import analyze as analyze
+from .aspects import ASPECTS as ASPECTS
 from .aspects import EGO_TRAJECTORY as EGO_TRAJECTORY
-from .aspects import series_of as series_of
-from .aspects import unit_of as unit_of
+from .aspects import Aspect as Aspect
 from .clusters import Candidate as Candidate
 from .clusters import Clustering as Clustering
 from .clusters import ClusteringMethod as ClusteringMethod
+from .comparing import series_of as series_of
 from .estimator import ScenarioClustering as ScenarioClustering
 from .estimator import cluster as cluster
 from .outcomes import tell_outcome as tell_outcome

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering.aspects import EGO_TRAJECTORY
 from cornercase.clustering.clusters import Candidate, Clustering
 from cornercase.clustering.profiles import Profile
 from cornercase.clustering.rules import Rule
+from cornercase.metrics import METRICS
 from cornercase.study import Study, damage_told, made, require
 
 
@@ -24,7 +26,11 @@ class Analysis:
     Attributes
     ----------
     by : str
-        The aspect: ``"ego-trajectory"`` or the name of a metric.
+        The aspect: one of `cornercase.clustering.ASPECTS`, or the name of a metric.
+    unit : str
+        Of the distances; ``"1"`` for none.
+    window : float or None
+        s; how far apart in time two instants may be that were matched; None for any.
     ids : ndarray of int64, shape (n,)
         Scenarios.
     clustering : Clustering
@@ -36,6 +42,8 @@ class Analysis:
     """
 
     by: str
+    unit: str
+    window: float | None
     ids: IntArray
     clustering: Clustering
     fitted: IntArray
@@ -97,6 +105,8 @@ def save_analysis(study: Study, analysis: Analysis, distances: FloatArray) -> No
         "landmarks": found.landmarks,
     }
     info = {
+        "unit": analysis.unit,
+        "window": analysis.window,
         "gamma": found.gamma,
         "eps": found.eps,
         "min_samples": found.min_samples,
@@ -145,7 +155,10 @@ def read_analysis(study: Study, by: str) -> Analysis:
         require(n > 0, "an analysis of no scenario")
         require(labels.shape == (n,) and bool((labels >= -1).all()) and labels.max(initial=-1) < n, "labels of others")
         require(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an embedding of others")
-        return Analysis(by, ids, _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info))
+        # An early version compared by nothing else, and without a window.
+        unit = str(info["unit"]) if "unit" in info else "m" if by == EGO_TRAJECTORY else METRICS.create(by).unit
+        window = None if info.get("window") is None else float(info["window"])
+        return Analysis(by, unit, window, ids, _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info))
 
 
 def _numbers(plain: list[int]) -> IntArray:
@@ -190,7 +203,7 @@ def read_analyses(study: Study) -> dict[str, Analysis]:
     Returns
     -------
     dict of str to Analysis
-        By aspect: the ego's trajectory first, then the metrics.
+        By aspect: the ego's trajectory first, the metrics last.
     """
     return {by: read_analysis(study, by) for by in study.analyses()}
 

@@ -14,8 +14,16 @@ from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.analysis import Analysis, read_analysis, save_analysis
-from cornercase.clustering.aspects import EGO_TRAJECTORY, aspects_of, require_aspect, series_of
+from cornercase.clustering.aspects import ASPECTS
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
+from cornercase.clustering.comparing import (
+    default_aspects,
+    instants_within,
+    require_aspect,
+    series_in,
+    series_of,
+    unit_of,
+)
 from cornercase.clustering.estimator import ScenarioClustering
 from cornercase.clustering.outcomes import tell_outcome
 from cornercase.clustering.profiles import describe_clusters
@@ -31,6 +39,7 @@ def analyze(
     eps: float | Literal["auto"] = "auto",
     min_samples: int | Literal["auto"] = "auto",
     method: ClusteringMethod = "dbscan",
+    window: float | None = None,
     keep: bool = False,
     progress: bool = False,
 ) -> dict[str, Analysis]:
@@ -44,13 +53,17 @@ def analyze(
     study : Study or path
         Open for writing, or the file.
     by : str or sequence of str, optional
-        Aspects: ``"ego-trajectory"`` and metrics of the study; all by default.
+        Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory and
+        the bearing of the other, and all metrics of the study.
     gamma, eps : float or "auto", default "auto"
         Kernel width and radius of the neighbourhood, without unit.
     min_samples : int or "auto", default "auto"
         Least number of scenarios in a dense neighbourhood.
     method : {"dbscan", "hdbscan"}, default "dbscan"
         Algorithm that finds the clusters.
+    window : float, optional
+        s; how far apart in time two instants may be that are matched, beyond the difference of the recordings'
+        lengths. By default any, as in the paper: then waiting costs nothing by itself.
     keep : bool, default False
         Keep the clusters that the study has, and let the scenarios that were run since join them, as in
         `ScenarioClustering.predict`.
@@ -65,8 +78,8 @@ def analyze(
     Raises
     ------
     InputError
-        Fewer than two scenarios were run, the study holds no such metric, a setting is out of range, or given for
-        clusters that are kept.
+        Fewer than two scenarios were run, the study cannot be compared by an aspect, a setting is out of range, or
+        given for clusters that are kept.
 
     See Also
     --------
@@ -82,40 +95,55 @@ def analyze(
     model.require_settings()
     chosen = None if by is None else tuple(dict.fromkeys(texts("by", by)))
     with open_study(study) as opened:
-        aspects = aspects_of(opened) if chosen is None else chosen
+        aspects = default_aspects(opened) if chosen is None else chosen
         for one in aspects:
             require_aspect(opened, one)
-        if keep and set(aspects) & set(opened.analyses()) and {gamma, eps, min_samples} != {"auto"}:
-            raise InputError("`keep`: kept clusters keep their settings; leave out `gamma`, `eps` and `min_samples`.")
-        return _analyzed(opened, aspects, model, keep, progress)
+        known = set(aspects) & set(opened.analyses())
+        if keep and known and ({gamma, eps, min_samples} != {"auto"} or window is not None):
+            raise InputError(
+                "`keep`: kept clusters keep their settings; leave out `gamma`, `eps`, `min_samples` and `window`."
+            )
+        return _analyzed(opened, aspects, model, window, keep, progress)
 
 
 def _analyzed(
-    study: Study, aspects: Sequence[str], model: ScenarioClustering, keep: bool, progress: bool
+    study: Study,
+    aspects: Sequence[str],
+    model: ScenarioClustering,
+    window: float | None,
+    keep: bool,
+    progress: bool,
 ) -> dict[str, Analysis]:
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
     if len(ids) < 2:
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
     begun = time.monotonic()
-    outcomes, ways = [], []
+    outcomes, times = [], []
+    seen: dict[str, list[FloatArray]] = {one: [] for one in aspects if one not in study.meta.metrics}
     # Each recording is unpacked once.
     for i in ids.tolist():
         recording = study.recording(i)
         outcomes.append(tell_outcome(recording, study.meta.ego, study.meta.other))
-        ways.append(recording.center(study.meta.ego))
+        times.append(recording.time)
+        for one, series in seen.items():
+            series.append(series_in(study, i, recording, ASPECTS.create(one)))
+    instants_within(times, window)
     study.save_outcomes(dict(zip(ids.tolist(), outcomes, strict=True)))
     study.add_elapsed("read", time.monotonic() - begun)
     results = {}
     for aspect in aspects:
         begun = time.monotonic()
-        series = ways if aspect == EGO_TRAJECTORY else series_of(study, aspect)
-        distances = distance_matrix(series, progress=progress)
+        before = read_analysis(study, aspect) if keep and aspect in study.analyses() else None
+        within = window if before is None else before.window
+        series = seen.pop(aspect) if aspect in seen else series_of(study, aspect)
+        distances = distance_matrix(series, window=instants_within(times, within), progress=progress)
         measured = time.monotonic()
-        if keep and aspect in study.analyses():
-            found, fitted = _joined(read_analysis(study, aspect), ids, distances)
+        if before is not None:
+            found, fitted = _joined(before, ids, distances)
         else:
             found, fitted = model.fit(distances).result_, ids
-        results[aspect] = Analysis(aspect, ids, found, fitted, describe_clusters(study, found.labels, outcomes))
+        profiles = describe_clusters(study, found.labels, outcomes)
+        results[aspect] = Analysis(aspect, unit_of(study, aspect), within, ids, found, fitted, profiles)
         save_analysis(study, results[aspect], distances)
         study.add_elapsed("compare", measured - begun)
         study.add_elapsed("cluster", time.monotonic() - measured)

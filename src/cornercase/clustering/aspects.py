@@ -2,92 +2,193 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Final
 
-from cornercase._common.errors import InputError, suggestion
+import numpy as np
+
+from cornercase._common.registry import Registry
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import METRICS
-from cornercase.study import Study
+from cornercase.recordings import Recording
 
 EGO_TRAJECTORY: Final = "ego-trajectory"
-"""The way that the ego takes, and when."""
+"""The way that the ego takes: the aspect of the paper."""
+
+# Fixed, so that two scenarios are as far apart in every study, and chosen without data: a difference of speed counts as
+# the way that it makes in the time that drivers look ahead, a second of waiting as the way of a slow vehicle.
+_LOOK_AHEAD: Final = 3.0
+_SLOW: Final = 5.0
 
 
-def aspects_of(study: Study) -> tuple[str, ...]:
-    """Names of all aspects that the scenarios of a study can be compared by.
+class Aspect(ABC):
+    """What of a scenario is compared with other scenarios.
 
-    Parameters
+    A subclass names itself, says its unit, and defines `series`. Scenarios are then compared by Dynamic Time Warping.
+
+    Attributes
     ----------
-    study : Study
-        Its metrics can be aspects.
+    name : str
+        As on the command line: ``"ego-speed"``.
+    unit : str
+        Of all channels of the series, and so of the distance of two scenarios, which is a sum along the best path;
+        ``"1"`` for none.
 
-    Returns
-    -------
-    tuple of str
-        ``"ego-trajectory"``, then the course of each metric by the metric's name.
+    See Also
+    --------
+    cornercase.clustering.ASPECTS : Aspects by name, also those of other packages.
+
+    Examples
+    --------
+    >>> from cornercase.clustering import Aspect
+    >>> class Acceleration(Aspect):
+    ...
+    ...     name, unit = "ego-acceleration", "m/s^2"
+    ...
+    ...     def series(self, recording, ego, other):
+    ...         return recording.acceleration[recording.index(ego)][:, None]
     """
-    return (EGO_TRAJECTORY, *study.meta.metrics)
+
+    name: str
+    unit: str
+
+    @abstractmethod
+    def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Give what is compared.
+
+        Parameters
+        ----------
+        recording : Recording
+        ego, other : str
+            Names of two entities.
+
+        Returns
+        -------
+        ndarray of float64, shape (T, k)
+            Finite at each instant, in the aspect's unit.
+
+        Raises
+        ------
+        InputError
+            There is no entity of that name.
+        """
 
 
-def require_aspect(study: Study, aspect: str) -> None:
-    """Refuse an aspect that the scenarios of a study cannot be compared by.
+class EgoTrajectory(Aspect):
+    """The place of the ego, as in the paper: the centre of its box, x and y in m.
 
-    Parameters
-    ----------
-    study : Study
-        Its metrics can be aspects.
-    aspect : str
-        Name of the aspect.
-
-    Raises
-    ------
-    InputError
-        It is neither the ego's trajectory nor a metric of the study.
+    Dynamic Time Warping matches places whenever they were reached, so that waiting costs nothing.
     """
-    known = aspects_of(study)
-    if aspect not in known:
-        raise InputError(f"`by` {aspect}: {study.path} holds nothing to compare by it; {suggestion(aspect, known)}")
+
+    name, unit = EGO_TRAJECTORY, "m"
+
+    def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Give the ego's place, shape (T, 2)."""
+        return _place(recording, ego)
 
 
-def series_of(study: Study, aspect: str) -> list[FloatArray]:
-    """Time series that the scenarios are compared by, one for each that was run.
+class EgoSpeed(Aspect):
+    """The speed of the ego in m/s, wherever it is."""
 
-    Parameters
-    ----------
-    study : Study
-        Its metrics can be aspects.
-    aspect : str
-        ``"ego-trajectory"`` gives the centre of the ego's box in m, a metric its capped course in its unit.
+    name, unit = "ego-speed", "m/s"
 
-    Returns
-    -------
-    list of ndarray of float64, shape (T_i, 2) or (T_i,)
-        In the order of the scenarios.
+    def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Give the ego's speed, shape (T, 1)."""
+        return _speed(recording, ego)
 
-    Raises
-    ------
-    InputError
-        The study holds no such metric.
+
+class EgoMotion(Aspect):
+    """Place and speed of the ego on one scale: x, y, and the way that its speed makes in 3 s, in m."""
+
+    name, unit = "ego-motion", "m"
+
+    def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Give the ego's place and scaled speed, shape (T, 3)."""
+        return np.hstack((_place(recording, ego), _LOOK_AHEAD * _speed(recording, ego)))
+
+
+class Interaction(Aspect):
+    """The places of ego and other at the same time, jointly: x, y, x, y in m."""
+
+    name, unit = "interaction", "m"
+
+    def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Give both places, shape (T, 4)."""
+        return np.hstack((_place(recording, ego), _place(recording, other, ego)))
+
+
+class Relative(Aspect):
+    """Where the other is as the ego sees it: ahead and to the left, in m."""
+
+    name, unit = "relative", "m"
+
+    def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Give the other's place in the ego's frame, shape (T, 2)."""
+        return _seen(recording, ego, other)
+
+
+class Bearing(Aspect):
+    """The direction in which the ego sees the other, as a unit vector ahead and to the left, however far it is.
+
+    When the two pass each other it turns one way or the other, so that it tells who was first; before and after, it
+    hardly changes. Where they are in one place, or the other never exists, it is the null vector.
     """
-    require_aspect(study, aspect)
-    rows = study.done()
-    if aspect == EGO_TRAJECTORY:
-        return [study.recording(row.id).center(study.meta.ego) for row in rows]
-    metric = METRICS.create(aspect)
-    return [metric.capped(study.course(row.id, aspect)) for row in rows]
+
+    name, unit = "bearing", "1"
+
+    def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Give the direction, shape (T, 2)."""
+        seen = _seen(recording, ego, other)
+        away = np.hypot(seen[:, :1], seen[:, 1:])
+        return np.divide(seen, away, out=np.zeros_like(seen), where=away > 0.0)
 
 
-def unit_of(aspect: str) -> str:
-    """Unit of a distance between two scenarios by an aspect.
+class Behaviour(Aspect):
+    """The place of the ego on its own path over time: the way that it has made, and 5 m for each second, in m.
 
-    Parameters
-    ----------
-    aspect : str
-        Name of the aspect.
-
-    Returns
-    -------
-    str
-        The distance is a sum along the best path, so it has the unit of the series; ``"1"`` for none.
+    What is matched at different times costs so much for each second between, so that waiting counts, and where the
+    path lies does not.
     """
-    return "m" if aspect == EGO_TRAJECTORY else METRICS.create(aspect).unit
+
+    name, unit = "behaviour", "m"
+
+    def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        """Give the ego's way and the scaled time, shape (T, 2)."""
+        place = _place(recording, ego)
+        steps = np.hypot(*np.diff(place, axis=0).T)
+        return np.column_stack((np.r_[0.0, np.cumsum(steps)], _SLOW * (recording.time - recording.time[0])))
+
+
+ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.aspects", Aspect)
+"""Aspects by name; the course of each metric of a study is one, too."""
+
+for _class in (EgoTrajectory, EgoSpeed, EgoMotion, Interaction, Relative, Bearing, Behaviour):
+    ASPECTS.register(_class.name, _class)
+
+
+def _place(recording: Recording, entity: str, instead: str | None = None) -> FloatArray:
+    """Centre of an entity's box, shape (T, 2); that of another one if it never exists."""
+    center = recording.center(entity)
+    if instead is not None and not np.isfinite(center).all(axis=1).any():
+        return _place(recording, instead)
+    return _held(center)
+
+
+def _speed(recording: Recording, entity: str) -> FloatArray:
+    return _held(recording.speed[recording.index(entity)][:, None])
+
+
+def _seen(recording: Recording, ego: str, other: str) -> FloatArray:
+    """Place of the other in the ego's frame, shape (T, 2)."""
+    x, y = (_place(recording, other, ego) - _place(recording, ego)).T
+    heading = _held(recording.heading[recording.index(ego)][:, None])[:, 0]
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.column_stack((cos * x + sin * y, cos * y - sin * x))
+
+
+def _held(values: FloatArray) -> FloatArray:
+    """Fill instants at which an entity does not exist: it stays as it was last, and begins as it will first be."""
+    exists = np.isfinite(values).all(axis=1)
+    if exists.all() or not exists.any():
+        return np.nan_to_num(values) if not exists.any() else values
+    last = np.maximum.accumulate(np.where(exists, np.arange(len(values)), -1))
+    return np.asarray(values[np.where(last < 0, np.argmax(exists), last)])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering import EGO_TRAJECTORY, Analysis, read_distances
+from cornercase.clustering import Analysis, read_distances
 from cornercase.exploration import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
@@ -70,15 +70,15 @@ class ReportData:
         Parameters
         ----------
         aspect : str
-            ``"ego-trajectory"`` or a metric.
+            What scenarios were compared by.
 
         Returns
         -------
         Metric
-            The first one for the ego's trajectory.
+            That of the aspect, or the first one where it is none.
         """
         names = [metric.name for metric in self.metrics]
-        return self.metrics[0 if aspect == EGO_TRAJECTORY else names.index(aspect)]
+        return self.metrics[names.index(aspect) if aspect in names else 0]
 
     def rows_of(self, ids: Sequence[int]) -> IntArray:
         """Return the rows of scenarios that were run.

@@ -280,11 +280,11 @@ class StudyContents:
         Returns
         -------
         list of str
-            ``ego-trajectory`` first, then the metrics.
+            ``ego-trajectory`` first, the metrics last, the others between them in alphabetical order.
         """
-        names = [name for (name,) in self._database.found("SELECT name FROM analyses")]
-        order = ["ego-trajectory", *self.meta.metrics]
-        return [name for name in order if name in names]
+        names = {str(name) for (name,) in self._database.found("SELECT name FROM analyses")} - {"reduction"}
+        metrics = [name for name in self.meta.metrics if name in names]
+        return [*sorted(names - set(metrics), key=lambda name: (name != "ego-trajectory", name)), *metrics]
 
     def analysis(self, name: str, *arrays: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """Read a stored result.

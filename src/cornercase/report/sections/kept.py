@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cornercase.clustering import unit_of
 from cornercase.reduction import ReducedSet
 from cornercase.report import tables
 from cornercase.report.album import Album
@@ -79,7 +78,7 @@ def _show_left_out(data: ReportData, album: Album, reduced: ReducedSet) -> Itera
         for name, gaps in data.gaps.items()
     }
     yield album.add(
-        draw_coverage(curves, [unit_of(name) for name in curves]),
+        draw_coverage(curves, [data.summary.analyses[name].unit for name in curves]),
         "coverage",
         "Share of all scenarios, and of the critical ones, whose nearest kept one is at most so far away by Dynamic"
         " Time Warping; beside it k-medoids, and the range that 90 of 100 random choices of as many leave.",

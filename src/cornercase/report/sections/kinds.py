@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import IntArray
-from cornercase.clustering import EGO_TRAJECTORY, Analysis
+from cornercase.clustering import Analysis
 from cornercase.report import tables
 from cornercase.report.album import Album
 from cornercase.report.data import ReportData
@@ -74,7 +74,7 @@ def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterat
     name, labels, found = analysis.by, analysis.labels, analysis.clustering
     ids = analysis.ids.tolist()
     rows = data.rows_of(ids)
-    what = "the ego's trajectory" if name == EGO_TRAJECTORY else f"the course of {name}"
+    what = f"the course of {name}" if name in data.summary.meta.metrics else name
     yield f"<h2>Kinds of scenario, by {escape(what)}</h2>"
     yield album.add(
         draw_clusters(found.embedding, labels, data.values[rows], data.parameters, data.influential[:2]),

@@ -1,0 +1,197 @@
+"""What of two scenarios is compared, against recordings whose distances follow from how they were made."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cornercase._common.errors import InputError
+from cornercase.clustering import ASPECTS, Aspect, analyze, read_analysis, read_distances, series_of
+from cornercase.dtw import distance_matrix
+from cornercase.recordings import Recording
+from cornercase.study import Study
+from synthetic import explorer, opened
+
+TIME = np.arange(0.0, 20.0, 0.1)
+NAMES = ("bearing", "behaviour", "ego-motion", "ego-speed", "ego-trajectory", "interaction", "relative")
+
+
+def of(ego, other, time=TIME):
+    """A recording of two points, from their places (T, 2); headings and speeds as they move."""
+    places = np.stack([ego, other])
+    steps = np.diff(places, axis=1, append=2 * places[:, -1:] - places[:, -2:-1])
+    one = np.zeros(2)
+    return Recording(
+        time=time,
+        names=("Ego", "B"),
+        kinds=("car", "car"),
+        x=places[:, :, 0],
+        y=places[:, :, 1],
+        heading=np.arctan2(steps[:, :, 1], steps[:, :, 0]),
+        speed=np.hypot(steps[:, :, 0], steps[:, :, 1]) / 0.1,
+        acceleration=np.zeros(places.shape[:2]),
+        length=one + 4.0,
+        width=one + 2.0,
+        center_x=one + 1.0,
+    )
+
+
+def crossing(wait, first):
+    """The ego goes east along y = 0, the other north along x = 0; one waits for so long before the crossing."""
+    way = np.minimum(8.0 * TIME, np.maximum(40.0, 8.0 * (TIME - wait)))
+    late, early = np.column_stack((way - 50.0, 0.0 * way)), np.column_stack((8.0 * TIME - 50.0, 0.0 * TIME))
+    return of(early if first else late, (late if first else early)[:, ::-1])
+
+
+def apart(name, one, two):
+    aspect = ASPECTS.create(name)
+    return distance_matrix([aspect.series(each, "Ego", "B") for each in (one, two)])[0, 1]
+
+
+def moved(recording, dx, dy, turn):
+    x, y = recording.x, recording.y
+    return Recording(
+        **{
+            **{name: getattr(recording, name) for name in recording.__dataclass_fields__},
+            "x": math.cos(turn) * x - math.sin(turn) * y + dx,
+            "y": math.sin(turn) * x + math.cos(turn) * y + dy,
+            "heading": recording.heading + turn,
+        }
+    )
+
+
+def test_these_are_the_aspects():
+    assert tuple(ASPECTS.names()) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(deadline=None, max_examples=25)
+@given(dx=st.floats(-500, 500), dy=st.floats(-500, 500), turn=st.floats(-math.pi, math.pi))
+def test_what_does_not_say_where_does_not_depend_on_it(name, dx, dy, turn):
+    base = crossing(2.0, first=False)
+    away = apart(name, base, moved(base, dx, dy, turn))
+    if name in ("behaviour", "bearing", "ego-speed", "relative"):
+        assert away == pytest.approx(0.0, abs=1e-5)
+    elif math.hypot(dx, dy) > 1.0:
+        assert away > 1.0
+
+
+def test_waiting_costs_nothing_by_the_trajectory_and_so_much_by_behaviour():
+    short, long = crossing(2.0, first=False), crossing(5.0, first=False)
+    # The same places, but for those at the end, that the longer wait does not reach.
+    reached = short.x[0, -1] - long.x[0, -1]
+    assert reached == pytest.approx(24.0)
+    ends = np.arange(1, 30).sum() * 0.8 + reached
+    assert apart("ego-trajectory", short, long) == pytest.approx(ends, rel=0.01)
+    assert apart("behaviour", short, long) > 3.0 * apart("ego-trajectory", short, long)
+
+
+def test_who_is_first_tells_more_than_how_long_is_waited():
+    first, second = (
+        [crossing(wait, first=True) for wait in (2, 3, 4)],
+        [crossing(wait, first=False) for wait in (2, 3, 4)],
+    )
+    for name in ("interaction", "relative", "bearing"):
+        within = max(apart(name, one, two) for kind in (first, second) for one in kind for two in kind)
+        between = min(apart(name, one, two) for one in first for two in second)
+        assert between > 2.0 * within, name
+
+
+def test_the_other_in_the_egos_frame():
+    ego = np.column_stack((np.zeros(200), 5.0 * TIME))  # Northward.
+    recording = of(ego, ego + np.array((-3.0, 10.0)))
+    np.testing.assert_allclose(ASPECTS.create("relative").series(recording, "Ego", "B"), [[10.0, 3.0]] * 200)
+    np.testing.assert_allclose(
+        ASPECTS.create("bearing").series(recording, "Ego", "B"), np.tile([10.0, 3.0], (200, 1)) / math.sqrt(109.0)
+    )
+
+
+def test_speed_and_place_on_one_scale():
+    ego = np.column_stack((5.0 * TIME, np.zeros(200)))
+    motion = ASPECTS.create("ego-motion").series(of(ego, ego), "Ego", "B")
+    # The centre of the box is 1 m ahead; 5 m/s are 15 m in 3 s.
+    np.testing.assert_allclose(motion, np.column_stack((5.0 * TIME + 1.0, np.zeros(200), np.full(200, 15.0))))
+    np.testing.assert_allclose(ASPECTS.create("ego-speed").series(of(ego, ego), "Ego", "B"), np.full((200, 1), 5.0))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_who_is_not_there_stays_where_it_was(name):
+    ego = np.column_stack((5.0 * TIME, np.zeros(200)))
+    whole = of(ego, np.full_like(ego, (30.0, 4.0)))
+    for gone in (slice(0, 50), slice(120, 200), slice(0, 200)):
+        x, y, heading, speed = (getattr(whole, key).copy() for key in ("x", "y", "heading", "speed"))
+        for values in (x, y, heading, speed):
+            values[1, gone] = np.nan
+        part = Recording(
+            **{
+                **{key: getattr(whole, key) for key in whole.__dataclass_fields__},
+                **{"x": x, "y": y, "heading": heading, "speed": speed},
+            }
+        )
+        series = ASPECTS.create(name).series(part, "Ego", "B")
+        assert np.isfinite(series).all()
+        if gone.stop - gone.start < 200:
+            # The other stands still, so nothing is lost.
+            np.testing.assert_allclose(series, ASPECTS.create(name).series(whole, "Ego", "B"))
+
+
+class Odd(Aspect):
+    name, unit = "odd", "m"
+    shape = (3, 1)
+
+    def series(self, recording, ego, other):
+        return np.zeros(self.shape)
+
+
+@pytest.fixture
+def path(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
+    return tmp_path / "s.db"
+
+
+def test_a_study_is_analysed_by_any_of_them(path):
+    found = analyze(path, [*NAMES, "distance"])
+    with Study.open(path, readonly=True) as study:
+        assert study.analyses() == ["ego-trajectory", *sorted(set(NAMES) - {"ego-trajectory"}), "distance"]
+        for name, one in found.items():
+            np.testing.assert_array_equal(read_distances(study, name), distance_matrix(series_of(study, name)))
+            again = read_analysis(study, name)
+            assert (again.unit, again.window) == (one.unit, None)
+    assert {name: one.unit for name, one in found.items()} == {
+        **dict.fromkeys(NAMES, "m"),
+        **{"bearing": "1", "ego-speed": "m/s", "distance": "m"},
+    }
+
+
+def test_a_window_is_in_seconds_and_stored_and_kept(path):
+    # The recordings have instants 1 s apart.
+    analyze(path, "distance", window=2.0)
+    with Study.open(path) as study:
+        expected = distance_matrix(series_of(study, "distance"), window=3)
+        np.testing.assert_array_equal(read_distances(study, "distance"), expected)
+        assert read_analysis(study, "distance").window == 2.0
+        assert analyze(study, "distance", keep=True)["distance"].window == 2.0
+        with pytest.raises(InputError, match=r"leave out .*`window`"):
+            analyze(study, "distance", window=1.0, keep=True)
+
+
+@pytest.mark.parametrize("window", [-1.0, math.inf, math.nan, "2", True])
+def test_refuses_what_is_no_window(path, window):
+    with pytest.raises(InputError, match=r"`window` .*: give a time in s"):
+        analyze(path, window=window)
+
+
+def test_refuses_what_is_no_aspect(path):
+    with pytest.raises(InputError, match=r"`by` ego-spede: .* did you mean 'ego-speed'"):
+        analyze(path, "ego-spede")
+
+
+def test_refuses_an_aspect_that_gives_something_else(path, monkeypatch):
+    monkeypatch.setitem(ASPECTS._factories, "odd", (Odd, {}))
+    with pytest.raises(InputError, match=r"The aspect 'odd' gives shape \(3, 1\) for scenario"):
+        analyze(path, "odd")
