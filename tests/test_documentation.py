@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 import cornercase
 from conftest import EXAMPLES
 from cornercase.cli import app
+from cornercase.clustering import ASPECTS
 from cornercase.drivers import DRIVERS
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
@@ -31,7 +32,14 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 CHEAP = ("check", "convert", "measure", "metrics", "simulate", "simulators")
 # Options of other programs, and names that are no module's: files, and a property in OpenSCENARIO.
 EXTERNAL = {"--csv_logger", "--fcd-output"}
-NO_MODULES = {"cornercase.db", "cornercase.driver", "cornercase.lock", "cornercase.log", "cornercase.xosc"}
+NO_MODULES = {
+    "cornercase.aspects",
+    "cornercase.db",
+    "cornercase.driver",
+    "cornercase.lock",
+    "cornercase.log",
+    "cornercase.xosc",
+}
 
 
 class Block(NamedTuple):
@@ -179,7 +187,8 @@ def own_names(registry: Any) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("registry", "page"), [(METRICS, "metrics.md"), (OPTIMIZERS, "exploration.md"), (DRIVERS, "drivers.md")]
+    ("registry", "page"),
+    [(METRICS, "metrics.md"), (OPTIMIZERS, "exploration.md"), (DRIVERS, "drivers.md"), (ASPECTS, "reduction.md")],
 )
 def test_all_that_has_a_name_is_described(registry, page):
     described = set(inline_code_of(ROOT / "docs" / page))

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.aspects import EGO_TRAJECTORY
 from cornercase.clustering.clusters import Candidate, Clustering
 from cornercase.clustering.profiles import Profile
 from cornercase.clustering.rules import Rule
-from cornercase.metrics import METRICS
 from cornercase.study import Study, damage_told, made, require
 
 
@@ -155,10 +153,10 @@ def read_analysis(study: Study, by: str) -> Analysis:
         require(n > 0, "an analysis of no scenario")
         require(labels.shape == (n,) and bool((labels >= -1).all()) and labels.max(initial=-1) < n, "labels of others")
         require(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an embedding of others")
-        # An early version compared by nothing else, and without a window.
-        unit = str(info["unit"]) if "unit" in info else "m" if by == EGO_TRAJECTORY else METRICS.create(by).unit
-        window = None if info.get("window") is None else float(info["window"])
-        return Analysis(by, unit, window, ids, _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info))
+        window = None if info["window"] is None else float(info["window"])
+        return Analysis(
+            by, str(info["unit"]), window, ids, _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
+        )
 
 
 def _numbers(plain: list[int]) -> IntArray:

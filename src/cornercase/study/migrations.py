@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.typing import IntArray
+from cornercase.metrics import METRICS
 from cornercase.study.arrays import write_arrays
 from cornercase.study.codec import pack_arrays, unpack_arrays
 
@@ -163,11 +164,12 @@ def _from_2(connection: sqlite3.Connection) -> None:
         write_arrays(connection, analysis, {name: array})
     connection.execute("DROP TABLE whole")
     for name, info in connection.execute("SELECT name, info FROM analyses").fetchall():
-        judged = _judged_reduction(json.loads(info)) if name == "reduction" else _judged_analysis(json.loads(info))
+        stored = json.loads(info)
+        judged = _judged_reduction(stored) if name == "reduction" else _judged_analysis(name, stored)
         connection.execute("UPDATE analyses SET info = ? WHERE name = ?", (json.dumps(judged), name))
 
 
-def _judged_analysis(info: dict[str, Any]) -> dict[str, Any]:
+def _judged_analysis(name: str, info: dict[str, Any]) -> dict[str, Any]:
     """Facts of a clustering, without what its rules were said to hold of the scenarios that they were found from."""
 
     def judged(rule: dict[str, Any]) -> dict[str, Any]:
@@ -175,7 +177,11 @@ def _judged_analysis(info: dict[str, Any]) -> dict[str, Any]:
         return rule if rule["text"] == "everywhere" else rule | {"covers": math.nan, "purity": math.nan}
 
     profiles = [one | {"rules": [judged(rule) for rule in one["rules"]]} for one in info["profiles"]]
-    return info | {"profiles": profiles}
+    # It compared the ego's trajectory and courses of metrics, all instants with all. Nobody knows the unit of a metric
+    # whose package is not here.
+    metric = name.partition(":")[0] in METRICS
+    unit = "m" if name == "ego-trajectory" else METRICS.create(name).unit if metric else "unknown"
+    return info | {"profiles": profiles, "unit": unit, "window": None}
 
 
 def _judged_reduction(info: dict[str, Any]) -> dict[str, Any]:
