@@ -46,7 +46,9 @@ def test_a_box_in_the_parameter_space_is_told_by_its_bounds():
     assert float(low) == pytest.approx(3.0, abs=0.1)
     assert float(high) == pytest.approx(7.0, abs=0.1)
     assert float(wait.removesuffix(" s")) == pytest.approx(2.0, abs=0.05)
-    assert (rule.covers, rule.purity) == (1.0, 1.0)
+    # Found from nine tenths, its bounds miss one or two of the others.
+    assert rule.covers == pytest.approx(0.98, abs=0.02)
+    assert rule.purity == pytest.approx(0.98, abs=0.02)
 
 
 def test_names_stand_in_a_rule_and_what_touches_is_one_part():
@@ -71,6 +73,52 @@ def test_what_nothing_sets_apart_is_everywhere_or_nowhere_pure(members):
     for rule in find_rules(SPACE, rows(), members):
         assert 0.0 < rule.covers <= 1.0
         assert 0.0 < rule.purity <= 1.0
+
+
+@pytest.mark.parametrize("count", [20, 60, 300])
+def test_labels_that_are_noise_get_no_rule(count):
+    told = 0
+    for seed in range(40):
+        ran = rows(count, seed=seed + 500)
+        members = np.random.default_rng(seed + 900).random(count) < (0.5, 0.1, 0.3)[seed % 3]
+        members[0] = True
+        (first, *_) = find_rules(SPACE, ran, members)
+        told += first.text != "everywhere"
+        if first.text == "everywhere":
+            assert (first.covers, first.purity) == (1.0, members.mean())
+    assert told <= 2
+
+
+@pytest.mark.parametrize("mixed", [0.0, 0.1, 0.2])
+def test_a_rule_holds_as_often_as_it_says_for_scenarios_that_did_not_find_it(mixed):
+    told, held = [], []
+    for seed in range(20):
+        ran = rows(3200, seed=seed)
+        inside = (column(ran, "start") > 5.0) & (column(ran, "wait") > 2.0)
+        members = inside ^ (np.random.default_rng(seed).random(3200) < mixed)
+        for rule in find_rules(SPACE, ran[:200], members[:200]):
+            there = np.array([follows(rule.text, values) for values in ran[200:]])
+            told.append((rule.covers, rule.purity))
+            held.append((members[200:][there].sum() / members[200:].sum(), members[200:][there].mean()))
+    assert len(told) >= 15
+    # Their mean: what is told of one rule is off by chance, but not to one side.
+    assert np.mean(told, axis=0) == pytest.approx(np.mean(held, axis=0), abs=0.04)
+
+
+def follows(text, values):
+    """Whether a scenario follows a rule, by its words."""
+    for part in text.split(" and "):
+        words = [word for word in part.split() if word not in ("m", "s")]
+        if "is" in words:
+            yes = values[words[0]] == words[-1]
+            if yes == ("not" in words):
+                return False
+        elif len(words) == 5:
+            if not float(words[0]) < values[words[2]] <= float(words[4]):
+                return False
+        elif (values[words[0]] <= float(words[2])) != (words[1] == "<="):
+            return False
+    return True
 
 
 def test_agreement_does_not_look_at_the_names_of_clusters():

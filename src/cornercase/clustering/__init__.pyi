@@ -16,4 +16,5 @@ from .estimator import ScenarioClustering as ScenarioClustering
 from .estimator import cluster as cluster
 from .outcomes import tell_outcome as tell_outcome
 from .profiles import Profile as Profile
+from .rules import EVERYWHERE as EVERYWHERE
 from .rules import Rule as Rule

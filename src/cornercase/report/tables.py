@@ -82,7 +82,7 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
     def share(value: float) -> str:
         return _UNKNOWN if math.isnan(value) else f"{value:.0%}"
 
-    return make_table(
+    table = make_table(
         ["cluster", "how it ends", "where", "of the cluster", "purity"],
         [
             [
@@ -96,6 +96,11 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
             for k, rule in enumerate(one.rules)
         ],
         text=(0, 1, 2),
+    )
+    return table + (
+        "<p>Share of the cluster that lies there, and share of what lies there that is the cluster's: both of scenarios"
+        " that the bounds were not found from, each tenth by the bounds of the other nine. Everywhere: no bounds of"
+        " parameters hold for scenarios that they were not found from.</p>"
     )
 
 

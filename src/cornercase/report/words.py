@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final
 
-from cornercase.clustering import Analysis, Rule
+from cornercase.clustering import EVERYWHERE, Analysis, Rule
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, ReducedSet
 from cornercase.report.knowledge import CriticalKnowledge, Knowledge
@@ -160,10 +160,10 @@ def _clusters(one: Analysis) -> dict[str, Any]:
 
 
 def _rule(rule: Rule) -> str:
-    # Studies of version 2 know the figures only of the scenarios that the rule was found from.
-    if math.isnan(rule.covers):
+    # Nothing is judged of everywhere; studies of version 2 know only figures of what the rule was found from.
+    if math.isnan(rule.covers) or rule.text == EVERYWHERE:
         return rule.text
-    return f"{rule.text} ({rule.covers:.0%} of it, {rule.purity:.0%} pure)"
+    return f"{rule.text} (held out: {rule.covers:.0%} of it, {rule.purity:.0%} pure)"
 
 
 def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
