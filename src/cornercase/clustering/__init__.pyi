@@ -14,6 +14,10 @@ from .clusters import ClusteringMethod as ClusteringMethod
 from .comparing import series_of as series_of
 from .estimator import ScenarioClustering as ScenarioClustering
 from .estimator import cluster as cluster
+from .outcomes import Encounter as Encounter
+from .outcomes import Impact as Impact
+from .outcomes import Outcome as Outcome
+from .outcomes import find_outcome as find_outcome
 from .outcomes import tell_outcome as tell_outcome
 from .profiles import Profile as Profile
 from .rules import EVERYWHERE as EVERYWHERE

@@ -1,7 +1,8 @@
-"""How far two clusterings of the same scenarios agree."""
+"""How far clusterings agree: with each other, and with what happened in the scenarios."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -9,6 +10,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from cornercase._common.typing import IntArray
+from cornercase.clustering.outcomes import Outcome
+from cornercase.exploration import Objective
 from cornercase.study import Study
 
 
@@ -76,3 +79,57 @@ def compare_clusterings(study: Study) -> dict[tuple[str, str], Agreement]:
         for a, b in combinations(found, 2)
         if np.array_equal(found[a]["ids"], found[b]["ids"])
     }
+
+
+def find_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]]:
+    """Find what a clustering of a study's scenarios may say something of.
+
+    Parameters
+    ----------
+    study : Study
+        Says what is critical.
+    outcomes : sequence of Outcome, length n
+        Of the scenarios that ended.
+
+    Returns
+    -------
+    dict of str to list of str, each of length n
+        By name what is the case in each scenario: ``"outcome"`` in words, who is ``"first"``, the ``"collision"``,
+        whether the ego ``"stopped"``, who is ``"first of Ego and C"`` for further entities, and whether the scenario is
+        ``"critical"``, where a threshold says so. What is the same in all scenarios is left out.
+    """
+    facts = {
+        "outcome": [one.text for one in outcomes],
+        "first": [str(one.first) for one in outcomes],
+        "collision": [str(one.collision) for one in outcomes],
+        "stopped": [str(one.stops) for one in outcomes],
+    }
+    for name in dict.fromkeys(met.entity for one in outcomes for met in one.others):
+        firsts = [{met.entity: met.first for met in one.others}.get(name) for one in outcomes]
+        facts[f"first of {study.meta.ego} and {name}"] = [str(first) for first in firsts]
+    objective = Objective.of_study(study.meta)
+    if study.meta.critical is not None and not objective.pareto:
+        critical = objective.oriented_of(study) <= objective.flip(study.meta.critical)
+        facts["critical"] = [str(one) for one in critical.tolist()]
+    return {name: values for name, values in facts.items() if len(set(values)) > 1}
+
+
+def agree_with_facts(labels: IntArray, facts: Mapping[str, Sequence[str]]) -> dict[str, float]:
+    """Measure how much a clustering says of what happened.
+
+    Parameters
+    ----------
+    labels : ndarray of int64, shape (n,)
+        Labels; noise counts as a cluster.
+    facts : mapping of str to sequence of str, each of length n
+        By name what is the case in each scenario.
+
+    Returns
+    -------
+    dict of str to float
+        Adjusted mutual information (Vinh et al. 2010) by name: 1 where clusters and fact are the same, about 0 where
+        they have nothing to do with each other.
+    """
+    from sklearn.metrics import adjusted_mutual_info_score
+
+    return {name: float(adjusted_mutual_info_score(list(values), labels)) for name, values in facts.items()}

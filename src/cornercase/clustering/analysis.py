@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,9 @@ class Analysis:
         Scenarios that the clusters were found from; the others have joined them since.
     profiles : tuple of Profile
         What the scenarios of each cluster have in common, noise last; empty in a study of an early version.
+    tells : mapping of str to float
+        How much the clusters say of what happened: by fact the adjusted mutual information, as in
+        `cornercase.clustering.agreement.agree_with_facts`; empty in a study of an early version.
     """
 
     by: str
@@ -46,6 +49,7 @@ class Analysis:
     clustering: Clustering
     fitted: IntArray
     profiles: tuple[Profile, ...]
+    tells: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def labels(self) -> IntArray:
@@ -117,6 +121,7 @@ def save_analysis(study: Study, analysis: Analysis, distances: FloatArray) -> No
         "candidates": [asdict(one) for one in found.candidates],
         "fitted": analysis.fitted.tolist(),
         "profiles": [asdict(one) for one in analysis.profiles],
+        "tells": dict(analysis.tells),
     }
     study.save_analysis(analysis.by, arrays, info)
 
@@ -154,9 +159,9 @@ def read_analysis(study: Study, by: str) -> Analysis:
         require(labels.shape == (n,) and bool((labels >= -1).all()) and labels.max(initial=-1) < n, "labels of others")
         require(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an embedding of others")
         window = None if info["window"] is None else float(info["window"])
-        return Analysis(
-            by, str(info["unit"]), window, ids, _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
-        )
+        tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
+        found, fitted, profiles = _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
+        return Analysis(by, str(info["unit"]), window, ids, found, fitted, profiles, tells)
 
 
 def _numbers(plain: list[int]) -> IntArray:
@@ -185,6 +190,10 @@ def _profiles(info: Mapping[str, Any]) -> tuple[Profile, ...]:
             scores={name: (float(low), float(mid), float(high)) for name, (low, mid, high) in one["scores"].items()},
             outcomes={str(outcome): int(count) for outcome, count in one["outcomes"].items()},
             rules=tuple(made(Rule, rule) for rule in one["rules"]),
+            name=str(one["name"]),
+            true_of=float(one["true_of"]),
+            true_elsewhere=float(one["true_elsewhere"]),
+            example=None if one["example"] is None else int(one["example"]),
         )
         for one in info["profiles"]
     )

@@ -13,8 +13,10 @@ import numpy as np
 from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering.agreement import agree_with_facts, find_facts
 from cornercase.clustering.analysis import Analysis, read_analysis, save_analysis
 from cornercase.clustering.aspects import ASPECTS
+from cornercase.clustering.clauses import Account
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
 from cornercase.clustering.comparing import (
     default_aspects,
@@ -25,8 +27,9 @@ from cornercase.clustering.comparing import (
     unit_of,
 )
 from cornercase.clustering.estimator import ScenarioClustering
-from cornercase.clustering.outcomes import tell_outcome
+from cornercase.clustering.outcomes import find_outcome
 from cornercase.clustering.profiles import describe_clusters
+from cornercase.clustering.traits import measure_traits
 from cornercase.dtw import distance_matrix
 from cornercase.study import Study, open_study
 
@@ -118,17 +121,20 @@ def _analyzed(
     if len(ids) < 2:
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
     begun = time.monotonic()
-    outcomes, times = [], []
+    outcomes, traits, times = [], [], []
     seen: dict[str, list[FloatArray]] = {one: [] for one in aspects if one not in study.meta.metrics}
     # Each recording is unpacked once.
     for i in ids.tolist():
         recording = study.recording(i)
-        outcomes.append(tell_outcome(recording, study.meta.ego, study.meta.other))
+        outcomes.append(find_outcome(recording, study.meta.ego, study.meta.other))
+        traits.append(measure_traits(recording, outcomes[-1]))
         times.append(recording.time)
         for one, series in seen.items():
             series.append(series_in(study, i, recording, ASPECTS.create(one)))
     instants_within(times, window)
-    study.save_outcomes(dict(zip(ids.tolist(), outcomes, strict=True)))
+    account = Account.of(outcomes, traits, study.space, [row.values for row in study.done()])
+    facts = find_facts(study, outcomes)
+    study.save_outcomes({i: one.text for i, one in zip(ids.tolist(), outcomes, strict=True)})
     study.add_elapsed("read", time.monotonic() - begun)
     results = {}
     for aspect in aspects:
@@ -142,8 +148,9 @@ def _analyzed(
             found, fitted = _joined(before, ids, distances)
         else:
             found, fitted = model.fit(distances).result_, ids
-        profiles = describe_clusters(study, found.labels, outcomes)
-        results[aspect] = Analysis(aspect, unit_of(study, aspect), within, ids, found, fitted, profiles)
+        profiles = describe_clusters(study, found.labels, account, distances)
+        tells = agree_with_facts(found.labels, facts)
+        results[aspect] = Analysis(aspect, unit_of(study, aspect), within, ids, found, fitted, profiles, tells)
         save_analysis(study, results[aspect], distances)
         study.add_elapsed("compare", measured - begun)
         study.add_elapsed("cluster", time.monotonic() - measured)

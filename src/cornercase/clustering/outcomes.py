@@ -1,9 +1,187 @@
-"""How a scenario ends."""
+"""How a scenario ends for the ego: who is first, who collides, and whether the ego stops."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from cornercase._common.geometry import box_corners, boxes_overlap, within_half_turn
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics import visits
-from cornercase.recordings import Recording
+from cornercase.recordings import Collision, Recording
+
+STANDING: Final = 0.1
+"""Speed in m/s below which an entity stands."""
+
+Relation = Literal["crossing", "lane", "apart"]
+Manner = Literal["from behind", "its rear", "while it stands", "otherwise"]
+
+# Ways are carried on straight where a recording ends: so far a car that waits may stand before the place.
+_CARRIED_ON: Final = 20.0
+# Who else is first needs no finer steps, in s; their number counts squared.
+_COARSE: Final = 0.1
+# Entities go the same way where their headings differ by less, and are in one lane or in two beside each other where
+# their centres are no farther apart across.
+_ALIKE: Final = math.pi / 4
+_ACROSS: Final = 5.0
+# Share of its speed that an entity keeps at most where it slows down for another.
+_SLOWED: Final = 0.8
+
+
+@dataclass(frozen=True)
+class Impact:
+    """A collision of the ego.
+
+    Attributes
+    ----------
+    entity : str
+        Whom it touches.
+    time : float
+        s.
+    speed : float
+        Size of the difference of both velocities in m/s, at the first instant of contact.
+    manner : {"from behind", "its rear", "while it stands", "otherwise"}
+        ``"from behind"`` where the ego runs into one that goes the same way ahead of it, ``"its rear"`` where such a
+        one runs into the ego, ``"while it stands"`` where a standing ego is hit.
+    """
+
+    entity: str
+    time: float
+    speed: float
+    manner: Manner
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """How the ego's way and that of another entity meet.
+
+    Attributes
+    ----------
+    entity : str
+        The other one.
+    relation : {"crossing", "lane", "apart"}
+        ``"lane"`` where both go the same way at the beginning and at the end, in one lane or beside each other;
+        ``"crossing"`` where the areas overlap that their boxes sweep, or would when both went straight on for 20 m
+        after the end.
+    first : str or None
+        Who is in the overlap first; in a lane, who is ahead at the end.
+    ahead : str or None
+        Who is ahead at the beginning, in a lane.
+    enters, leaves : float
+        When the ego enters the overlap, and when the other leaves it, in s; NaN where that did not happen, and in a
+        lane.
+    gap : float
+        Time in s from the first leaving to the second entering, negative where both were in it at once; NaN where
+        only one came.
+    """
+
+    entity: str
+    relation: Relation
+    first: str | None = None
+    ahead: str | None = None
+    enters: float = math.nan
+    leaves: float = math.nan
+    gap: float = math.nan
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a scenario ended for the ego.
+
+    Attributes
+    ----------
+    ego : str
+        Its name.
+    encounter : Encounter
+        With the other entity of the study.
+    others : tuple of Encounter
+        With all further entities that moved, without times.
+    impacts : tuple of Impact
+        Collisions of the ego, in order of time.
+    elsewhere : tuple of Collision
+        Collisions of others.
+    moves, stops : bool
+        Whether the ego moves at all, and whether it comes to stand after it moved.
+    waits, yields : bool
+        Where the other is first on a crossing: whether the ego stands before it enters and before the other has left;
+        whether it does or at least slows down there by a fifth, and speeds up again by a quarter before it enters.
+    """
+
+    ego: str
+    encounter: Encounter
+    others: tuple[Encounter, ...]
+    impacts: tuple[Impact, ...]
+    elsewhere: tuple[Collision, ...]
+    moves: bool
+    stops: bool
+    waits: bool
+    yields: bool
+
+    @property
+    def first(self) -> str | None:
+        """Who is first where the ways cross, or ahead in a lane."""
+        return self.encounter.first
+
+    @property
+    def collision(self) -> str | None:
+        """Whom the ego collides with first; where it does not, which others do."""
+        if self.impacts:
+            return self.impacts[0].entity
+        return " and ".join(self.elsewhere[0].entities) if self.elsewhere else None
+
+    @property
+    def text(self) -> str:
+        """In words, as ``"Ego and Pedestrian collide"`` or ``"Pedestrian first"``."""
+        met = self.encounter
+        if self.impacts:
+            return f"{self.ego} and {self.impacts[0].entity} collide"
+        if met.first is None:
+            return "ways do not cross"
+        if met.relation == "crossing":
+            return f"only {met.first} crosses" if math.isnan(met.gap) else f"{met.first} first"
+        passed = met.entity if met.first == self.ego else self.ego
+        return f"{met.first} ahead" if met.first == met.ahead else f"{met.first} overtakes {passed}"
+
+
+def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
+    """Find how a scenario ended for the ego.
+
+    Parameters
+    ----------
+    recording : Recording
+        What came out of the scenario.
+    ego, other : str
+        Names of the two entities.
+
+    Returns
+    -------
+    Outcome
+        Who was first, who collided, and whether the ego stopped.
+
+    Raises
+    ------
+    InputError
+        There is no such entity.
+    """
+    met = _meet(recording, ego, other)
+    moving = [name for name in recording.names if name not in (ego, other) and _fastest(recording, name) >= STANDING]
+    speed = np.nan_to_num(np.abs(recording.speed[recording.index(ego)]))
+    went = np.maximum.accumulate(speed) >= STANDING
+    waits, yields = _gives_way(recording.time, speed, went, ego, met)
+    return Outcome(
+        ego=ego,
+        encounter=met,
+        others=tuple(_pass(recording, ego, name) for name in moving),
+        impacts=tuple(_impact(recording, ego, one) for one in recording.collisions if ego in one.entities),
+        elsewhere=tuple(one for one in recording.collisions if ego not in one.entities),
+        moves=bool(went.any()),
+        stops=bool((went & there(recording, ego) & (speed < STANDING)).any()),
+        waits=waits,
+        yields=yields,
+    )
 
 
 def tell_outcome(recording: Recording, ego: str, other: str) -> str:
@@ -19,13 +197,169 @@ def tell_outcome(recording: Recording, ego: str, other: str) -> str:
     Returns
     -------
     str
-        ``"Ego and Pedestrian collide"``, ``"Ego first"``, ``"Pedestrian first"`` or ``"ways do not cross"``.
+        ``"Ego and Pedestrian collide"``, ``"Ego first"``, ``"Pedestrian first"``, ``"only Pedestrian crosses"`` where
+        the ego did not come to the place until the end, ``"Pedestrian ahead"`` or ``"Ego overtakes Pedestrian"`` in a
+        lane, or ``"ways do not cross"``.
     """
-    hit = [collision for collision in recording.collisions if ego in collision.entities]
-    if hit:
-        return f"{ego} and {' '.join(name for name in hit[0].entities if name != ego)} collide"
+    return find_outcome(recording, ego, other).text
+
+
+def there(recording: Recording, name: str) -> BoolArray:
+    """When an entity exists.
+
+    Parameters
+    ----------
+    recording : Recording
+        Any recording.
+    name : str
+        Of the entity.
+
+    Returns
+    -------
+    ndarray of bool, shape (T,)
+        Mask of the instants.
+    """
+    i = recording.index(name)
+    columns = (recording.x, recording.y, recording.heading, recording.speed)
+    known: BoolArray = np.isfinite([column[i] for column in columns]).all(axis=0)
+    return known
+
+
+def _fastest(recording: Recording, name: str) -> float:
+    return float(np.nan_to_num(np.abs(recording.speed[recording.index(name)])).max(initial=0.0))
+
+
+def _meet(recording: Recording, ego: str, other: str) -> Encounter:
+    same_way, beside, in_lane = _go_together(recording, ego, other)
+    if same_way and beside:
+        return in_lane
+    if in_lane.ahead is None:
+        return in_lane
     stays = visits(recording, ego, other, None)
+    # A lane that bends takes one who is far ahead to the side.
+    if same_way and stays:
+        return in_lane
     if not stays:
-        return "ways do not cross"
+        return _carried_on(recording, ego, other)
     mine, others = min(stays, key=lambda pair: min(pair[0].enters, pair[1].enters))
-    return f"{ego} first" if mine.enters < others.enters else f"{other} first"
+    ego_first = mine.enters < others.enters
+    early, late = (mine, others) if ego_first else (others, mine)
+    return Encounter(
+        other,
+        "crossing",
+        first=ego if ego_first else other,
+        enters=mine.enters,
+        leaves=others.leaves,
+        gap=late.enters - early.leaves,
+    )
+
+
+def _pass(recording: Recording, ego: str, other: str) -> Encounter:
+    """Who is first where both were, from the boxes at a few instants."""
+    same_way, beside, in_lane = _go_together(recording, ego, other)
+    if (same_way and beside) or in_lane.ahead is None:
+        return in_lane
+    since = np.floor((recording.time - recording.time[0]) / _COARSE + 1e-9)
+    few = np.append(True, np.diff(since) > 0.0)
+    sides = []
+    for name in (ego, other):
+        i, at = recording.index(name), np.flatnonzero(few & there(recording, name))
+        x, y = recording.center(name)[at].T
+        corners = box_corners(x, y, recording.heading[i, at], recording.length[i], recording.width[i])
+        sides.append((at, x + 1j * y, corners, float(np.hypot(recording.length[i], recording.width[i])) / 2.0))
+    (mine, place, boxes, reach), (others, place_of_other, boxes_of_other, reach_of_other) = sides
+    near = np.abs(place[:, None] - place_of_other) <= reach + reach_of_other
+    a, b = near.nonzero()
+    met = boxes_overlap(boxes[a], boxes_of_other[b])
+    if not met.any():
+        return Encounter(other, "apart")
+    if same_way:
+        return in_lane
+    times = np.stack([mine[a[met]], others[b[met]]])
+    earliest = times[:, times.min(axis=0).argmin()]
+    return Encounter(other, "crossing", first=ego if earliest[0] < earliest[1] else other)
+
+
+def _go_together(recording: Recording, ego: str, other: str) -> tuple[bool, bool, Encounter]:
+    """Whether both go the same way, whether in one lane or beside each other, and what they are to each other then."""
+    both = np.flatnonzero(there(recording, ego) & there(recording, other))
+    if not len(both):
+        return False, False, Encounter(other, "apart")
+    at = both[[0, -1]]
+    headings = recording.heading[:, at]
+    turned = np.abs(within_half_turn(headings[recording.index(other)] - headings[recording.index(ego)]))
+    along, across = _seen_from(recording, ego, other)
+    begins, ends = (other if away > 0.0 else ego for away in along[at].tolist())
+    in_lane = Encounter(other, "lane", first=ends, ahead=begins)
+    return bool((turned < _ALIKE).all()), bool((np.abs(across[at]) <= _ACROSS).all()), in_lane
+
+
+def _carried_on(recording: Recording, ego: str, other: str) -> Encounter:
+    """Who alone came to where both ways would cross, if they went straight on after the end."""
+    end = float(recording.time[-1])
+    stays = visits(_extended(recording), ego, other, None)
+    # One that stands all the time is on no way that it could carry on.
+    if not stays or min(_fastest(recording, ego), _fastest(recording, other)) < STANDING:
+        return Encounter(other, "apart")
+    mine, others = min(stays, key=lambda pair: min(pair[0].enters, pair[1].enters))
+    if min(mine.enters, others.enters) >= end:
+        return Encounter(other, "apart")
+    if mine.enters < others.enters:
+        return Encounter(other, "crossing", first=ego, enters=mine.enters)
+    return Encounter(other, "crossing", first=other, leaves=min(others.leaves, end))
+
+
+def _extended(recording: Recording) -> Recording:
+    def carried(values: FloatArray, by: FloatArray) -> FloatArray:
+        return np.column_stack([values, values[:, -1] + by])
+
+    still, ahead = np.zeros(len(recording.names)), recording.heading[:, -1]
+    return replace(
+        recording,
+        time=np.append(recording.time, recording.time[-1] + 1.0),
+        x=carried(recording.x, _CARRIED_ON * np.cos(ahead)),
+        y=carried(recording.y, _CARRIED_ON * np.sin(ahead)),
+        heading=carried(recording.heading, still),
+        speed=carried(recording.speed, still),
+        acceleration=carried(recording.acceleration, still),
+    )
+
+
+def _seen_from(recording: Recording, ego: str, other: str) -> tuple[FloatArray, FloatArray]:
+    """How far the other's centre is ahead of the ego's and to its left in m, (T,) each."""
+    away = recording.center(other) - recording.center(ego)
+    heading = recording.heading[recording.index(ego)]
+    cos, sin = np.cos(heading), np.sin(heading)
+    return cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+
+
+def _gives_way(time: FloatArray, speed: FloatArray, went: BoolArray, ego: str, met: Encounter) -> tuple[bool, bool]:
+    if met.relation != "crossing" or met.first == ego:
+        return False, False
+    until = time[-1] if math.isnan(met.enters) else met.enters
+    before = np.flatnonzero(went & (time <= min(until, met.leaves)))
+    if not len(before):
+        return False, False
+    slowest = before[speed[before].argmin()]
+    if speed[slowest] < STANDING:
+        return True, True
+    slows = speed[slowest] <= _SLOWED * speed[: slowest + 1].max()
+    again = math.isnan(met.enters) or speed[slowest] <= _SLOWED * np.interp(met.enters, time, speed)
+    return False, bool(slows and again)
+
+
+def _impact(recording: Recording, ego: str, collision: Collision) -> Impact:
+    (entity,) = (name for name in collision.entities if name != ego)
+    at = min(int(np.searchsorted(recording.time, collision.time)), len(recording.time) - 1)
+    i, j = recording.index(ego), recording.index(entity)
+    velocities = [
+        recording.speed[k, at] * np.array([np.cos(recording.heading[k, at]), np.sin(recording.heading[k, at])])
+        for k in (i, j)
+    ]
+    manner: Manner = "otherwise"
+    if abs(recording.speed[i, at]) < STANDING:
+        manner = "while it stands"
+    elif abs(within_half_turn(recording.heading[j, at] - recording.heading[i, at])) < _ALIKE:
+        along, _ = _seen_from(recording, ego, entity)
+        manner = "from behind" if along[at] > 0.0 else "its rear"
+    return Impact(entity, collision.time, float(np.hypot(*(velocities[1] - velocities[0]))), manner)

@@ -104,6 +104,51 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
     )
 
 
+def tell_names(profiles: Sequence[Profile]) -> str:
+    """Tell what each cluster is called, and of which scenarios that is true.
+
+    Parameters
+    ----------
+    profiles : sequence of Profile
+        Of each cluster.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    return make_table(
+        ["cluster", "name", "scenarios", "true of", "of all others", "example"],
+        [
+            [
+                name_cluster(one.cluster), one.name, str(one.size), f"{one.true_of:.0%}", f"{one.true_elsewhere:.0%}",
+                f"scenario {one.example}",
+            ]
+            for one in profiles
+            if one.name
+        ],
+        text=(0, 1, -1),
+    )  # fmt: skip
+
+
+def tell_facts(tells: Mapping[str, Mapping[str, float]]) -> str:
+    """Tell how much clusterings say of what happened.
+
+    Parameters
+    ----------
+    tells : mapping of str to mapping of str to float
+        By aspect the adjusted mutual information with each fact.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    facts = list(dict.fromkeys(fact for each in tells.values() for fact in each))
+    rows = [[by, *(f"{each[fact]:.2f}" if fact in each else _UNKNOWN for fact in facts)] for by, each in tells.items()]
+    return make_table(["by", *facts], rows)
+
+
 def tell_choices(found: Clustering) -> str:
     """Tell the best setting for each number of clusters, which shows how sure the choice is.
 

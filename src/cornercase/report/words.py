@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final
 
-from cornercase.clustering import EVERYWHERE, Analysis, Rule
+from cornercase.clustering import EVERYWHERE, Analysis, Profile, Rule
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, ReducedSet
 from cornercase.report.knowledge import CriticalKnowledge, Knowledge
@@ -15,6 +15,9 @@ from cornercase.report.summary import MetricSummary, Summary
 from cornercase.scenario import Parameter
 
 NOISE_NAME: Final = "noise"
+
+# Adjusted mutual information from which clusters say a little, something, and most of what happened.
+_SAYS_NOTHING, _SAYS_SOMETHING, _SAYS_MOST = 0.1, 0.4, 0.8
 
 _COVERAGE: Final = {
     "largest": "largest distance to a kept one",
@@ -48,6 +51,59 @@ def name_cluster(cluster: int) -> str:
         ``"cluster 0"`` or ``"noise"``.
     """
     return NOISE_NAME if cluster < 0 else f"cluster {cluster}"
+
+
+def name_kind(profile: Profile) -> str:
+    """Name a cluster by what its scenarios have in common.
+
+    Parameters
+    ----------
+    profile : Profile
+        Of the cluster.
+
+    Returns
+    -------
+    str
+        ``"cluster 0: Ego yields to Pedestrian"``; without a name as `name_cluster`.
+    """
+    return ": ".join(filter(None, (name_cluster(profile.cluster), profile.name)))
+
+
+def judge_clusters(analysis: Analysis) -> str:
+    """Say whether clusters are kinds that tell something of what happened.
+
+    Parameters
+    ----------
+    analysis : Analysis
+        The clusters, and how they agree with what happened.
+
+    Returns
+    -------
+    str
+        A sentence; empty where a study of an early version does not know.
+    """
+    by, found = analysis.by, analysis.clustering
+    if found.n_clusters < 2:
+        noise = int((found.labels < 0).sum())
+        outside = f", but {noise} that are like few others" if noise and found.n_clusters else ""
+        alike = "all scenarios are one group" if found.n_clusters else "no scenario is like many others"
+        return f"No separate kinds: by {by} {alike}{outside}."
+    if not any(one.name for one in analysis.profiles):
+        return ""
+    if not analysis.tells:
+        return f"All scenarios end alike; the kinds by {by} set apart how they go."
+    levels = (("most", _SAYS_MOST, math.inf), ("something", _SAYS_SOMETHING, _SAYS_MOST))
+    said = []
+    for much, low, high in levels:
+        facts = [f"{fact} ({mutual:.2f})" for fact, mutual in analysis.tells.items() if low <= mutual < high]
+        if facts:
+            said.append(f"{much} of {', '.join(facts)}")
+    if said:
+        return f"The kinds by {by} say {', and '.join(said)}."
+    best = max(analysis.tells.values())
+    if best < _SAYS_NOTHING:
+        return f"The kinds by {by} say nothing of how scenarios end: they share at most {max(best, 0.0):.2f} with it."
+    return f"The kinds by {by} say little of how scenarios end: they share at most {best:.2f} with it."
 
 
 def name_criterion(known: CriticalKnowledge, searched: str) -> str:
@@ -147,8 +203,14 @@ def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
 
 
 def _clusters(one: Analysis) -> dict[str, Any]:
-    return {"sizes": one.sizes, "noise": int((one.labels < 0).sum())} | {
-        name_cluster(profile.cluster): {
+    plain: dict[str, Any] = {"sizes": one.sizes, "noise": int((one.labels < 0).sum())}
+    if judged := judge_clusters(one):
+        plain["in words"] = judged
+    if one.tells:
+        plain["mutual information with"] = dict(one.tells)
+    return plain | {
+        name_cluster(profile.cluster): _named(profile)
+        | {
             "scenarios": profile.size,
             "outcomes": profile.outcomes,
             "median": {metric: median for metric, (_, median, _) in profile.scores.items()},
@@ -164,6 +226,17 @@ def _rule(rule: Rule) -> str:
     if math.isnan(rule.covers) or rule.text == EVERYWHERE:
         return rule.text
     return f"{rule.text} (held out: {rule.covers:.0%} of it, {rule.purity:.0%} pure)"
+
+
+def _named(profile: Profile) -> dict[str, Any]:
+    if not profile.name:
+        return {}
+    return {
+        "name": profile.name,
+        "true of": profile.true_of,
+        "true of others": profile.true_elsewhere,
+        "example": profile.example,
+    }
 
 
 def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:

@@ -170,18 +170,22 @@ def _from_2(connection: sqlite3.Connection) -> None:
 
 
 def _judged_analysis(name: str, info: dict[str, Any]) -> dict[str, Any]:
-    """Facts of a clustering, without what its rules were said to hold of the scenarios that they were found from."""
+    """Facts of a clustering, without what its rules were said to hold of the scenarios that they were found from.
+
+    Version 2 has no names of clusters, and does not know how much they say of what happened.
+    """
 
     def judged(rule: dict[str, Any]) -> dict[str, Any]:
         # What is true of all was not found from any.
         return rule if rule["text"] == "everywhere" else rule | {"covers": math.nan, "purity": math.nan}
 
-    profiles = [one | {"rules": [judged(rule) for rule in one["rules"]]} for one in info["profiles"]]
+    nameless = {"name": "", "true_of": math.nan, "true_elsewhere": math.nan, "example": None}
+    profiles = [nameless | one | {"rules": [judged(rule) for rule in one["rules"]]} for one in info["profiles"]]
     # It compared the ego's trajectory and courses of metrics, all instants with all. Nobody knows the unit of a metric
     # whose package is not here.
     metric = name.partition(":")[0] in METRICS
     unit = "m" if name == "ego-trajectory" else METRICS.create(name).unit if metric else "unknown"
-    return info | {"profiles": profiles, "unit": unit, "window": None}
+    return info | {"profiles": profiles, "unit": unit, "window": None, "tells": {}}
 
 
 def _judged_reduction(info: dict[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -67,6 +67,7 @@ def draw_clusters(
     values: FloatArray,
     parameters: Sequence[Parameter],
     chosen: Sequence[int],
+    names: Mapping[int, str] | None = None,
 ) -> Figure:
     """Draw kernel space and parameter space side by side, coloured by cluster.
 
@@ -82,6 +83,8 @@ def draw_clusters(
         Their names, units and choices.
     chosen : sequence of int
         The two parameters to draw; one where there is no more.
+    names : mapping of int to str, optional
+        What clusters are called.
 
     Returns
     -------
@@ -95,7 +98,7 @@ def draw_clusters(
     plane = figure.add_subplot(grid[1])
     i, j = chosen[0], chosen[-1]
     for label in np.unique(labels).tolist():
-        colour, marker, name = look_of(label)
+        colour, marker, name = look_of(label, names)
         rows = labels == label
         space.scatter(*embedding[rows].T, c=colour, marker=marker, s=20)
         y = embedding[rows, 0] if i == j else values[rows, j]

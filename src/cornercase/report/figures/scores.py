@@ -14,7 +14,13 @@ from cornercase.reduction import Gaps
 from cornercase.report.figures.style import COLOURS, GREY, look_of, name_score, shorten
 
 
-def draw_courses(time: Sequence[FloatArray], values: Sequence[FloatArray], labels: IntArray, metric: Metric) -> Figure:
+def draw_courses(
+    time: Sequence[FloatArray],
+    values: Sequence[FloatArray],
+    labels: IntArray,
+    metric: Metric,
+    names: Mapping[int, str] | None = None,
+) -> Figure:
     """Draw the course of a metric over time for each cluster: median, and the band from 10th to 90th percentile.
 
     Parameters
@@ -25,6 +31,8 @@ def draw_courses(time: Sequence[FloatArray], values: Sequence[FloatArray], label
         Cluster of each scenario; -1 is noise.
     metric : Metric
         Says what is critical.
+    names : mapping of int to str, optional
+        What clusters are called.
 
     Returns
     -------
@@ -38,7 +46,7 @@ def draw_courses(time: Sequence[FloatArray], values: Sequence[FloatArray], label
     for row, course in zip(table, values, strict=True):
         row[: len(course)] = course
     for label in [one for one in np.unique(labels).tolist() if one >= 0]:
-        colour, _, name = look_of(label)
+        colour, _, name = look_of(label, names)
         rows = table[labels == label]
         there = np.isfinite(rows).sum(axis=0) >= max(1, len(rows) // 2)
         low, middle, high = np.nanpercentile(rows[:, there], (10, 50, 90), axis=0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from cornercase._common import texts
@@ -17,15 +19,18 @@ COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E
 GREY: Final = "#999999"
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "*", "X")
 _LONGEST: Final = 16
+_LINE: Final = 32
 
 
-def look_of(cluster: int) -> tuple[str, str, str]:
+def look_of(cluster: int, names: Mapping[int, str] | None = None) -> tuple[str, str, str]:
     """Give the colour, the marker and the name of a cluster.
 
     Parameters
     ----------
     cluster : int
         -1 is noise.
+    names : mapping of int to str, optional
+        What clusters are called.
 
     Returns
     -------
@@ -34,7 +39,24 @@ def look_of(cluster: int) -> tuple[str, str, str]:
     """
     if cluster < 0:
         return GREY, "x", name_cluster(cluster)
-    return COLOURS[cluster % len(COLOURS)], _MARKERS[cluster % len(_MARKERS)], name_cluster(cluster)
+    name = ": ".join(filter(None, (name_cluster(cluster), (names or {}).get(cluster))))
+    return COLOURS[cluster % len(COLOURS)], _MARKERS[cluster % len(_MARKERS)], wrap(name)
+
+
+def wrap(text: str) -> str:
+    """Break a long name into lines.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+
+    Returns
+    -------
+    str
+        Three lines at most.
+    """
+    return textwrap.fill(text, _LINE, max_lines=3, placeholder=" …")
 
 
 def name_axis(parameter: Parameter) -> str:

@@ -13,9 +13,10 @@ from cornercase.clustering import Analysis
 from cornercase.report import tables
 from cornercase.report.album import Album
 from cornercase.report.data import ReportData
+from cornercase.report.figures.examples import MOST_EXAMPLES, draw_examples
 from cornercase.report.figures.parameter_space import draw_clusters
 from cornercase.report.figures.scores import draw_courses
-from cornercase.report.words import name_cluster
+from cornercase.report.words import judge_clusters, name_cluster, name_kind
 
 _MOST_NAMED: Final = 12
 _METHODS: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
@@ -53,6 +54,15 @@ def compare_kinds(data: ReportData) -> Iterator[str]:
     str
         HTML.
     """
+    tells = {by: one.tells for by, one in data.summary.analyses.items() if one.tells}
+    if tells:
+        yield "<h2>Do the clusterings say what happened?</h2>"
+        yield tables.tell_facts(tells)
+        yield (
+            "<p>Adjusted mutual information with how a scenario ends (outcome), who is first, who collides, whether the"
+            " ego stopped, and, where a threshold says so, what is critical: 1 where the clusters say all of it, about"
+            " 0 where they say nothing. What is the same in all scenarios is left out.</p>"
+        )
     if not data.summary.agreements:
         return
     yield "<h2>Do the clusterings agree?</h2>"
@@ -75,9 +85,17 @@ def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterat
     ids = analysis.ids.tolist()
     rows = data.rows_of(ids)
     what = f"the course of {name}" if name in data.summary.meta.metrics else name
+    names = {one.cluster: one.name for one in analysis.profiles if one.name}
     yield f"<h2>Kinds of scenario, by {escape(what)}</h2>"
+    if judged := judge_clusters(analysis):
+        yield f"<p>{escape(judged)}</p>"
+    if found.n_clusters < 2:
+        return
+    if names:
+        yield tables.tell_names(analysis.profiles)
+        yield from _show_examples(data, album, analysis)
     yield album.add(
-        draw_clusters(found.embedding, labels, data.values[rows], data.parameters, data.influential[:2]),
+        draw_clusters(found.embedding, labels, data.values[rows], data.parameters, data.influential[:2], names),
         f"clusters-{name}",
         _how_found(analysis),
     )
@@ -104,10 +122,31 @@ def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterat
     metric = data.metric_of(name)
     yield album.add(
         draw_courses(
-            [data.recordings[i].time for i in ids], [data.courses[metric.name][i] for i in ids], labels, metric
+            [data.recordings[i].time for i in ids],
+            [data.courses[metric.name][i] for i in ids],
+            labels,
+            metric,
+            names,
         ),
         f"courses-{name}",
         f"Course of {metric.name} in each cluster: median, and the band that holds 80 % of its scenarios.",
+    )
+
+
+def _show_examples(data: ReportData, album: Album, analysis: Analysis) -> Iterator[str]:
+    drawn = [one for one in analysis.profiles if one.name and one.example is not None][:MOST_EXAMPLES]
+    left_out = sum(bool(one.name) for one in analysis.profiles) - len(drawn)
+    meta = data.summary.meta
+    yield album.add(
+        draw_examples(
+            {name_kind(one): data.recordings[one.example] for one in drawn if one.example is not None},
+            meta.ego,
+            meta.other,
+        ),
+        f"examples-{analysis.by}",
+        "One scenario of each kind, the one nearest to all others of its kind: from above, with marks and times in s"
+        " along the ways and the boxes when they are nearest; and speeds over time."
+        + (f" {left_out} smaller kinds are not drawn." if left_out else ""),
     )
 
 

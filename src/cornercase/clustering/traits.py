@@ -1,0 +1,113 @@
+"""Numbers that tell how a scenario goes for the ego: when, how fast, how near, how hard it brakes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.clustering.outcomes import STANDING, Outcome, there
+from cornercase.metrics import Clearance
+from cornercase.recordings import Recording
+
+TRAITS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
+    {
+        "impact speed": ("hits slower than {} m/s", "hits faster than {} m/s"),
+        "impact time": ("hits before {} s", "hits after {} s"),
+        "entry": ("enters before {} s", "enters after {} s"),
+        "gap": ("gap below {} s", "gap above {} s"),
+        "nearest": ("comes within {} m of {other}", "stays more than {} m from {other}"),
+        "nearest time": ("nearest before {} s", "nearest after {} s"),
+        "lowest speed": ("slows below {} m/s", "stays above {} m/s"),
+        "highest speed": ("never above {} m/s", "reaches more than {} m/s"),
+        "mean speed": ("slower than {} m/s on average", "faster than {} m/s on average"),
+        "first speed": ("begins slower than {} m/s", "begins faster than {} m/s"),
+        "last speed": ("ends slower than {} m/s", "ends faster than {} m/s"),
+        "standing": ("stands shorter than {} s", "stands longer than {} s"),
+        "braking": ("brakes less than {} m/s²", "brakes more than {} m/s²"),
+        "way": ("goes less than {} m", "goes more than {} m"),
+        "duration": ("over before {} s", "over after {} s"),
+        "first distance": ("begins within {} m of {other}", "begins more than {} m from {other}"),
+        "mean speed of the other": ("{other} slower than {} m/s on average", "{other} faster than {} m/s on average"),
+    }
+)
+"""By name what is said of a scenario with less than a number, and with more; `measure_traits` says what each is."""
+
+
+def measure_traits(recording: Recording, outcome: Outcome) -> dict[str, float]:
+    """Measure how a scenario went for the ego.
+
+    Parameters
+    ----------
+    recording : Recording
+        What came out of the scenario.
+    outcome : Outcome
+        How it ended.
+
+    Returns
+    -------
+    dict of str to float
+        The traits, NaN for what did not happen:
+
+        - ``"impact speed"``, ``"impact time"``: of the ego's first collision, in m/s and s;
+        - ``"entry"``, ``"gap"``: when the ego enters the crossing, and the gap there, in s, as in
+          `cornercase.clustering.outcomes.Encounter` where it is not negative;
+        - ``"nearest"``, ``"nearest time"``, ``"first distance"``: the smallest gap between the boxes of ego and other,
+          when it is first reached, and the gap at the beginning, in m and s;
+        - ``"lowest speed"``, ``"highest speed"``, ``"mean speed"``, ``"first speed"``, ``"last speed"``: of the ego, in
+          m/s, without sign; the mean is of all instants, as is ``"mean speed of the other"``;
+        - ``"standing"``: how long the ego stands, in s; ``"braking"``: its hardest deceleration while it moves, in
+          m/s²;
+        - ``"way"``, ``"duration"``: how far and how long it goes, in m and s;
+        - ``"turn"``, ``"shift"``: by how much its heading turns to the left, in rad, and how far to the left of a
+          straight way it ends, in m.
+    """
+    i, j = recording.index(outcome.ego), recording.index(outcome.encounter.entity)
+    gap = outcome.encounter.gap
+    traits = _of_ego(recording, i, there(recording, outcome.ego))
+    traits |= {
+        "impact speed": outcome.impacts[0].speed if outcome.impacts else math.nan,
+        "impact time": outcome.impacts[0].time if outcome.impacts else math.nan,
+        "entry": outcome.encounter.enters,
+        "gap": gap if gap >= 0.0 else math.nan,
+        "mean speed of the other": _mean(np.abs(recording.speed[j])),
+    } | dict.fromkeys(("nearest", "nearest time", "first distance"), math.nan)
+    away = Clearance().course(recording, outcome.ego, outcome.encounter.entity)
+    if (known := np.flatnonzero(np.isfinite(away))).size:
+        nearest = known[away[known].argmin()]
+        traits |= {
+            "nearest": float(away[nearest]),
+            "nearest time": float(recording.time[nearest]),
+            "first distance": float(away[known[0]]),
+        }
+    return traits
+
+
+def _of_ego(recording: Recording, i: int, here: BoolArray) -> dict[str, float]:
+    names = (
+        "lowest speed", "highest speed", "mean speed", "first speed", "last speed", "standing", "braking", "way",
+        "duration", "turn", "shift",
+    )  # fmt: skip
+    if not here.any():
+        return dict.fromkeys(names, math.nan)
+    time, signed, heading = recording.time[here], recording.speed[i, here], recording.heading[i, here]
+    x, y, speed = recording.x[i, here], recording.y[i, here], np.abs(recording.speed[i, here])
+    slowing = np.where(speed >= STANDING, -np.sign(signed) * recording.acceleration[i, here], 0.0)
+    found = (
+        np.nanmin(speed), np.nanmax(speed), _mean(speed), speed[0], speed[-1],
+        np.append(np.diff(time), 0.0)[speed < STANDING].sum(),
+        max(float(np.nan_to_num(slowing).max()), 0.0),
+        np.hypot(np.diff(x), np.diff(y)).sum(), time[-1] - time[0],
+        np.unwrap(heading)[-1] - heading[0],
+        np.cos(heading[0]) * (y[-1] - y[0]) - np.sin(heading[0]) * (x[-1] - x[0]),
+    )  # fmt: skip
+    return {name: float(value) for name, value in zip(names, found, strict=True)}
+
+
+def _mean(values: FloatArray) -> float:
+    known = np.isfinite(values)
+    return float(values[known].mean()) if known.any() else math.nan
