@@ -92,7 +92,7 @@ def test_a_page_is_written_of_a_study_and_of_a_path(path, tmp_path):
     pages.append(write_report(str(path), tmp_path / "two" / "r.html"))
     one, two = (page.read_bytes() for page in pages)
     assert one == two
-    assert [len(list(page.with_name("r-figures").glob("*.png"))) for page in pages] == [5, 5]
+    assert [len(list(page.with_name("r-figures").glob("*.png"))) for page in pages] == [6, 6]
 
 
 def test_nothing_is_said_of_a_study_in_which_nothing_was_run(tmp_path):

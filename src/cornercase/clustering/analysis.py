@@ -161,6 +161,7 @@ def read_analysis(study: Study, by: str) -> Analysis:
         window = None if info["window"] is None else float(info["window"])
         tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
         found, fitted, profiles = _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
+        require({one.example for one in profiles} <= {None, *ids.tolist()}, "an example of no scenario")
         return Analysis(by, str(info["unit"]), window, ids, found, fitted, profiles, tells)
 
 
