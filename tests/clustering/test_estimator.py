@@ -25,7 +25,7 @@ def test_it_finds_what_the_function_finds_and_has_the_manners():
     distances = cdist(points, points)
     model = ScenarioClustering(gamma=4.0, eps=0.2, min_samples=4)
     assert clone(model).get_params() == {
-        "gamma": 4.0, "eps": 0.2, "min_samples": 4, "n_components": 3, "method": "dbscan", "landmarks": "auto"
+        "gamma": 4.0, "eps": 0.2, "min_samples": 4, "n_components": "auto", "method": "dbscan", "landmarks": "auto"
     }  # fmt: skip
     expected = cluster(distances, gamma=4.0, eps=0.2, min_samples=4)
     np.testing.assert_array_equal(model.fit_predict(distances), expected.labels)

@@ -162,9 +162,10 @@ def _joined(before: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clu
     # A scenario that failed may have been run again since; so the earlier ones need not be the first.
     earlier = np.isin(ids, before.fitted)
     known = before.clustering
-    model = ScenarioClustering(known.gamma, known.eps, known.min_samples, method=known.method)
+    axes = known.embedding.shape[1]
+    model = ScenarioClustering(known.gamma, known.eps, known.min_samples, axes, method=known.method)
     model.fit(distances[np.ix_(earlier, earlier)])
-    labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), model.n_components))
+    labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), axes))
     labels[earlier], embedding[earlier] = model.labels_, model.embedding_
     to_earlier = distances[np.ix_(~earlier, earlier)]
     labels[~earlier], embedding[~earlier] = model.predict(to_earlier), model.transform(to_earlier)

@@ -31,10 +31,15 @@ class Candidate:
     dbcv, silhouette : float
         Validity on the given distances, -1 to 1; NaN where it was not computed.
     stability : float
-        Mean adjusted Rand index of these clusters with those found in ten random parts of 80 %; NaN where it was not
-        computed, as it could not have made the candidate the best.
+        Mean adjusted Rand index of these clusters with those found in ten random parts of 80 %. As validity, it is
+        computed for those that could be the best and for the best of a few numbers of clusters, and NaN for others.
     score : float
-        What ``"auto"`` maximises; -inf where the candidate is not eligible. Without stability, an upper bound of it.
+        What ``"auto"`` maximises; -inf where nothing was searched. Without stability an upper bound of it.
+    n_components, min_samples : int
+        Dimensions of the embedding, and scenarios in a dense neighbourhood; 0 in a study of an early version.
+    agreement : float
+        How well these clusters match the kinds that the distances show, 0 to 1: the mean F-measure over kinds, or over
+        clusters where that is less, so that small ones count as large ones. NaN where none were looked for.
     """
 
     gamma: float
@@ -45,6 +50,9 @@ class Candidate:
     silhouette: float
     stability: float
     score: float
+    n_components: int = 0
+    min_samples: int = 0
+    agreement: float = math.nan
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,7 +75,7 @@ class Clustering:
     explained : float
         Share of the variance in kernel space that the embedding keeps, 0 to 1.
     candidates : tuple of Candidate
-        All settings that were tried, in the order of gamma and eps.
+        All settings that were tried.
     method : {"dbscan", "hdbscan"}
     landmarks : ndarray of int64, shape (m,)
         Scenarios that span the kernel space; empty where all do.
@@ -92,7 +100,9 @@ class Clustering:
     def stability(self) -> float | None:
         """Mean adjusted Rand index with the clusters of random parts; None where it was not computed."""
         for one in self.candidates:
-            if (one.gamma, one.eps) == (self.gamma, self.eps) and not math.isnan(one.stability):
+            chosen = (one.gamma, one.eps) == (self.gamma, self.eps)
+            # A study of an early version does not say with how many each was tried.
+            if chosen and one.min_samples in (0, self.min_samples) and not math.isnan(one.stability):
                 return one.stability
         return None
 

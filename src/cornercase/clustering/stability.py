@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.clusters import ClusteringMethod
+from cornercase.clustering.clusters import Candidate, ClusteringMethod
 from cornercase.clustering.density import find_dense_regions
 from cornercase.clustering.kernel_space import KernelSpace
 
@@ -24,8 +24,6 @@ class Stability:
         Divided by their scale.
     order : ndarray of int64, shape (n,)
         Scenarios in an order that depends on nothing but the distances.
-    min_samples, n_components : int
-        Settings of the clustering.
     method : {"dbscan", "hdbscan"}
     most : int
         Largest number of scenarios in a part.
@@ -40,8 +38,6 @@ class Stability:
         distances: FloatArray,
         order: IntArray,
         *,
-        min_samples: int,
-        n_components: int,
         method: ClusteringMethod,
         most: int,
     ) -> None:
@@ -49,17 +45,17 @@ class Stability:
         count = min(max(2, whole), most)
         rng = np.random.default_rng(0)
         self._parts = [np.sort(rng.choice(order, count, replace=False)) for _ in range(RESAMPLES)]
-        # A part that is much thinner than the whole is dense with fewer neighbours.
-        self._needed = min_samples if count == whole else max(3, round(min_samples * count / len(order)))
-        self._distances, self._n_components, self._method = distances, n_components, method
-        self._spaces: dict[tuple[float, int], FloatArray] = {}
+        # A part that is thinner than the whole is dense with fewer neighbours.
+        self._thinned = count / len(order)
+        self._distances, self._method = distances, method
+        self._spaces: dict[tuple[float, int, int], FloatArray] = {}
 
-    def of(self, gamma: float, eps: float, labels: IntArray) -> float:
+    def of(self, candidate: Candidate, labels: IntArray) -> float:
         """Mean adjusted Rand index of clusters with those that the same settings find in the parts.
 
         Parameters
         ----------
-        gamma, eps : float
+        candidate : Candidate
             Settings that `labels` were found with.
         labels : ndarray of int64, shape (n,)
             Cluster of each scenario; -1 is noise.
@@ -69,12 +65,14 @@ class Stability:
         float
             -1 to 1; 1 where the clusters are the same.
         """
+        needed = max(min(3, candidate.min_samples), round(candidate.min_samples * self._thinned))
         found = []
         for k, part in enumerate(self._parts):
-            if (gamma, k) not in self._spaces:
-                space = KernelSpace(gamma, self._n_components).fit(self._distances[np.ix_(part, part)])
-                self._spaces[gamma, k] = space.embedding
-            again = find_dense_regions(self._spaces[gamma, k], eps, self._needed, self._method)
+            key = (candidate.gamma, candidate.n_components, k)
+            if key not in self._spaces:
+                space = KernelSpace(candidate.gamma, candidate.n_components)
+                self._spaces[key] = space.fit(self._distances[np.ix_(part, part)]).embedding
+            again = find_dense_regions(self._spaces[key], candidate.eps, needed, self._method)
             found.append(_agreement(labels[part], again))
         return float(np.mean(found))
 

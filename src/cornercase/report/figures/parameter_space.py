@@ -73,8 +73,8 @@ def draw_clusters(
 
     Parameters
     ----------
-    embedding : ndarray of float64, shape (n, 3)
-        Coordinates in kernel space.
+    embedding : ndarray of float64, shape (n, k)
+        Coordinates in kernel space, of which the first three are drawn.
     labels : ndarray of int64, shape (n,)
         Cluster of each scenario; -1 is noise.
     values : ndarray of float64, shape (n, d)
@@ -100,7 +100,7 @@ def draw_clusters(
     for label in np.unique(labels).tolist():
         colour, marker, name = look_of(label, names)
         rows = labels == label
-        space.scatter(*embedding[rows].T, c=colour, marker=marker, s=20)
+        space.scatter(*embedding[rows, :3].T, c=colour, marker=marker, s=20)
         y = embedding[rows, 0] if i == j else values[rows, j]
         plane.scatter(values[rows, i], y, c=colour, marker=marker, s=22, label=f"{name} ({int(rows.sum())})")
     for k, setter in enumerate((space.set_xlabel, space.set_ylabel, space.set_zlabel)):

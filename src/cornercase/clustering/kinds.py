@@ -1,0 +1,193 @@
+"""Kinds that distances show: groups farther apart than chance puts scenarios of one kind."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering.spanning_tree import find_tree
+
+LEAST_MEMBERS: Final = 4
+# Scenarios that a gap may hold: few show small kinds that stand clear, many show kinds with some on the way between.
+NEIGHBOURS: Final = (3, 6, 12, 24)
+# A gap below this share of the median distance is no difference in kind, however clear: scenarios that are alike but
+# for an instant of the simulation make such gaps. Set by looking at the T-intersection (0.02 and less between
+# instants, 0.37 between outcomes) and at the twelve kinds of benchmarks/kinds.py (0.11).
+LEAST_GAP: Final = 0.05
+# Strength that one split in ten sets without structure exceeds, of one, two and three dimensions: factor of ln(n),
+# constant, and for each neighbour beyond six. Set by looking at uniform and normal points, n from 60 to 1,000.
+CHANCE: Final = ((4.5, -3.0, 1.0), (1.6, 1.5, 0.5), (1.2, 1.0, 0.4))
+# Smooth families of trajectories are not as even as such points; a split must be stronger by CLEAR, or by FAIR where
+# it is STANDS_OUT times as strong as the next. Set by looking at sets of benchmarks/kinds.py with odd seeds.
+CLEAR, FAIR, STANDS_OUT = 1.4, 1.15, 2.0
+_MOST_CENTRES: Final = 300
+_DIMENSION_NEIGHBOURS: Final = 10
+
+
+def find_kinds(distances: FloatArray) -> IntArray:
+    """Divide scenarios into kinds where there is evidence for it.
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n)
+        Symmetric, zero on the diagonal, in any unit. Where several distances are equal, the order of the scenarios
+        may matter.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        Kind of each scenario; all 0 where there is no structure.
+
+    Notes
+    -----
+    The minimum spanning tree of mutual reachability (Campello et al. 2013) merges scenarios from the nearest on. Where
+    two groups merge at a length r, the split between them has a strength: how many neighbours a typical member has
+    within r, of the group that has fewer. A place between the groups has hardly more than the `k` scenarios that
+    mutual reachability allows. So the strength over `k` is the ratio of densities, in any number of dimensions. Where r
+    reaches all members, as in a small group that is far away, the strength goes on growing with r over the extent of
+    the group. If a split is not stronger than chance makes it, the weaker group becomes part of the other.
+
+    How strong chance makes the strongest of all splits depends on the number of scenarios and on their dimension,
+    which is estimated from distances to neighbours (Levina and Bickel 2005). Kinds are divided again until none
+    divides.
+    """
+    n = len(distances)
+    labels = np.zeros(n, dtype=np.int64)
+    positive = distances[distances > 0.0]
+    if not len(positive):
+        return labels
+    least_gap = LEAST_GAP * float(np.median(positive))
+    waiting, count = [np.arange(n)], 0
+    while waiting:
+        members = waiting.pop()
+        parts = _divided(distances[np.ix_(members, members)] if len(members) < n else distances, least_gap)
+        if parts.max() > 0:
+            waiting.extend(members[parts == part] for part in range(int(parts.max()), -1, -1))
+        else:
+            labels[members] = count
+            count += 1
+    return labels
+
+
+def _divided(distances: FloatArray, least_gap: float) -> IntArray:
+    """Parts that some scenarios divide into with the fewest neighbours that divide them, from 0 on."""
+    n = len(distances)
+    if n >= 2 * LEAST_MEMBERS:
+        dimension = _dimension(distances)
+        for needed in NEIGHBOURS:
+            if 4 * needed > n:
+                break
+            chance = _by_chance(n, needed, dimension)
+            hierarchy = _Hierarchy(distances, needed, least_gap)
+            clear = CLEAR * chance
+            found, strengths = hierarchy.divide(clear)
+            fair = _standing_out(strengths, FAIR * chance, clear)
+            if fair < clear:
+                found, _ = hierarchy.divide(fair)
+            names, parts = np.unique(found, return_inverse=True)
+            if len(names) > 1:
+                return parts.astype(np.int64)
+    return np.zeros(n, dtype=np.int64)
+
+
+def _by_chance(n: int, needed: int, dimension: float) -> float:
+    """Strength of the strongest split of scenarios that are of one kind, at least that of twice the density."""
+    strengths = [a * math.log(n) + b + c * max(needed - 6, 0) for a, b, c in CHANCE]
+    return max(float(np.exp(np.interp(dimension, [1.0, 2.0, 3.0], np.log(strengths)))), 2.0 * needed)
+
+
+def _standing_out(strengths: list[float], fair: float, clear: float) -> float:
+    """Least strength that is accepted: below `clear` where a split stands out from all that are weaker."""
+    accepted = clear
+    falling = [*sorted(strengths, reverse=True), 0.0]
+    for strength, weaker in itertools.pairwise(falling):
+        if fair <= strength < clear and strength >= STANDS_OUT * weaker:
+            accepted = strength
+    return accepted
+
+
+def _dimension(distances: FloatArray) -> float:
+    """Intrinsic dimension after Levina and Bickel; that of a line where scenarios are the same."""
+    k = min(_DIMENSION_NEIGHBOURS, len(distances) - 2)
+    near = np.sort(np.partition(distances, k, axis=1)[:, : k + 1], axis=1)[:, 1:]
+    near = near[near[:, 0] > 0.0]
+    growth = np.log(near[:, -1:] / near[:, :-1]).mean() if len(near) else 0.0
+    return float(1.0 / growth) if growth > 0.0 else 1.0
+
+
+class _Hierarchy:
+    """Scenarios that merge from the nearest on, by mutual reachability with `needed` neighbours."""
+
+    def __init__(self, distances: FloatArray, needed: int, least_gap: float) -> None:
+        n = len(distances)
+        core = np.partition(distances, needed - 1, axis=1)[:, needed - 1]
+        # Many reaches are equal where one core distance decides them. The small term lets the nearer merge first.
+        reach = np.maximum(distances, np.maximum(core[:, None], core)) + 1e-6 * distances
+        ends, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
+        find_tree(reach, ends, lengths)
+        rising = np.argsort(lengths, kind="stable")
+        self._edges = list(zip(*ends[:, rising].tolist(), lengths[rising].tolist(), strict=True))
+        self._distances, self._least_gap = distances, least_gap
+        self._least = max(LEAST_MEMBERS, needed)
+
+    def divide(self, accepted: float) -> tuple[IntArray, list[float]]:
+        """Groups between which all splits are of a strength, and the strengths of all splits that were judged."""
+        n = len(self._distances)
+        label, tree = np.arange(n), np.arange(n)
+        members = {i: np.array([i]) for i in range(n)}
+        branches = {i: np.array([i]) for i in range(n)}
+        # Trees that hold several groups: what these are is settled, since they only grow.
+        divided: BoolArray = np.zeros(n, dtype=np.bool_)
+        strengths: list[float] = []
+        for a, b, length in self._edges:
+            one, two = int(tree[a]), int(tree[b])
+            large, small = int(label[a]), int(label[b])
+            settled, small_settled = bool(divided[one]), bool(divided[two])
+            if len(members[large]) < len(members[small]):
+                large, small, settled, small_settled = small, large, small_settled, settled
+            apart = length >= self._least_gap and settled and small_settled
+            if not (settled and small_settled):
+                of_small = of_large = 0.0
+                if len(members[small]) >= self._least and length >= self._least_gap:
+                    of_small, of_large = self._strengths(members[small], members[large], length)
+                    strengths.append(min(of_small, of_large))
+                apart = (small_settled or of_small >= accepted) and of_large >= accepted
+                if not apart:
+                    if small_settled or (not settled and of_small >= accepted):
+                        large, small = small, large
+                    label[members[small]] = large
+                    members[large] = np.concatenate((members[large], members.pop(small)))
+            if len(branches[one]) < len(branches[two]):
+                one, two = two, one
+            tree[branches[two]] = one
+            divided[one] = divided[one] or divided[two] or apart
+            branches[one] = np.concatenate((branches[one], branches.pop(two)))
+        return label, strengths
+
+    def _strengths(self, small: IntArray, large: IntArray, length: float) -> tuple[float, float]:
+        """Neighbours within the length of a split, of the smaller group and of the other."""
+        if 2 * len(small) >= len(large):
+            return self._neighbours(small, length), self._neighbours(large, length)
+        # A few that lie apart at a sparse edge are no kind, though most of the others lie close together.
+        away = self._distances[np.ix_(large, small)].min(axis=1)
+        near = large[np.argsort(away, kind="stable")[: 2 * len(small)]]
+        around = (self._distances[np.ix_(_some(near), large)] <= length).sum(axis=1)
+        return self._neighbours(small, length), float(np.median(around))
+
+    def _neighbours(self, members: IntArray, length: float) -> float:
+        """Members within a length of a typical one; beyond the extent of all or half of them as if there were more."""
+        between = self._distances[np.ix_(_some(members), members)]
+        around = float(np.median((between <= length).sum(axis=1)))
+        for count in {math.ceil(len(members) / 2), len(members)}:
+            extent = float(np.median(np.partition(between, count - 1, axis=1)[:, count - 1]))
+            if extent <= length:
+                around = max(around, count * length / max(extent, 1e-12 * length))
+        return around
+
+
+def _some(members: IntArray) -> IntArray:
+    return members[:: math.ceil(len(members) / _MOST_CENTRES)]

@@ -1,0 +1,77 @@
+"""Whether the automatic settings find the kinds that there are, and none where there are none."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist, squareform
+from sklearn.metrics import adjusted_rand_score
+
+from cornercase.clustering import cluster
+from cornercase.clustering.kinds import find_kinds
+
+
+def between(points):
+    return squareform(pdist(np.asarray(points, dtype=float)))
+
+
+def apart(kinds, each, seed, dimensions=3):
+    """So many kinds of one size, on a lattice eight standard deviations wide."""
+    rng = np.random.default_rng(seed)
+    places = np.stack(np.meshgrid(*[np.arange(4)] * dimensions), axis=-1).reshape(-1, dimensions)
+    centres = 8.0 * rng.permutation(places)[:kinds]
+    truth = np.repeat(np.arange(kinds), each)
+    return between(centres[truth] + rng.normal(size=(len(truth), dimensions))), truth
+
+
+@pytest.mark.parametrize("kinds", [2, 9, 12, 16])
+@pytest.mark.parametrize("method", ["dbscan", "hdbscan"])
+@pytest.mark.filterwarnings("ignore:Conversion of an array:DeprecationWarning")
+def test_as_many_kinds_as_there_are(kinds, method):
+    distances, truth = apart(kinds, 30, kinds)
+    found = cluster(distances, method=method)
+    assert found.n_clusters == kinds
+    assert adjusted_rand_score(truth, found.labels) > 0.95
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_five_far_away_are_a_kind_of_their_own(seed):
+    rng = np.random.default_rng(seed)
+    distances = between(np.concatenate((rng.normal(size=(295, 3)), 15.0 + rng.normal(size=(5, 3)))))
+    found = cluster(distances)
+    assert np.bincount(found.labels).tolist() == [295, 5]
+    assert (found.labels[-5:] == 1).all()
+
+
+@pytest.mark.parametrize("n", [60, 300])
+@pytest.mark.parametrize("draw", ["line", "square", "cube", "normal"])
+def test_what_has_no_structure_is_one_kind(n, draw):
+    rng = np.random.default_rng(n)
+    sizes = []
+    for _ in range(10):
+        points = (
+            rng.normal(size=(n, 3)) if draw == "normal" else rng.random((n, ["line", "square", "cube"].index(draw) + 1))
+        )
+        sizes.append(cluster(between(points)).n_clusters)
+    assert np.sum(np.array(sizes) == 1) >= 9
+
+
+def test_scenarios_alike_but_for_the_last_digits_are_no_kinds():
+    # Collisions at one of a few instants: groups of identical scenarios a hair apart, and those that pass, far off.
+    rng = np.random.default_rng(0)
+    collide = np.repeat(np.arange(6) * 0.01, 25)[:, None] * [1.0, 0.0] + [10.0, 0.0]
+    distances = between(np.concatenate((rng.normal(size=(150, 2)), collide)))
+    assert np.bincount(cluster(distances).labels).tolist() == [150, 150]
+
+
+def test_clusters_that_are_not_found_again_are_not_told(monkeypatch):
+    distances, _ = apart(3, 20, 0)
+    assert cluster(distances).n_clusters == 3
+    monkeypatch.setattr("cornercase.clustering.stability.Stability.of", lambda self, one, labels: 0.12)
+    assert cluster(distances).n_clusters == 1
+
+
+def test_kinds_of_other_dimensions_and_densities_stay_apart():
+    rng = np.random.default_rng(4)
+    line = np.c_[rng.uniform(0.0, 20.0, 150), np.zeros((150, 2))]
+    ball = rng.normal(loc=(10.0, 9.0, 0.0), size=(100, 3))
+    kinds = find_kinds(between(np.concatenate((line, ball))))
+    assert adjusted_rand_score(np.repeat([0, 1], [150, 100]), kinds) > 0.95
