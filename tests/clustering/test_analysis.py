@@ -41,7 +41,7 @@ def test_an_analysis_is_read_back_as_it_was_written(path):
         again = read_analyses(study)
         distances = read_distances(study, "distance")
         rows = [row.id for row in study.done()]
-    assert list(found) == list(again) == ["ego-trajectory", "bearing", "distance", "wttc"]
+    assert list(found) == list(again) == ["ego-trajectory", "bearing", "interaction", "distance", "wttc"]
     for name, one in found.items():
         same(one, again[name])
         assert one.by == name

@@ -63,7 +63,9 @@ Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE",
 By = Annotated[
     list[str] | None,
     typer.Option(
-        "--by", metavar="ASPECT|METRIC", help="What to cluster by; default: ego-trajectory, bearing and all metrics."
+        "--by",
+        metavar="ASPECT|METRIC",
+        help="What to cluster by; default: ego-trajectory, bearing, interaction, metrics.",
     ),
 ]
 Gamma = Annotated[str, typer.Option(metavar="X|auto", help="Kernel width parameter.")]

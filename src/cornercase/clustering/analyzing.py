@@ -56,8 +56,8 @@ def analyze(
     study : Study or path
         Open for writing, or the file.
     by : str or sequence of str, optional
-        Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory and
-        the bearing of the other, and all metrics of the study.
+        Aspects: any of `cornercase.clustering.ASPECTS`, and metrics of the study. By default the ego's trajectory,
+        the bearing of the other and the interaction of both, and all metrics of the study.
     gamma, eps : float or "auto", default "auto"
         Kernel width and radius of the neighbourhood, without unit.
     min_samples : int or "auto", default "auto"

@@ -15,7 +15,7 @@ from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.study import Study
 
-BY_DEFAULT: Final = (EGO_TRAJECTORY, "bearing")
+BY_DEFAULT: Final = (EGO_TRAJECTORY, "bearing", "interaction")
 """Aspects that a study is analysed by beside its metrics."""
 
 
