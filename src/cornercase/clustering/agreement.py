@@ -94,13 +94,17 @@ def find_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]
     Returns
     -------
     dict of str to list of str, each of length n
-        By name what is the case in each scenario: ``"outcome"`` in words, who is ``"first"``, the ``"collision"``,
-        whether the ego ``"stopped"``, who is ``"first of Ego and C"`` for further entities, and whether the scenario is
-        ``"critical"``, where a threshold says so. What is the same in all scenarios is left out.
+        By name what is the case in each scenario: ``"outcome"`` in words, who is ``"first"`` (nobody where ego and
+        other collide) and whether that is the ego (``"ego first"``), the ``"collision"``, whether the ego
+        ``"stopped"``, who is ``"first of Ego and C"`` for further entities, and whether the scenario is ``"critical"``,
+        where a threshold says so. What is the same in all scenarios is left out.
     """
+    other = study.meta.other
+    firsts = [None if other in {hit.entity for hit in one.impacts} else one.first for one in outcomes]
     facts = {
         "outcome": [one.text for one in outcomes],
-        "first": [str(one.first) for one in outcomes],
+        "first": [str(first) for first in firsts],
+        "ego first": [str(first == study.meta.ego) for first in firsts],
         "collision": [str(one.collision) for one in outcomes],
         "stopped": [str(one.stops) for one in outcomes],
     }

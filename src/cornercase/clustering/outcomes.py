@@ -350,7 +350,7 @@ def _gives_way(time: FloatArray, speed: FloatArray, went: BoolArray, ego: str, m
 
 def _impact(recording: Recording, ego: str, collision: Collision) -> Impact:
     (entity,) = (name for name in collision.entities if name != ego)
-    at = min(int(np.searchsorted(recording.time, collision.time)), len(recording.time) - 1)
+    at = int(np.abs(recording.time - collision.time).argmin())
     i, j = recording.index(ego), recording.index(entity)
     velocities = [
         recording.speed[k, at] * np.array([np.cos(recording.heading[k, at]), np.sin(recording.heading[k, at])])

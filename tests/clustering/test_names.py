@@ -1,0 +1,237 @@
+"""Names of kinds are true, and no two are the same: read anew from the recordings by `kind_names`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import pdist
+from scipy.stats import qmc
+
+from conftest import EXAMPLES, ran
+from cornercase.clustering import analyze, find_outcome
+from cornercase.clustering.agreement import agree_with_facts, find_facts
+from cornercase.clustering.clauses import Account
+from cornercase.clustering.names import name_kinds
+from cornercase.clustering.traits import measure_traits
+from cornercase.drivers import named_driver
+from cornercase.exploration import explore
+from cornercase.recordings import Collision
+from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
+from cornercase.simulators import BuiltinSimulator
+from cornercase.study import Study
+from kind_names import Scene, is_true
+from meetings import CROSSES, NORTH, entity, recording, walker
+
+NCAP = Path(__file__).parents[3] / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP"
+RANGES = NCAP / "CA-FC_2026" / "Variations" / "StandardRange"
+NO_PARAMETERS = ParameterSpace([Parameter("fixed", 0, 0, choices=("x",))])
+SIZE = 120
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Scenarios, what is known of them, and what an onlooker sees."""
+
+    account: Account
+    scenes: list[Scene]
+
+    @classmethod
+    def of(cls, recordings, ego, other, space=NO_PARAMETERS, values=None):
+        values = values or [{"fixed": "x"} for _ in recordings]
+        outcomes = [find_outcome(one, ego, other) for one in recordings]
+        traits = [measure_traits(one, end) for one, end in zip(recordings, outcomes, strict=True)]
+        read = [{one.name: one.read(each) for one in space.parameters} for each in values]
+        scenes = [Scene(one, ego, other, each) for one, each in zip(recordings, read, strict=True)]
+        return cls(Account.of(outcomes, traits, space, values), scenes)
+
+    @cached_property
+    def columns(self):
+        """What scenarios can be clustered by here: how they go, and where they lie."""
+        traits = np.nan_to_num(np.array(list(self.account.traits.values())).T, nan=-1.0)
+        spread = np.where(traits.std(axis=0) > 0, traits.std(axis=0), 1.0)
+        return (traits - traits.mean(axis=0)) / spread
+
+
+def names_of(told, labels):
+    labels = np.asarray(labels)
+    examples = [int(np.flatnonzero(labels == kind)[0]) for kind in range(labels.max() + 1)]
+    return {kind: one.text for kind, one in name_kinds(told.account, labels, examples).items()}
+
+
+def require_true(told, labels):
+    """Each name is true of 95 % of its scenarios, and no two are the same."""
+    labels = np.asarray(labels)
+    names = names_of(told, labels)
+    assert len(set(names.values())) == len(names) == labels.max() + 1
+    for kind, name in names.items():
+        scenes = [told.scenes[k] for k in np.flatnonzero(labels == kind)]
+        assert np.mean([is_true(name, one) for one in scenes]) >= 0.95, name
+
+
+def simulated(logical, other, on_collision="stop", drivers=None):
+    points = logical.space.snap(
+        qmc.Sobol(len(logical.space.parameters), rng=np.random.default_rng(1)).random(128)[:SIZE]
+    )
+    values = logical.space.values(points)
+    simulator = BuiltinSimulator(on_collision=on_collision, drivers=drivers or {})
+    return Told.of(ran(simulator, [logical.concrete(one) for one in values]), "Ego", other, logical.space, values)
+
+
+@pytest.fixture(scope="module", params=["x_intersection", "t_intersection", "CPNCO", "CBFA", "CCCscp", "CBNA", "CPNA"])
+def told(request):
+    name = request.param
+    if name == "x_intersection":
+        return simulated(request.getfixturevalue(name), "Pedestrian", "continue")
+    if name == "t_intersection":
+        return simulated(request.getfixturevalue(name), "C")
+    if not RANGES.exists():
+        pytest.skip("Euro NCAP's files are not beside the checkout")
+    ranges = {"Ego_speed_kph": "10:60"}
+    if name == "CCCscp":
+        ranges["Target_final_speed_kph"] = "20:60"
+    logical = LogicalScenario.read(None, RANGES / f"{name}.xosc", [f"{key}={one}" for key, one in ranges.items()])
+    return simulated(logical, "Target" if name == "CCCscp" else "VRU", drivers={"Ego": named_driver("normal")})
+
+
+def test_names_are_true_whatever_is_clustered_and_however_many_kinds_there_are(told):
+    tree = linkage(told.columns, "ward")
+    for kinds in (1, 2, 3, 5, 8):
+        require_true(told, fcluster(tree, kinds, "maxclust") - 1)
+    # By one thing alone, as an aspect has it; with noise; and by nothing.
+    for name in ("nearest", "lowest speed", "duration"):
+        column = np.nan_to_num(told.account.traits[name], nan=-1.0)[:, None]
+        require_true(told, fcluster(linkage(pdist(column), "average"), 4, "maxclust") - 1)
+    drawn = np.random.default_rng(0)
+    require_true(told, np.where(drawn.random(SIZE) < 0.2, -1, fcluster(tree, 3, "maxclust") - 1))
+    require_true(told, drawn.integers(0, 4, SIZE))
+
+
+def passing(start, speed):
+    return entity(start, 0.0, 0.0, (0, speed))
+
+
+def stopping(until):
+    return entity(0.0, 0.0, 0.0, (0, 15), (2, 15), (4.2, 0), (until, 0), (until + 3, 12))
+
+
+def crash(speed):
+    return recording(Collision(2.0, ("Ego", "P")), Ego=passing(50.0 - 2.0 * speed, speed), P=CROSSES, until=2.0)
+
+
+KINDS = {
+    "before": [recording(Ego=passing(0.0, 18.0 + 0.1 * k), P=CROSSES) for k in range(10)],
+    "stops": [recording(Ego=stopping(5.0 + 0.1 * k), P=CROSSES) for k in range(10)],
+    "after": [recording(Ego=passing(-10.0 - k, 10.0), P=CROSSES) for k in range(10)],
+    "low": [crash(3.0 + 0.1 * k) for k in range(10)],
+    "high": [crash(14.0 + 0.1 * k) for k in range(10)],
+    "apart": [recording(Ego=passing(0.0, 10.0 + k), P=entity(50, 60 + k, NORTH, (0, 1.5))) for k in range(10)],
+}
+
+
+def hand_made(*kinds):
+    told = Told.of([one for kind in kinds for one in KINDS[kind]], "Ego", "P")
+    return told, np.repeat(range(len(kinds)), 10)
+
+
+def test_kinds_that_a_person_would_tell_apart_have_the_names_that_he_would_give():
+    told, labels = hand_made("before", "stops", "after", "low", "high", "apart")
+    require_true(told, labels)
+    assert list(names_of(told, labels).values()) == [
+        "Ego passes before P, closely",
+        "Ego stops for P",
+        "Ego passes after P, without a stop",
+        "Ego collides with P, at low speed",
+        "Ego collides with P, at high speed",
+        "Ego does not meet P",
+    ]
+
+
+def test_one_of_twenty_may_end_otherwise():
+    told, labels = hand_made("before", "after", "stops", "low")
+    told = Told.of([one.recording for one in told.scenes[:31]], "Ego", "P")
+    labels = np.minimum(labels, 1)[:31]
+    require_true(told, labels)
+    assert names_of(told, labels)[1] == "Ego passes after P"
+
+
+def test_a_kind_with_several_endings_is_named_by_them():
+    told, labels = hand_made("before", "stops", "low")
+    require_true(told, np.minimum(labels, 1))
+    assert names_of(told, np.minimum(labels, 1))[1] == "Ego collides with P or stops for P"
+
+
+def test_kinds_with_one_ending_are_set_apart_by_what_differs():
+    fast = [recording(Ego=passing(0.0, 30.0 + 0.1 * k), P=CROSSES) for k in range(10)]
+    later = [recording(Ego=passing(-300.0 - k, 30.0), P=walker(exists=(0.0, 19.0), y=-24.0)) for k in range(10)]
+    told = Told.of([*KINDS["before"], *fast, *later], "Ego", "P")
+    labels = np.repeat([0, 1, 2], 10)
+    require_true(told, labels)
+    assert list(names_of(told, labels).values()) == [
+        "Ego passes before P, closely, enters after 2 s",
+        "Ego passes before P, closely, enters before 2 s",
+        "Ego passes before P, clear",
+    ]
+
+
+def test_lane_changes_to_the_left_and_to_the_right_are_set_apart():
+    def changing(to, k):
+        aside = to * np.clip((np.arange(0.0, 20.05, 0.1) - 3.0 - 0.1 * k) / 3.0, 0.0, 1.0)
+        ego = passing(0.0, 10.0) | {"y": aside, "heading": np.arctan2(np.gradient(aside, 0.1), 10.0)}
+        return recording(Ego=ego, P=entity(30.0, 0.0, 0.0, (0, 10)))
+
+    told = Told.of([changing(to, k) for to in (3.5, 0.0, -3.5) for k in range(10)], "Ego", "P")
+    labels = np.repeat([0, 1, 2], 10)
+    require_true(told, labels)
+    ends = [name.removeprefix("Ego stays behind P, ") for name in names_of(told, labels).values()]
+    assert ends == ["moves to the left", "goes straight on", "moves to the right"]
+
+
+def test_what_nothing_sets_apart_is_named_after_an_example():
+    told = Told.of([KINDS["before"][0]] * 20, "Ego", "P")
+    names = names_of(told, np.repeat([0, 1], 10))
+    assert list(names.values()) == [f"Ego passes before P, closely, as in scenario {k}" for k in (0, 10)]
+
+
+def test_clusterings_are_compared_with_what_happened(tmp_path):
+    study = tmp_path / "s.db"
+    folder = EXAMPLES / "t_intersection"
+    logical = LogicalScenario.read(folder / "t_intersection.xosc", folder / "t_intersection.space.xosc")
+    explore(
+        logical, study, ego="Ego", other="C", metrics=["ttc"], budget=SIZE, seed=1, optimizer="sobol",
+        on_collision="stop", critical=1.5,
+    )  # fmt: skip
+    found = analyze(study, ["ego-trajectory", "ttc"])
+    with Study.open(study, readonly=True) as opened:
+        rows = opened.done()
+        recordings = [opened.recording(row.id) for row in rows]
+        facts = find_facts(opened, [find_outcome(one, "Ego", "C") for one in recordings])
+        scenes = [Scene(one, "Ego", "C", row.values) for one, row in zip(recordings, rows, strict=True)]
+        critical = opened.scores("ttc") <= 1.5
+    assert {"outcome", "first", "ego first", "collision", "stopped", "critical"} == set(facts)
+    # In a collision nobody passes first.
+    firsts = ["None" if one.recording.collisions else one.met[1] for one in scenes]
+    assert facts["first"] == firsts
+    assert facts["ego first"] == [str(one == "Ego") for one in firsts]
+    np.testing.assert_array_equal(np.array(facts["critical"]) == "True", critical)
+    np.testing.assert_array_equal(np.array(facts["stopped"]) == "True", [one.stops for one in scenes])
+    hits = ["C" if one.recording.collisions else "None" for one in scenes]
+    assert facts["collision"] == hits
+    of_hits = agree_with_facts(np.array([one == "C" for one in hits], dtype=int), facts)
+    assert of_hits["collision"] == pytest.approx(1.0)
+    shuffled = np.random.default_rng(0).permutation(np.arange(SIZE) % 3)
+    assert all(abs(mutual) < 0.1 for mutual in agree_with_facts(shuffled, facts).values())
+    for one in found.values():
+        assert one.tells == agree_with_facts(one.labels, facts)
+        names = [profile.name for profile in one.profiles if profile.cluster >= 0]
+        assert len(set(names)) == len(names)
+        for profile in one.profiles:
+            members = [scenes[k] for k in np.flatnonzero(one.labels == profile.cluster)]
+            if profile.cluster >= 0:
+                assert np.mean([is_true(profile.name, each) for each in members]) >= 0.95
+                assert profile.true_of >= 0.95
+                assert profile.example in [row.id for row, label in zip(rows, one.labels, strict=True) if label == profile.cluster]  # fmt: skip
