@@ -128,9 +128,10 @@ class Scene:
     @cached_property
     def distances(self):
         r, o = self.recording, self.recording.names.index(self.other)
-        boxes = [
-            corners(*r.center(r.names[k]).T, r.heading[k], r.length[k], r.width[k]) for k in (self.i, o)
-        ]  # fmt: skip
+        boxes = []
+        for k in (self.i, o):
+            x, y = r.center(r.names[k]).T
+            boxes.append(corners(x, y, r.heading[k], r.length[k], r.width[k]))
         apart = gap_along_axes(*boxes) > 0
         known = np.isfinite(boxes[0]).all((1, 2)) & np.isfinite(boxes[1]).all((1, 2))
         found = np.full(len(self.time), np.nan)
@@ -203,7 +204,7 @@ class Scene:
         return "other" if angle >= math.pi / 4 else "behind" if ahead > 0 else "rear"
 
 
-def ending(scene: Scene, said: str) -> bool:
+def ending(scene, said):
     """Whether one of the endings at the beginning of a name is true."""
     hit, other, ego = scene.impact, re.escape(scene.other), scene.ego
     if said == "stands all the time":
@@ -289,7 +290,7 @@ LESS = {"before", "slower", "below", "within", "never above", "shorter", "less"}
 TIMES = ("entry", "gap")
 
 
-def qualifier(scene: Scene, said: str) -> bool:
+def qualifier(scene, said):
     if said in WORDS:
         return bool(WORDS[said](scene))
     for name, (pattern, value) in MEASURED.items():
@@ -311,13 +312,13 @@ def qualifier(scene: Scene, said: str) -> bool:
         value, bound = scene.values[found[1]], float(found[3])
         return value < bound if found[2] == "<" else value > bound
     name, _, choice = said.partition(" is ")
-    value = str(scene.values[name])
-    if value.startswith(f"{choice}, "):
+    chosen = str(scene.values[name])
+    if chosen.startswith(f"{choice}, "):
         raise KeyError(said)
-    return value == choice
+    return chosen == choice
 
 
-def is_true(name: str, scene: Scene) -> bool:
+def is_true(name, scene):
     """Whether a name of a kind is true of a scenario.
 
     It is taken apart at commas; what cannot be read as a part (a parameter with a comma in its name) is read with the

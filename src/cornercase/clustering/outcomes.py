@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 
-from cornercase._common.geometry import box_corners, boxes_overlap, within_half_turn
+from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics import visits
+from cornercase.clustering.crossing import Way, find_crossing
 from cornercase.recordings import Collision, Recording
 
 STANDING: Final = 0.1
@@ -19,10 +19,6 @@ STANDING: Final = 0.1
 Relation = Literal["crossing", "lane", "apart"]
 Manner = Literal["from behind", "its rear", "while it stands", "otherwise"]
 
-# Ways are carried on straight where a recording ends: so far a car that waits may stand before the place.
-_CARRIED_ON: Final = 20.0
-# Who else is first needs no finer steps, in s; their number counts squared.
-_COARSE: Final = 0.1
 # Entities go the same way where their headings differ by less, and are in one lane or in two beside each other where
 # their centres are no farther apart across.
 _ALIKE: Final = math.pi / 4
@@ -98,7 +94,7 @@ class Outcome:
     encounter : Encounter
         With the other entity of the study.
     others : tuple of Encounter
-        With all further entities that moved, without times.
+        With all further entities that moved; for these nothing is carried on after the end.
     impacts : tuple of Impact
         Collisions of the ego, in order of time.
     elsewhere : tuple of Collision
@@ -166,7 +162,8 @@ def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
     InputError
         There is no such entity.
     """
-    met = _meet(recording, ego, other)
+    way = Way.of(recording, ego, there(recording, ego))
+    met = _meet(recording, way, ego, other, foresees=True)
     moving = [name for name in recording.names if name not in (ego, other) and _fastest(recording, name) >= STANDING]
     speed = np.nan_to_num(np.abs(recording.speed[recording.index(ego)]))
     went = np.maximum.accumulate(speed) >= STANDING
@@ -174,7 +171,7 @@ def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
     return Outcome(
         ego=ego,
         encounter=met,
-        others=tuple(_pass(recording, ego, name) for name in moving),
+        others=tuple(_meet(recording, way, ego, name) for name in moving),
         impacts=tuple(_impact(recording, ego, one) for one in recording.collisions if ego in one.entities),
         elsewhere=tuple(one for one in recording.collisions if ego not in one.entities),
         moves=bool(went.any()),
@@ -220,8 +217,8 @@ def there(recording: Recording, name: str) -> BoolArray:
         Mask of the instants.
     """
     i = recording.index(name)
-    columns = (recording.x, recording.y, recording.heading, recording.speed)
-    known: BoolArray = np.isfinite([column[i] for column in columns]).all(axis=0)
+    # A sum is finite where all of its parts are.
+    known: BoolArray = np.isfinite(recording.x[i] + recording.y[i] + recording.heading[i] + recording.speed[i])
     return known
 
 
@@ -229,62 +226,45 @@ def _fastest(recording: Recording, name: str) -> float:
     return float(np.nan_to_num(np.abs(recording.speed[recording.index(name)])).max(initial=0.0))
 
 
-def _meet(recording: Recording, ego: str, other: str) -> Encounter:
-    same_way, beside, in_lane = _go_together(recording, ego, other)
+def _meet(recording: Recording, ego: Way, name: str, other: str, foresees: bool = False) -> Encounter:
+    together = _go_together(recording, name, other)
+    if together is None:
+        return Encounter(other, "apart")
+    same_way, beside, in_lane = together
     if same_way and beside:
         return in_lane
-    if in_lane.ahead is None:
-        return in_lane
-    stays = visits(recording, ego, other, None)
-    # A lane that bends takes one who is far ahead to the side.
-    if same_way and stays:
-        return in_lane
-    if not stays:
-        return _carried_on(recording, ego, other)
-    mine, others = min(stays, key=lambda pair: min(pair[0].enters, pair[1].enters))
-    ego_first = mine.enters < others.enters
-    early, late = (mine, others) if ego_first else (others, mine)
-    return Encounter(
-        other,
-        "crossing",
-        first=ego if ego_first else other,
-        enters=mine.enters,
-        leaves=others.leaves,
-        gap=late.enters - early.leaves,
-    )
-
-
-def _pass(recording: Recording, ego: str, other: str) -> Encounter:
-    """Who is first where both were, from the boxes at a few instants."""
-    same_way, beside, in_lane = _go_together(recording, ego, other)
-    if (same_way and beside) or in_lane.ahead is None:
-        return in_lane
-    since = np.floor((recording.time - recording.time[0]) / _COARSE + 1e-9)
-    few = np.append(True, np.diff(since) > 0.0)
-    sides = []
-    for name in (ego, other):
-        i, at = recording.index(name), np.flatnonzero(few & there(recording, name))
-        x, y = recording.center(name)[at].T
-        corners = box_corners(x, y, recording.heading[i, at], recording.length[i], recording.width[i])
-        sides.append((at, x + 1j * y, corners, float(np.hypot(recording.length[i], recording.width[i])) / 2.0))
-    (mine, place, boxes, reach), (others, place_of_other, boxes_of_other, reach_of_other) = sides
-    near = np.abs(place[:, None] - place_of_other) <= reach + reach_of_other
-    a, b = near.nonzero()
-    met = boxes_overlap(boxes[a], boxes_of_other[b])
-    if not met.any():
-        return Encounter(other, "apart")
+    way = Way.of(recording, other, there(recording, other))
+    found = find_crossing(ego, way)
     if same_way:
-        return in_lane
-    times = np.stack([mine[a[met]], others[b[met]]])
-    earliest = times[:, times.min(axis=0).argmin()]
-    return Encounter(other, "crossing", first=ego if earliest[0] < earliest[1] else other)
+        # A lane that bends takes one who is far ahead to the side.
+        return in_lane if found else Encounter(other, "apart")
+    if found is None:
+        return _carried_on(recording, ego, way, name, other) if foresees else Encounter(other, "apart")
+    if found.enters < found.other_enters:
+        first, gap = name, found.other_enters - found.leaves
+    else:
+        first, gap = other, found.enters - found.other_leaves
+    return Encounter(other, "crossing", first=first, enters=found.enters, leaves=found.other_leaves, gap=gap)
 
 
-def _go_together(recording: Recording, ego: str, other: str) -> tuple[bool, bool, Encounter]:
+def _carried_on(recording: Recording, ego: Way, way: Way, name: str, other: str) -> Encounter:
+    """Who alone came to where both ways would cross, if they went straight on after the end."""
+    # One that stands all the time is on no way that it could carry on.
+    if min(_fastest(recording, name), _fastest(recording, other)) < STANDING:
+        return Encounter(other, "apart")
+    found = find_crossing(ego.carried_on(), way.carried_on())
+    if found is None or min(found.enters, found.other_enters) > ego.end:
+        return Encounter(other, "apart")
+    if found.enters < found.other_enters:
+        return Encounter(other, "crossing", first=name, enters=found.enters)
+    return Encounter(other, "crossing", first=other, leaves=min(found.other_leaves, ego.end))
+
+
+def _go_together(recording: Recording, ego: str, other: str) -> tuple[bool, bool, Encounter] | None:
     """Whether both go the same way, whether in one lane or beside each other, and what they are to each other then."""
     both = np.flatnonzero(there(recording, ego) & there(recording, other))
     if not len(both):
-        return False, False, Encounter(other, "apart")
+        return None
     at = both[[0, -1]]
     headings = recording.heading[:, at]
     turned = np.abs(within_half_turn(headings[recording.index(other)] - headings[recording.index(ego)]))
@@ -292,37 +272,6 @@ def _go_together(recording: Recording, ego: str, other: str) -> tuple[bool, bool
     begins, ends = (other if away > 0.0 else ego for away in along[at].tolist())
     in_lane = Encounter(other, "lane", first=ends, ahead=begins)
     return bool((turned < _ALIKE).all()), bool((np.abs(across[at]) <= _ACROSS).all()), in_lane
-
-
-def _carried_on(recording: Recording, ego: str, other: str) -> Encounter:
-    """Who alone came to where both ways would cross, if they went straight on after the end."""
-    end = float(recording.time[-1])
-    stays = visits(_extended(recording), ego, other, None)
-    # One that stands all the time is on no way that it could carry on.
-    if not stays or min(_fastest(recording, ego), _fastest(recording, other)) < STANDING:
-        return Encounter(other, "apart")
-    mine, others = min(stays, key=lambda pair: min(pair[0].enters, pair[1].enters))
-    if min(mine.enters, others.enters) >= end:
-        return Encounter(other, "apart")
-    if mine.enters < others.enters:
-        return Encounter(other, "crossing", first=ego, enters=mine.enters)
-    return Encounter(other, "crossing", first=other, leaves=min(others.leaves, end))
-
-
-def _extended(recording: Recording) -> Recording:
-    def carried(values: FloatArray, by: FloatArray) -> FloatArray:
-        return np.column_stack([values, values[:, -1] + by])
-
-    still, ahead = np.zeros(len(recording.names)), recording.heading[:, -1]
-    return replace(
-        recording,
-        time=np.append(recording.time, recording.time[-1] + 1.0),
-        x=carried(recording.x, _CARRIED_ON * np.cos(ahead)),
-        y=carried(recording.y, _CARRIED_ON * np.sin(ahead)),
-        heading=carried(recording.heading, still),
-        speed=carried(recording.speed, still),
-        acceleration=carried(recording.acceleration, still),
-    )
 
 
 def _seen_from(recording: Recording, ego: str, other: str) -> tuple[FloatArray, FloatArray]:

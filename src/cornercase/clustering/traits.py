@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.geometry import box_corners, box_distance
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.outcomes import STANDING, Outcome, there
-from cornercase.metrics import Clearance
 from cornercase.recordings import Recording
 
 TRAITS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
@@ -67,8 +67,8 @@ def measure_traits(recording: Recording, outcome: Outcome) -> dict[str, float]:
           straight way it ends, in m.
     """
     i, j = recording.index(outcome.ego), recording.index(outcome.encounter.entity)
-    gap = outcome.encounter.gap
-    traits = _of_ego(recording, i, there(recording, outcome.ego))
+    gap, here = outcome.encounter.gap, there(recording, outcome.ego)
+    traits = _of_ego(recording, i, here)
     traits |= {
         "impact speed": outcome.impacts[0].speed if outcome.impacts else math.nan,
         "impact time": outcome.impacts[0].time if outcome.impacts else math.nan,
@@ -76,15 +76,26 @@ def measure_traits(recording: Recording, outcome: Outcome) -> dict[str, float]:
         "gap": gap if gap >= 0.0 else math.nan,
         "mean speed of the other": _mean(np.abs(recording.speed[j])),
     } | dict.fromkeys(("nearest", "nearest time", "first distance"), math.nan)
-    away = Clearance().course(recording, outcome.ego, outcome.encounter.entity)
-    if (known := np.flatnonzero(np.isfinite(away))).size:
-        nearest = known[away[known].argmin()]
-        traits |= {
-            "nearest": float(away[nearest]),
-            "nearest time": float(recording.time[nearest]),
-            "first distance": float(away[known[0]]),
-        }
+    if (both := np.flatnonzero(here & there(recording, outcome.encounter.entity))).size:
+        nearest, at, begins = _nearest(recording, i, j, both)
+        traits |= {"nearest": nearest, "nearest time": float(recording.time[at]), "first distance": begins}
     return traits
+
+
+def _nearest(recording: Recording, i: int, j: int, at: IntArray) -> tuple[float, int, float]:
+    """Smallest gap between two boxes at some instants in m, the first instant of it, and the gap at the first one."""
+    centers = [recording.center(recording.names[k])[at] for k in (i, j)]
+    apart = np.hypot(*(centers[1] - centers[0]).T)
+    reach = 0.5 * sum(float(np.hypot(recording.length[k], recording.width[k])) for k in (i, j))
+    # No box is nearer than its centre is, less both reaches.
+    near = apart - reach <= apart.min()
+    near[0] = True
+    boxes = []
+    for k, center in zip((i, j), centers, strict=True):
+        x, y = center[near].T
+        boxes.append(box_corners(x, y, recording.heading[k, at[near]], recording.length[k], recording.width[k]))
+    gaps = box_distance(boxes[0], boxes[1])
+    return float(gaps.min()), int(at[near][gaps.argmin()]), float(gaps[0])
 
 
 def _of_ego(recording: Recording, i: int, here: BoolArray) -> dict[str, float]:

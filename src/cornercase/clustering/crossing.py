@@ -1,0 +1,177 @@
+"""Where the ways of two entities cross, and when each is there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.ndimage import label
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.clustering.crossing_kernels import find_overlaps, touching_share
+from cornercase.recordings import Recording
+
+# Ways are carried on straight where a recording ends: so far a car that waits may stand before the place.
+_CARRIED_ON: Final = 20.0
+# Boxes along a way are that close, as a share of their smaller side, so that none slips between two; in so many parts
+# a step is divided at most.
+_CLOSE: Final = 0.5
+_MOST_PARTS: Final = 50
+# Largest change of a pose between two instants of one that stands.
+_STILL: Final = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Boxes of an entity one after another.
+
+    Attributes
+    ----------
+    time : ndarray of float64, shape (n,)
+        s.
+    poses : ndarray of float64, shape (4, n)
+        x and y of the centre in m, and cosine and sine of the heading.
+    size : ndarray of float64, shape (2,)
+        Length and width in m.
+    end : float
+        When the recording ends, in s; what is later was carried on.
+    """
+
+    time: FloatArray
+    poses: FloatArray
+    size: FloatArray
+    end: float
+
+    @classmethod
+    def of(cls, recording: Recording, name: str, there: BoolArray) -> Way:
+        """Take the way of an entity from a recording.
+
+        Parameters
+        ----------
+        recording : Recording
+            Any recording.
+        name : str
+            Of the entity.
+        there : ndarray of bool, shape (T,)
+            When it exists.
+
+        Returns
+        -------
+        Way
+            Without boxes where it never exists.
+        """
+        i, at = recording.index(name), np.flatnonzero(there)
+        heading = recording.heading[i, at]
+        poses = np.stack([*recording.center(name)[at].T, np.cos(heading), np.sin(heading)])
+        time, steps = recording.time[at], np.diff(at) == 1
+        # Of a time of standing the first and the last instant are enough.
+        still = steps & (np.abs(np.diff(poses)) <= _STILL).all(axis=0)
+        kept = ~(np.append(False, still) & np.append(still, False))
+        at, time, poses = at[kept], time[kept], poses[:, kept]
+        size = np.array([recording.length[i], recording.width[i]], dtype=np.float64)
+        time, poses = _filled(time, poses, _CLOSE * float(size.min()))
+        return cls(time, poses, size, float(recording.time[-1]))
+
+    def carried_on(self) -> Way:
+        """Let it go straight on for 20 m after the end of the recording.
+
+        Returns
+        -------
+        Way
+            Itself where it ended before.
+        """
+        if not len(self.time) or self.time[-1] < self.end:
+            return self
+        count = math.ceil(_CARRIED_ON / max(_CLOSE * float(self.size.min()), 0.1))
+        steps = np.arange(1, count + 1) / count
+        x, y, cos, sin = self.poses[:, -1, None]
+        way = _CARRIED_ON * steps
+        ahead = np.stack([x + way * cos, y + way * sin, np.repeat(cos, count), np.repeat(sin, count)])
+        return Way(np.append(self.time, self.end + steps), np.hstack([self.poses, ahead]), self.size, self.end)
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """When two entities are where both come.
+
+    Attributes
+    ----------
+    enters, leaves : float
+        Of the one, in s; it leaves at its last instant where it does not leave before.
+    other_enters, other_leaves : float
+        Of the other.
+    """
+
+    enters: float
+    leaves: float
+    other_enters: float
+    other_leaves: float
+
+
+def find_crossing(one: Way, other: Way) -> Crossing | None:
+    """Find the place that both boxes come to, of several the one that is reached first.
+
+    Parameters
+    ----------
+    one, other : Way
+        Of two entities.
+
+    Returns
+    -------
+    Crossing or None
+        None where there is no such place.
+    """
+    if not len(one.time) or not len(other.time) or _far_apart(one, other):
+        return None
+    meets = np.empty((len(one.time), len(other.time)), dtype=np.bool_)
+    find_overlaps(one.poses, one.size, other.poses, other.size, meets)
+    rows, columns = np.flatnonzero(meets.any(axis=1)), np.flatnonzero(meets.any(axis=0))
+    if not len(rows):
+        return None
+    part = meets[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    places, count = label(part, structure=np.ones((3, 3)))
+    found = []
+    for k in range(1, count + 1):
+        i, j = np.nonzero(places == k)
+        mine = np.zeros_like(meets)
+        mine[i + rows[0], j + columns[0]] = True
+        found.append(Crossing(*_stay(one, other, mine), *_stay(other, one, mine.T)))
+    return min(found, key=lambda place: min(place.enters, place.other_enters))
+
+
+def _far_apart(one: Way, other: Way) -> bool:
+    reach = 0.5 * float(np.hypot(*one.size) + np.hypot(*other.size))
+    low, high = (np.stack([end(way.poses[:2], axis=1) for way in (one, other)]) for end in (np.min, np.max))
+    return bool(((low[0] > high[1] + reach) | (low[1] > high[0] + reach)).any())
+
+
+def _filled(time: FloatArray, poses: FloatArray, close: float) -> tuple[FloatArray, FloatArray]:
+    """Put boxes between those that are farther apart."""
+    moves = np.hypot(*np.diff(poses[:2]))
+    counts = np.clip(np.ceil(moves / max(close, 1e-3)), 1, _MOST_PARTS).astype(np.int64)
+    if (counts == 1).all():
+        return time, poses
+    step = np.repeat(np.arange(len(counts)), counts)
+    share = (np.arange(len(step)) - np.repeat(counts.cumsum() - counts, counts)) / counts[step]
+    place, known = np.append(step + share, float(len(counts))), np.arange(len(time), dtype=np.float64)
+    x, y, cos, sin = (np.interp(place, known, row) for row in poses)
+    norm = np.maximum(np.hypot(cos, sin), 1e-12)
+    return np.interp(place, known, time), np.stack([x, y, cos / norm, sin / norm])
+
+
+def _stay(way: Way, other: Way, meets: BoolArray) -> tuple[float, float]:
+    at = np.flatnonzero(meets.any(axis=1))
+    first, last = int(at[0]), int(at[-1])
+    enters, leaves = float(way.time[first]), float(way.time[last])
+    if first > 0:
+        enters = _touch(way, other, first - 1, first, meets)
+    if last + 1 < len(way.time):
+        leaves = _touch(way, other, last + 1, last, meets)
+    return enters, leaves
+
+
+def _touch(way: Way, other: Way, before: int, after: int, meets: BoolArray) -> float:
+    share = touching_share(way.poses, way.size, before, after, other.poses, other.size, meets[after])
+    return float(way.time[before] + share * (way.time[after] - way.time[before]))

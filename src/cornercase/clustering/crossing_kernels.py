@@ -1,0 +1,66 @@
+"""Compiled overlaps of boxes along two ways."""
+
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+
+from cornercase._common.compiling import kernel
+
+_HALVINGS = 20
+"""So often a step is halved to find the instant of a touch: a millionth of it."""
+
+
+@kernel(error_model="numpy", _nrt=False)
+def find_overlaps(a, size_a, b, size_b, out):
+    """Which boxes of `a` overlap which of `b`, (n, m).
+
+    `a`, (4, n), and `b`, (4, m), have rows of x, y, and the cosine and sine of the heading; sizes are length and width.
+    """
+    reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
+    for i in range(a.shape[1]):
+        for j in range(b.shape[1]):
+            x, y = b[0, j] - a[0, i], b[1, j] - a[1, i]
+            out[i, j] = x * x + y * y <= reach * reach and _overlap(
+                x, y, a[2, i], a[3, i], size_a, b[2, j], b[3, j], size_b
+            )
+
+
+@kernel(error_model="numpy", _nrt=False)
+def touching_share(a, size_a, before, after, b, size_b, meets):
+    """Share of the step from box `before` to box `after` of `a` at which it first touches one of `b` that is met."""
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        share = 0.5 * (low + high)
+        x = a[0, before] + share * (a[0, after] - a[0, before])
+        y = a[1, before] + share * (a[1, after] - a[1, before])
+        cos = a[2, before] + share * (a[2, after] - a[2, before])
+        sin = a[3, before] + share * (a[3, after] - a[3, before])
+        norm = math.hypot(cos, sin)
+        touches = False
+        for j in range(b.shape[1]):
+            if meets[j] and _overlap(
+                b[0, j] - x, b[1, j] - y, cos / norm, sin / norm, size_a, b[2, j], b[3, j], size_b
+            ):
+                touches = True
+                break
+        if touches:
+            high = share
+        else:
+            low = share
+    return high
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _overlap(x, y, cos_a, sin_a, size_a, cos_b, sin_b, size_b):
+    """Whether two boxes overlap whose centres are (x, y) apart (separating axes)."""
+    cos, sin = abs(cos_a * cos_b + sin_a * sin_b), abs(cos_a * sin_b - sin_a * cos_b)
+    length_a, width_a, length_b, width_b = 0.5 * size_a[0], 0.5 * size_a[1], 0.5 * size_b[0], 0.5 * size_b[1]
+    return (
+        abs(cos_a * x + sin_a * y) <= length_a + cos * length_b + sin * width_b
+        and abs(cos_a * y - sin_a * x) <= width_a + sin * length_b + cos * width_b
+        and abs(cos_b * x + sin_b * y) <= length_b + cos * length_a + sin * width_a
+        and abs(cos_b * y - sin_b * x) <= width_b + sin * length_a + cos * width_a
+    )
