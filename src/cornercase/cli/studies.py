@@ -84,6 +84,10 @@ def analyze(
             str(found.min_samples),
         )
     out.print(table)
+    for name, one in results.items():
+        for kind in one.profiles if len(one.sizes) > 1 else ():
+            if kind.name:
+                out.print(f"{name}, cluster {kind.cluster}: {kind.name} ({kind.size} scenarios)", markup=False)
 
 
 @app.command()
