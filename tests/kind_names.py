@@ -273,7 +273,7 @@ MEASURED: dict[str, tuple[str, Callable[[Scene], float]]] = {
     "mean": (r"(slower|faster) than # m/s on average", lambda s: s.mean(s.ego)),
     "first": (r"begins (slower|faster) than # m/s", lambda s: s.v[0]),
     "last": (r"ends (slower|faster) than # m/s", lambda s: s.v[-1]),
-    "stands": (r"stands (shorter|longer) than # s", lambda s: np.diff(s.time)[s.v[:-1] < 0.1].sum()),
+    "stands": (r"stands (less|more) than # s", lambda s: np.diff(s.time)[s.v[:-1] < 0.1].sum()),
     "brakes": (r"brakes (less|more) than # m/s²", lambda s: s.braking),
     "way": (
         r"goes (less|more) than # m",
@@ -286,7 +286,7 @@ MEASURED: dict[str, tuple[str, Callable[[Scene], float]]] = {
     ),
     "other": (r"OTHER (slower|faster) than # m/s on average", lambda s: s.mean(s.other)),
 }
-LESS = {"before", "slower", "below", "within", "never above", "shorter", "less"}
+LESS = {"before", "slower", "below", "within", "never above", "less"}
 TIMES = ("entry", "gap")
 
 

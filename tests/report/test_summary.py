@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from html import unescape
 
 import pytest
 
@@ -12,7 +13,7 @@ from cornercase.clustering import analyze
 from cornercase.evidence import Estimate
 from cornercase.report import put_in_words, summarize, write_report
 from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
-from cornercase.report.words import name_cluster, name_criterion, name_range
+from cornercase.report.words import judge_clusters, name_cluster, name_criterion, name_range
 from cornercase.scenario import Parameter
 from cornercase.study import Study
 from synthetic import SPACE, about, explorer, opened
@@ -94,6 +95,47 @@ def test_a_page_is_written_of_a_study_and_of_a_path(path, tmp_path):
     one, two = (page.read_bytes() for page in pages)
     assert one == two
     assert [len(list(page.with_name("r-figures").glob("*.png"))) for page in pages] == [6, 6]
+
+
+def test_kinds_are_drawn_and_named(path, tmp_path):
+    kinds = summarize(path).analyses["distance"]
+    assert kinds.clustering.n_clusters > 1
+    page = write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
+    assert (tmp_path / "r-figures" / "examples-distance.png").exists()
+    for one in kinds.profiles:
+        assert one.name in unescape(page)
+        assert (f"scenario {one.example}</td>" in page) == (one.cluster >= 0)
+
+
+def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
+    with Study.open(path) as study:
+        # So wide a neighbourhood holds all.
+        analyze(study, "distance", gamma=0.25, eps=10.0, min_samples=3)
+        assert judge_clusters(summarize(study).analyses["distance"]) == (
+            "No separate kinds: by distance all scenarios are one group."
+        )
+        page = write_report(study, tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "No separate kinds: by distance" in page
+    assert [one.name for one in (tmp_path / "r-figures").glob("*-distance.png")] == ["criticality-distance.png"]
+
+
+@pytest.mark.parametrize(
+    ("tells", "words"),
+    [
+        (
+            {"outcome": 0.95, "stopped": 0.5, "first": 0.2},
+            "say most of outcome (0.95), and something of stopped (0.50).",
+        ),
+        ({"outcome": 0.3, "stopped": 0.0}, "say little of how scenarios end: they share at most 0.30 with it."),
+        ({"outcome": -0.01}, "say nothing of how scenarios end: they share at most 0.00 with it."),
+    ],
+)
+def test_what_kinds_tell_is_said_in_a_sentence(path, tells, words):
+    kinds = summarize(path).analyses["distance"]
+    assert judge_clusters(replace(kinds, tells=tells)) == f"The kinds by distance {words}"
+    assert "All scenarios end alike" in judge_clusters(replace(kinds, tells={}))
+    # Of a study of an early version.
+    assert judge_clusters(replace(kinds, tells={}, profiles=())) == ""
 
 
 def test_nothing_is_said_of_a_study_in_which_nothing_was_run(tmp_path):

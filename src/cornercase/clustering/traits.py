@@ -27,7 +27,7 @@ TRAITS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
         "mean speed": ("slower than {} m/s on average", "faster than {} m/s on average"),
         "first speed": ("begins slower than {} m/s", "begins faster than {} m/s"),
         "last speed": ("ends slower than {} m/s", "ends faster than {} m/s"),
-        "standing": ("stands shorter than {} s", "stands longer than {} s"),
+        "standing": ("stands less than {} s", "stands more than {} s"),
         "braking": ("brakes less than {} m/s²", "brakes more than {} m/s²"),
         "way": ("goes less than {} m", "goes more than {} m"),
         "duration": ("over before {} s", "over after {} s"),

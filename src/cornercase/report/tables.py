@@ -163,6 +163,10 @@ def tell_choices(found: Clustering) -> str:
         Empty where fewer than two numbers can be compared.
     """
 
+    def figure(value: float) -> str:
+        # One cluster is not apart from others.
+        return _UNKNOWN if math.isnan(value) else f"{value:.2f}"
+
     def chosen(one: Candidate) -> bool:
         return (one.gamma, one.eps) == (found.gamma, found.eps)
 
@@ -179,8 +183,7 @@ def tell_choices(found: Clustering) -> str:
         [
             [
                 f"{number}{' (chosen)' if chosen(one) else ''}", f"{one.gamma:.4g}", f"{one.eps:.4g}",
-                f"{one.noise:.1%}", f"{one.dbcv:.2f}", f"{one.silhouette:.2f}", f"{one.stability:.2f}",
-                f"{one.score:.2f}",
+                f"{one.noise:.1%}", figure(one.dbcv), figure(one.silhouette), figure(one.stability), figure(one.score),
             ]
             for number, one in sorted(best.items())
         ],
