@@ -47,16 +47,24 @@ def measure_convexity(points: FloatArray, members: BoolArray) -> float:
         return 1.0
     to_others = np.asarray(cKDTree(own).query(own, k=min(2 * dimensions, count - 1) + 1)[0])
     reach = float(np.quantile(to_others[:, -1], _REACH))
-    one, two = np.triu_indices(count, 1)
-    if len(one) > _PAIRS:
-        some = np.linspace(0, len(one) - 1, _PAIRS).astype(np.int64)
-        one, two = one[some], two[some]
+    one, two = _spread_pairs(count)
     tree = cKDTree(points)
     inside = 0
     for share in _ALONG:
         away, nearest = tree.query((1.0 - share) * own[one] + share * own[two])
         inside += int((members[nearest] & (away <= reach)).sum())
     return inside / (len(_ALONG) * len(one))
+
+
+def _spread_pairs(count: int) -> tuple[IntArray, IntArray]:
+    """Pairs of so many scenarios, evenly spread over all pairs in their order; all where there are few."""
+    pairs = count * (count - 1) // 2
+    some = np.linspace(0, pairs - 1, min(pairs, _PAIRS)).astype(np.int64)
+    rows = np.arange(count)
+    # How many pairs come before those of each scenario with later ones.
+    before = rows * (2 * count - rows - 1) // 2
+    one = np.searchsorted(before, some, side="right") - 1
+    return one, some - before[one] + one + 1
 
 
 def find_convex_parts(points: FloatArray, members: BoolArray) -> list[IntArray]:

@@ -10,12 +10,16 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.reduction.draws import DRAWS, draw_choices, nearest_of
+from cornercase.reduction.held_out import HeldOut
 from cornercase.reduction.medoids import choose_medoids
 
 
 @dataclass(frozen=True)
 class Coverage:
     """Distances from every scenario to the nearest kept one, in the unit of the distances.
+
+    All but `held_out` describe the kept scenarios among those that they were chosen from, so they say nothing of
+    others; `held_out` does.
 
     Attributes
     ----------
@@ -35,6 +39,8 @@ class Coverage:
     medoids_largest, medoids_mean : float
         The same figures of k-medoids of the same number: the choice that leaves the smallest mean. These and the two
         before are NaN in a study that an early version reduced.
+    held_out : HeldOut or None, default None
+        Of scenarios that did not choose; None where that was not measured.
     """
 
     kept: int
@@ -49,6 +55,7 @@ class Coverage:
     better_mean: float
     medoids_largest: float
     medoids_mean: float
+    held_out: HeldOut | None = None
 
 
 @dataclass(frozen=True, eq=False)

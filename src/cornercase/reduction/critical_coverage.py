@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence import CriticalSet, Estimate, encoded
 from cornercase.reduction.coverage import measure_gaps
+from cornercase.reduction.held_out import HeldOutCritical, HeldOutGaps, judge_critical
 from cornercase.scenario import ParameterSpace
 
 WITHIN: Final = 0.5
@@ -22,6 +23,9 @@ WITHIN: Final = 0.5
 @dataclass(frozen=True)
 class CriticalCoverage:
     """How well kept scenarios represent the critical ones, by one aspect.
+
+    The shares and distances describe the kept scenarios among those that they were chosen from; kept critical ones are
+    like themselves. `held_out` and `unlike` speak of others.
 
     Attributes
     ----------
@@ -40,6 +44,8 @@ class CriticalCoverage:
     unlike : Estimate or None
         Probability that a critical scenario drawn at random from the space is unlike every kept one; None where too
         little is known.
+    held_out : HeldOutCritical or None, default None
+        Shares of critical scenarios that did not choose; None where that was not measured.
     """
 
     within: float
@@ -52,6 +58,7 @@ class CriticalCoverage:
     medoids_largest: float | None
     medoids_mean: float | None
     unlike: Estimate | None
+    held_out: HeldOutCritical | None = None
 
 
 def measure_critical_coverage(
@@ -65,6 +72,7 @@ def measure_critical_coverage(
     *,
     seed: int = 0,
     critical_set: CriticalSet | None = None,
+    held_out: HeldOutGaps | None = None,
 ) -> CriticalCoverage:
     """Measure how well kept scenarios represent the critical ones.
 
@@ -88,6 +96,8 @@ def measure_critical_coverage(
         Of the random choices and of the draws of critical sets.
     critical_set : CriticalSet, optional
         Of the same points, scores, threshold and seed, where it is known already.
+    held_out : HeldOutGaps, optional
+        Of scenarios that did not choose, as `cornercase.reduction.held_out.measure_held_out_gaps` gives it.
 
     Returns
     -------
@@ -130,6 +140,7 @@ def measure_critical_coverage(
         medoids_largest=float(middle[critical].max()) if there else None,
         medoids_mean=float(middle[critical].mean()) if there else None,
         unlike=unlike,
+        held_out=judge_critical(held_out, critical, edge, within),
     )
 
 
@@ -156,9 +167,12 @@ def distance_alike(distances: FloatArray, labels: IntArray, share: float = WITHI
         `share` is not positive.
     """
     require_within(share)
-    one, two = np.triu_indices(len(labels), 1)
-    same = (labels[one] == labels[two]) & (labels[one] >= 0)
-    return share * float(np.median(distances[one, two][same if same.any() else ~same])) if len(one) else 0.0
+    # Row by row: all pairs and their indices would be several times as large as the distances.
+    within = [row[i + 1 :][labels[i + 1 :] == labels[i]] for i, row in enumerate(distances) if labels[i] >= 0]
+    if not any(map(len, within)):
+        within = [row[i + 1 :] for i, row in enumerate(distances)]
+    between = np.concatenate(within) if within else np.zeros(0)
+    return share * float(np.median(between, overwrite_input=True)) if len(between) else 0.0
 
 
 def require_within(share: float) -> None:

@@ -1,7 +1,8 @@
 """Random choices of scenarios, to compare other choices with.
 
-A choice that is made with regard to some random draws must not be graded against the same ones. So there are two
-streams of random numbers: one for choosing, one for grading.
+A choice that is made with regard to some random draws must not be graded against the same ones. So there are streams of
+random numbers of their own: for choosing, for grading, and for dividing scenarios into those that choose and those that
+grade.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ DRAWS: Final = 100
 """Number of random choices, unless another one is given."""
 
 # Keys of NumPy's `SeedSequence`: sequences of different keys are independent, also of different seeds.
-_KEYS: Final[dict[str, tuple[int, ...]]] = {"choosing": (), "grading": (1,)}
+_KEYS: Final[dict[str, tuple[int, ...]]] = {"choosing": (), "grading": (1,), "dividing": (2,)}
 
 
 def draw_choices(
@@ -54,19 +55,37 @@ def draw_choices(
     return np.array([rng.choice(count, size=size, replace=False) for _ in range(draws)], dtype=np.int64)
 
 
+def draw_order(count: int) -> IntArray:
+    """Draw an order of scenarios, to divide them by.
+
+    Parameters
+    ----------
+    count : int
+        Number of scenarios.
+
+    Returns
+    -------
+    ndarray of int64, shape (count,)
+        Indices.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=_KEYS["dividing"]))
+    return rng.permutation(count)
+
+
 def nearest_of(distances: FloatArray, choices: IntArray) -> FloatArray:
     """Distances from every scenario to the nearest one of each choice.
 
     Parameters
     ----------
-    distances : ndarray of float64, shape (n, n)
-        Between all scenarios, in any unit.
+    distances : ndarray of float64, shape (n, m)
+        From those that are chosen from to all scenarios, in any unit.
     choices : ndarray of int64, shape (draws, size)
         Indices of the scenarios of each choice.
 
     Returns
     -------
-    ndarray of float64, shape (draws, n)
+    ndarray of float64, shape (draws, m)
         In the unit of the distances.
     """
-    return np.array([distances[:, one].min(axis=1) for one in choices])
+    # Rows, as they lie together in memory: the matrix is symmetric.
+    return np.array([distances[one].min(axis=0) for one in choices])

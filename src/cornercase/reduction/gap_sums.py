@@ -11,6 +11,8 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.reduction.kept import ALIKE, Selection
 
+# Most scenarios for which all costs are in memory.
+_MOST_WHOLE: Final = 2000
 ROUNDS: Final = 3
 BLOCK: Final = 256
 
@@ -46,15 +48,29 @@ class GapSums:
     def __init__(
         self, distances: Sequence[FloatArray], critical: BoolArray, composition: Composition, size: int
     ) -> None:
-        n = len(critical)
-        near = min(-(-n // size), n - 1)
-        weights = np.where(critical, composition.critical, 1.0)
-        # A row for each candidate, a column for each scenario, with the scenario's weight.
-        self._costs = []
-        for k, matrix in enumerate(distances):
-            usual = float(np.partition(matrix, near, axis=1)[:, near].mean()) or 1.0
-            heavy = composition.first if k == 0 else 1.0
-            self._costs.append((matrix / usual) ** composition.power * (weights * heavy))
+        near = min(-(-len(critical) // size), len(critical) - 1)
+        self._weights = np.where(critical, composition.critical, 1.0)
+        self._power = composition.power
+        self._distances = distances
+        self._usual = [_usual(matrix, near) for matrix in distances]
+        self._heavy = [composition.first if k == 0 else 1.0 for k in range(len(distances))]
+        # All costs at once are as large as all distances.
+        self._whole = (
+            [self._costs(k, np.arange(len(critical))) for k in range(len(distances))]
+            if len(critical) <= _MOST_WHOLE
+            else None
+        )
+
+    def _costs(self, k: int, candidates: IntArray) -> FloatArray:
+        """Costs of some candidates in a clustering: a row for each, a column for each scenario, with its weight."""
+        costs: FloatArray = (self._distances[k][candidates] / self._usual[k]) ** self._power
+        costs *= self._weights * self._heavy[k]
+        return costs
+
+    def _rows(self, candidates: IntArray) -> list[FloatArray]:
+        if self._whole is not None:
+            return [costs[candidates] for costs in self._whole]
+        return [self._costs(k, candidates) for k in range(len(self._distances))]
 
     def left(self, kept: Sequence[int]) -> list[FloatArray]:
         """Return what each scenario adds to the sum.
@@ -69,7 +85,7 @@ class GapSums:
         list of ndarray of float64, each (n,)
             By clustering.
         """
-        return [costs[list(kept)].min(axis=0) for costs in self._costs]
+        return [costs.min(axis=0) for costs in self._rows(np.asarray(kept, dtype=np.int64))]
 
     def gains(self, left: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
         """Return by how much each candidate would lower the sum.
@@ -88,9 +104,8 @@ class GapSums:
         """
         gains = np.zeros(len(candidates))
         for first in range(0, len(candidates), BLOCK):
-            some = candidates[first : first + BLOCK]
-            for now, costs in zip(left, self._costs, strict=True):
-                gains[first : first + BLOCK] += np.maximum(now - costs[some], 0.0).sum(axis=1)
+            for now, costs in zip(left, self._rows(candidates[first : first + BLOCK]), strict=True):
+                gains[first : first + BLOCK] += np.maximum(now - costs, 0.0).sum(axis=1)
         return gains
 
     def added(self, kept: list[int], size: int, selection: Selection) -> list[int]:
@@ -115,7 +130,7 @@ class GapSums:
         """
         found: list[int] = []
         left = self.left(kept)
-        gap = selection.apart[kept].min(axis=0)
+        gap = selection.apart(kept).min(axis=0)
         queue = [(-gain, k) for k, gain in enumerate(self.gains(left, np.arange(len(gap))).tolist())]
         heapq.heapify(queue)
         while queue and len(kept) + len(found) < size:
@@ -127,11 +142,12 @@ class GapSums:
                 heapq.heappush(queue, (-gain, best))
                 continue
             found.append(best)
-            left = [np.minimum(now, costs[best]) for now, costs in zip(left, self._costs, strict=True)]
-            gap = np.minimum(gap, selection.apart[best])
+            rows = self._rows(np.array([best]))
+            left = [np.minimum(now, costs[0]) for now, costs in zip(left, rows, strict=True)]
+            gap = np.minimum(gap, selection.apart([best])[0])
         return found
 
-    def exchanged(self, kept: list[int], fixed: int, apart: FloatArray) -> list[int]:
+    def exchanged(self, kept: list[int], fixed: int, selection: Selection) -> list[int]:
         """Return as many scenarios, each but the first ones exchanged for another one where that lowers the sum.
 
         Parameters
@@ -140,8 +156,8 @@ class GapSums:
             Indices.
         fixed : int
             Number of the first ones that stay.
-        apart : ndarray of float64, shape (n, n)
-            As in `Selection`.
+        selection : Selection
+            Says what is alike.
 
         Returns
         -------
@@ -149,7 +165,8 @@ class GapSums:
             Indices, the fixed ones first.
         """
         kept = kept[:]
-        everyone = np.arange(len(apart))
+        everyone = np.arange(len(selection.gap))
+        apart = selection.apart(everyone)
         for _ in range(ROUNDS):
             before = kept[:]
             for j in range(fixed, len(kept)):
@@ -164,3 +181,9 @@ class GapSums:
             if kept == before:
                 break
         return kept
+
+
+def _usual(matrix: FloatArray, near: int) -> float:
+    """Mean distance of each scenario to its `near`-th neighbour, 1 where that is 0."""
+    blocks = [matrix[first : first + BLOCK] for first in range(0, len(matrix), BLOCK)]
+    return float(np.concatenate([np.partition(rows, near, axis=1)[:, near] for rows in blocks]).mean()) or 1.0

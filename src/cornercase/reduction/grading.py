@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from cornercase.evidence import CriticalSet
 from cornercase.exploration import Objective
 from cornercase.reduction.coverage import Coverage, measure_coverage
 from cornercase.reduction.critical_coverage import CriticalCoverage, distance_alike, measure_critical_coverage
+from cornercase.reduction.held_out import HeldOutGaps, Trial, judge, measure_held_out_gaps
 from cornercase.study import Row, Study
 
 
@@ -74,8 +75,32 @@ def read_ran(study: Study) -> Ran:
     return Ran(study, rows, scores, analyses, {name: read_distances(study, name) for name in analyses})
 
 
-def grade(ran: Ran, kept: Sequence[int]) -> dict[str, Coverage]:
-    """Measure how well kept scenarios represent all that were run.
+def hold_out(ran: Ran, trials: Sequence[Trial]) -> dict[str, HeldOutGaps | None]:
+    """Measure how far scenarios are from sets that they did not choose.
+
+    Parameters
+    ----------
+    ran : Ran
+        What was run and analysed.
+    trials : sequence of Trial
+        By id.
+
+    Returns
+    -------
+    dict of str to HeldOutGaps or None
+        By aspect; by row of the analysis.
+    """
+    return {
+        name: measure_held_out_gaps(
+            ran.distances[name],
+            [Trial(*(one.rows_of(each) for each in (t.chosen_from, t.kept, t.judging))) for t in trials],
+        )
+        for name, one in ran.analyses.items()
+    }
+
+
+def grade(ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | None]) -> dict[str, Coverage]:
+    """Measure how well kept scenarios represent others.
 
     Parameters
     ----------
@@ -83,6 +108,8 @@ def grade(ran: Ran, kept: Sequence[int]) -> dict[str, Coverage]:
         What was run and analysed.
     kept : sequence of int
         Ids.
+    held_out : mapping of str to HeldOutGaps or None
+        As `hold_out` gives it.
 
     Returns
     -------
@@ -93,11 +120,14 @@ def grade(ran: Ran, kept: Sequence[int]) -> dict[str, Coverage]:
     for name, one in ran.analyses.items():
         index = one.rows_of(list(kept))
         if len(index):
-            found[name] = measure_coverage(ran.distances[name], index, ids=one.ids)
+            whole = measure_coverage(ran.distances[name], index, ids=one.ids)
+            found[name] = replace(whole, held_out=judge(held_out[name]))
     return found
 
 
-def grade_critical(ran: Ran, kept: Sequence[int], within: float) -> dict[str, CriticalCoverage]:
+def grade_critical(
+    ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | None], within: float
+) -> dict[str, CriticalCoverage]:
     """Measure how well kept scenarios represent the critical ones.
 
     Parameters
@@ -106,6 +136,8 @@ def grade_critical(ran: Ran, kept: Sequence[int], within: float) -> dict[str, Cr
         What was run and analysed.
     kept : sequence of int
         Ids.
+    held_out : mapping of str to HeldOutGaps or None
+        As `hold_out` gives it.
     within : float
         Share of the median distance within clusters up to which two scenarios are alike.
 
@@ -134,6 +166,15 @@ def grade_critical(ran: Ran, kept: Sequence[int], within: float) -> dict[str, Cr
                 known[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
         alike = distance_alike(distances, one.labels, within)
         found[name] = measure_critical_coverage(
-            space, points, scores, threshold, distances, index, alike, seed=meta.seed, critical_set=known.get(ids)
+            space,
+            points,
+            scores,
+            threshold,
+            distances,
+            index,
+            alike,
+            seed=meta.seed,
+            critical_set=known.get(ids),
+            held_out=held_out[name],
         )
     return found

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import FloatArray, IntArray
 
 # Scenarios are alike within this share of the largest distance.
 ALIKE: Final = 1e-3
@@ -48,17 +48,16 @@ class Selection:
 
     Attributes
     ----------
-    apart : ndarray of float64, shape (n, n)
-        Largest distance in any clustering, as a share of that clustering's largest distance.
     gap : ndarray of float64, shape (n,)
-        By the same measure, from each scenario to the nearest kept one; infinite while none is kept.
+        By the measure of `apart`, from each scenario to the nearest kept one; infinite while none is kept.
     kept : list of Kept
         In the order in which they were chosen.
     """
 
     def __init__(self, distances: Sequence[FloatArray], size: int | None) -> None:
-        self.apart = np.max([matrix / max(matrix.max(), 1e-300) for matrix in distances], axis=0)
-        self.gap = np.full(len(self.apart), np.inf)
+        self._distances = distances
+        self._extents = [max(float(matrix.max()), 1e-300) for matrix in distances]
+        self.gap = np.full(len(distances[0]), np.inf)
         self.kept: list[Kept] = []
         self._size = size
 
@@ -66,6 +65,25 @@ class Selection:
     def indices(self) -> list[int]:
         """Indices of the kept scenarios."""
         return [one.index for one in self.kept]
+
+    def apart(self, indices: Sequence[int] | IntArray) -> FloatArray:
+        """Return how far apart some scenarios are from all others.
+
+        Rows are made as they are asked for: a matrix of all of them would be as large as that of a clustering.
+
+        Parameters
+        ----------
+        indices : sequence of int or ndarray of int64, length m
+            Which scenarios.
+
+        Returns
+        -------
+        ndarray of float64, shape (m, n)
+            Largest distance in any clustering, as a share of that clustering's largest distance.
+        """
+        rows = list(indices)
+        scaled = [matrix[rows] / extent for matrix, extent in zip(self._distances, self._extents, strict=True)]
+        return np.asarray(np.max(scaled, axis=0))
 
     def copy(self) -> Selection:
         """Copy the selection, to go on with both in different ways.
@@ -89,4 +107,4 @@ class Selection:
         """
         if self.gap[one.index] > ALIKE and (self._size is None or len(self.kept) < self._size):
             self.kept.append(one)
-            np.minimum(self.gap, self.apart[one.index], out=self.gap)
+            np.minimum(self.gap, self.apart([one.index])[0], out=self.gap)

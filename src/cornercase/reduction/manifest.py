@@ -5,15 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any, get_args
+from typing import Any, Final, get_args
 
 from cornercase.evidence import Estimate
 from cornercase.reduction.cluster_shapes import ClusterShape
 from cornercase.reduction.coverage import Coverage
 from cornercase.reduction.critical_coverage import CriticalCoverage
+from cornercase.reduction.held_out import HeldOut, HeldOutCritical
 from cornercase.reduction.kept import Role
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.study import Study, damage_told, made, require
+
+_GRADED: Final = (
+    "held_out: each fifth of the scenarios, or one fifth of many, judges a set that was chosen in the same way from the"
+    " other four, beside random choices and k-medoids of these; all other figures describe the kept scenarios among"
+    " those that they were chosen from"
+)
 
 
 def make_manifest(study: Study, reduced: ReducedSet) -> dict[str, Any]:
@@ -41,6 +48,7 @@ def make_manifest(study: Study, reduced: ReducedSet) -> dict[str, Any]:
         "by": reduced.by,
         "run": reduced.run,
         "kept": len(reduced.kept),
+        "graded": _GRADED,
         "scenarios": [_of_kept(one) for one in reduced.kept],
         "shapes": [_of_shape(one) for one in reduced.shapes],
         "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
@@ -147,9 +155,14 @@ def _shape(plain: Mapping[str, Any]) -> ClusterShape:
 
 def _coverage(plain: Mapping[str, Any]) -> Coverage:
     known: dict[str, Any] = {key: math.nan if value is None else value for key, value in plain.items()}
-    return made(Coverage, known)
+    held_out = plain["held_out"]
+    return made(Coverage, known | {"held_out": None if held_out is None else made(HeldOut, held_out)})
 
 
 def _critical(plain: Mapping[str, Any]) -> CriticalCoverage:
-    unlike = plain["unlike"]
-    return made(CriticalCoverage, {**plain, "unlike": None if unlike is None else made(Estimate, unlike)})
+    unlike, held_out = plain["unlike"], plain["held_out"]
+    nested = {
+        "unlike": None if unlike is None else made(Estimate, unlike),
+        "held_out": None if held_out is None else made(HeldOutCritical, held_out),
+    }
+    return made(CriticalCoverage, {**plain, **nested})

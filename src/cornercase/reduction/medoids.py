@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import heapq
+
 import numpy as np
 import numpy.typing as npt
 
@@ -45,7 +47,7 @@ def choose_medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
-        Between all scenarios, in any unit.
+        Between all scenarios, symmetric, in any unit.
     k : int
         1 to n.
     rounds : int, default 50
@@ -64,14 +66,21 @@ def choose_medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
     """
     chosen = [int(distances.sum(axis=1).argmin())]
     gap = distances[chosen[0]].copy()
+    # What a scenario gains can only fall as others are chosen, so it is computed again only for the largest of before.
+    gains = ((float(np.maximum(gap - row, 0.0).sum()), j) for j, row in enumerate(distances) if j != chosen[0])
+    queue = [(-gain, j) for gain, j in gains]
+    heapq.heapify(queue)
     while len(chosen) < k:
-        gain = np.maximum(gap[:, None] - distances, 0.0).sum(axis=0)
-        gain[chosen] = -1.0
-        chosen.append(int(gain.argmax()))
-        gap = np.minimum(gap, distances[chosen[-1]])
+        _, best = heapq.heappop(queue)
+        gain = float(np.maximum(gap - distances[best], 0.0).sum())
+        if queue and (-gain, best) > queue[0]:
+            heapq.heappush(queue, (-gain, best))
+            continue
+        chosen.append(best)
+        gap = np.minimum(gap, distances[best])
     found = np.array(chosen, dtype=np.int64)
     for _ in range(rounds):
-        nearest = distances[:, found].argmin(axis=1)
+        nearest = distances[found].argmin(axis=0)
         nearest[found] = np.arange(k)
         middles = [find_prototype(distances, np.flatnonzero(nearest == j)) for j in range(k)]
         if np.array_equal(middles, found):

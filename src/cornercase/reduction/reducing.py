@@ -13,21 +13,17 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import portable_name, require_folder, written_whole
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, read_analysis
-from cornercase.reduction.cluster_selection import PER_KEPT, choose_by_cluster
-from cornercase.reduction.cluster_shapes import (
-    ArchetypeMethod,
-    ShapedCluster,
-    find_shapes,
-    require_archetype_method,
-)
+from cornercase.reduction.choosing import Material, Wish, choose, try_choice
+from cornercase.reduction.cluster_selection import PER_KEPT
+from cornercase.reduction.cluster_shapes import ArchetypeMethod, require_archetype_method
 from cornercase.reduction.critical_clusters import find_critical_clusters
 from cornercase.reduction.critical_coverage import WITHIN, require_within
-from cornercase.reduction.grading import Ran, grade, grade_critical, read_ran
+from cornercase.reduction.grading import Ran, grade, grade_critical, hold_out, read_ran
+from cornercase.reduction.held_out import Trial
 from cornercase.reduction.hulls import find_hull
 from cornercase.reduction.kept import Kept
 from cornercase.reduction.manifest import make_manifest, save_reduction
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
-from cornercase.reduction.selection import choose_scenarios
 from cornercase.scenario import Scenario, find_scenario, with_roads, write_concrete
 from cornercase.study import IMPORTED, Study, damage_told, open_study
 
@@ -119,27 +115,18 @@ def reduce(
         # Looked at before anything is written or takes time.
         explored = _explored_scenario(opened, scenario)
         ran = read_ran(opened)
-        points = ran.points(analysis)
-        shaped = find_shapes(points, analysis.labels, analysis.clustering.embedding, archetypes_by)
-        if archetypes is not None:
-            kept = choose_by_cluster(
-                points, ran.distances[analysis.by], analysis.labels, archetypes=archetypes, shaped=shaped
-            )
-        else:
-            if share is not None:
-                size = max(1, round(share * len(ran.rows)))
-            elif size is None and cover is None:
-                size = max(1, round(len(points) / PER_KEPT))
-            kept = choose_scenarios(
-                points,
-                _compared(ran, analysis),
-                analysis.labels,
-                find_critical_clusters(opened, analysis),
-                size=size,
-                cover=cover,
-                shaped=shaped,
-            )
-        reduced = _described(ran, analysis, kept, shaped, within)
+        if share is not None:
+            size = max(1, round(share * len(ran.rows)))
+        elif size is None and cover is None and archetypes is None:
+            size = max(1, round(len(analysis.ids) / PER_KEPT))
+        material = Material(
+            ran.points(analysis),
+            _compared(ran, analysis),
+            analysis.labels,
+            analysis.clustering.embedding,
+            find_critical_clusters(opened, analysis),
+        )
+        reduced = _described(ran, analysis, material, Wish(size, cover, archetypes, archetypes_by), within)
         _write(opened, explored, reduced, folder)
         save_reduction(opened, reduced)
         opened.add_elapsed("reduce", time.monotonic() - begun)
@@ -179,14 +166,17 @@ def _compared(ran: Ran, analysis: Analysis) -> list[FloatArray]:
     return [ran.distances[analysis.by], *others]
 
 
-def _described(
-    ran: Ran, analysis: Analysis, kept: Sequence[Kept], shaped: Sequence[ShapedCluster], within: float
-) -> ReducedSet:
-    """Say of the kept scenarios what they are, and what they leave out."""
+def _described(ran: Ran, analysis: Analysis, material: Material, wish: Wish, within: float) -> ReducedSet:
+    """Choose scenarios, and say of them what they are, and what they leave out."""
+    kept, shaped = choose(material, wish)
     ids = analysis.ids.tolist()
     kept_ids = [ids[one.index] for one in kept]
     methods = {one.shape.cluster: one.shape.method for one in shaped}
-    points = ran.points(analysis)
+    trials = [
+        Trial(*(analysis.ids[rows] for rows in (one.chosen_from, one.kept, one.judging)))
+        for one in try_choice(material, wish)
+    ]
+    held_out = hold_out(ran, trials)
     return ReducedSet(
         by=analysis.by,
         run=len(ran.rows),
@@ -195,9 +185,9 @@ def _described(
             for one in kept
         ),
         shapes=tuple(one.shape for one in shaped),
-        coverage=grade(ran, kept_ids),
-        critical=grade_critical(ran, kept_ids, within),
-        hulls={one.shape.cluster: _facets(points, one.parts, ids) for one in shaped},
+        coverage=grade(ran, kept_ids, held_out),
+        critical=grade_critical(ran, kept_ids, held_out, within),
+        hulls={one.shape.cluster: _facets(material.points, one.parts, ids) for one in shaped},
     )
 
 

@@ -159,5 +159,5 @@ class _Task:
         for index in sums.added(chosen.indices, self.size, chosen):
             chosen.keep(Kept(index, int(self.labels[index]), "gap"))
         if len(self.labels) <= _MOST_EXCHANGED:
-            indices = sums.exchanged(chosen.indices, fixed, chosen.apart)
+            indices = sums.exchanged(chosen.indices, fixed, chosen)
             chosen.kept[fixed:] = [Kept(index, int(self.labels[index]), "gap") for index in indices[fixed:]]

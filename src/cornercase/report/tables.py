@@ -8,7 +8,7 @@ from html import escape
 from typing import Final
 
 from cornercase.clustering import Candidate, Clustering, Profile
-from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage
+from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOutCritical
 from cornercase.report.words import name_cluster
 from cornercase.scenario import Value
 
@@ -217,7 +217,7 @@ def tell_shapes(shapes: Sequence[ClusterShape]) -> str:
 
 
 def tell_coverage(coverage: Mapping[str, Coverage]) -> str:
-    """Tell what the kept scenarios leave out, beside random ones and k-medoids.
+    """Tell what the kept scenarios leave out of those that were run.
 
     Parameters
     ----------
@@ -229,27 +229,42 @@ def tell_coverage(coverage: Mapping[str, Coverage]) -> str:
     str
         HTML.
     """
-
-    def times(share: float) -> str:
-        return _UNKNOWN if math.isnan(share) else f"{100 * share:.0f} of 100"
-
-    def distance(value: float) -> str:
-        return _UNKNOWN if math.isnan(value) else f"{value:.4g}"
-
     return make_table(
+        ["compared by", "largest distance", "of all", "mean distance", "of all"],
         [
-            "compared by", "largest distance", "of all", "better than random", "k-medoids", "mean distance", "of all",
-            "better than random", "k-medoids",
-        ],
-        [
-            [
-                name, distance(one.largest), f"{one.largest_relative:.1%}", times(one.better_largest),
-                distance(one.medoids_largest), distance(one.mean), f"{one.mean_relative:.1%}", times(one.better_mean),
-                distance(one.medoids_mean),
-            ]
+            [name, f"{one.largest:.4g}", f"{one.largest_relative:.1%}", f"{one.mean:.4g}", f"{one.mean_relative:.1%}"]
             for name, one in coverage.items()
         ],
-    )  # fmt: skip
+    )
+
+
+def tell_held_out(coverage: Mapping[str, Coverage]) -> str:
+    """Tell what sets leave out of scenarios that did not choose them, beside random ones and k-medoids.
+
+    Parameters
+    ----------
+    coverage : mapping of str to Coverage
+        By aspect.
+
+    Returns
+    -------
+    str
+        HTML; empty where that was not measured.
+    """
+    rows = [
+        [
+            name, str(one.scenarios), f"{one.largest:.4g}", f"{100 * one.better_largest:.0f} of 100",
+            f"{one.medoids_largest:.4g}", f"{one.mean:.4g}", f"{100 * one.better_mean:.0f} of 100",
+            f"{one.medoids_mean:.4g}",
+        ]
+        for name, each in coverage.items()
+        if (one := each.held_out) is not None
+    ]  # fmt: skip
+    head = [
+        "compared by", "held out", "largest distance", "better than random", "k-medoids", "mean distance",
+        "better than random", "k-medoids",
+    ]  # fmt: skip
+    return make_table(head, rows) if rows else ""
 
 
 def tell_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
@@ -269,15 +284,20 @@ def tell_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
     def share(value: float | None) -> str:
         return _UNKNOWN if value is None else f"{value:.0%}"
 
+    def held_out(one: HeldOutCritical | None) -> list[str]:
+        if one is None:
+            return [_UNKNOWN] * 5
+        return [str(one.scenarios), *map(share, (one.critical, one.random, one.medoids, one.boundary))]
+
     return make_table(
         [
-            "compared by", "alike up to", "critical ones like a kept one", "random", "k-medoids", "on the boundary",
-            "a critical one of the space is unlike all kept", "90 % interval",
+            "compared by", "alike up to", "critical ones like a kept one", "held out", "like a kept one", "random",
+            "k-medoids", "on the boundary", "a critical one of the space is unlike all kept", "90 % interval",
         ],
         [
             [
-                name, f"{one.within:.3g}", share(one.critical), share(one.random), share(one.medoids),
-                share(one.boundary), share(one.unlike.value if one.unlike else None),
+                name, f"{one.within:.3g}", share(one.critical), *held_out(one.held_out),
+                share(one.unlike.value if one.unlike else None),
                 f"{one.unlike.low:.0%} to {one.unlike.high:.0%}" if one.unlike else _UNKNOWN,
             ]
             for name, one in critical.items()

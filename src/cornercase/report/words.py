@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from cornercase.clustering import EVERYWHERE, Analysis, Profile, Rule
 from cornercase.evidence import Estimate, Sensitivity
-from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, ReducedSet
+from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOut, HeldOutCritical, ReducedSet
 from cornercase.report.knowledge import CriticalKnowledge, Knowledge
 from cornercase.report.summary import MetricSummary, Summary
 from cornercase.scenario import Parameter
@@ -22,6 +22,12 @@ _SAYS_NOTHING, _SAYS_SOMETHING, _SAYS_MOST = 0.1, 0.4, 0.8
 _COVERAGE: Final = {
     "largest": "largest distance to a kept one",
     "mean": "mean distance",
+    "held_out": "held out",
+}
+_HELD_OUT: Final = {
+    "scenarios": "scenarios",
+    "largest": "largest distance to a kept one",
+    "mean": "mean distance",
     "better_largest": "random subsets with a larger largest one",
     "better_mean": "random subsets with a larger mean",
     "medoids_largest": "largest one of k-medoids",
@@ -30,10 +36,16 @@ _COVERAGE: Final = {
 _CRITICAL: Final = {
     "within": "alike up to a distance of",
     "critical": "like a kept one",
+    "boundary": "on the boundary, like a kept one",
+    "held_out": "held out",
+    "unlike": "one of the space is unlike all kept",
+}
+_HELD_OUT_CRITICAL: Final = {
+    "scenarios": "critical scenarios",
+    "critical": "like a kept one",
     "random": "like one of a random subset",
     "medoids": "like one of k-medoids",
     "boundary": "on the boundary, like a kept one",
-    "unlike": "one of the space is unlike all kept",
 }
 
 
@@ -289,12 +301,17 @@ def _shape(one: ClusterShape) -> dict[str, Any]:
     }
 
 
-def _labelled(found: Coverage | CriticalCoverage, labels: Mapping[str, str]) -> dict[str, Any]:
+def _labelled(
+    found: Coverage | CriticalCoverage | HeldOut | HeldOutCritical, labels: Mapping[str, str]
+) -> dict[str, Any]:
     """Figures by their label; without those that are not known."""
     plain: dict[str, Any] = {}
     for key, label in labels.items():
         value = getattr(found, key)
         # An early version did not measure all of them.
-        if value is not None and not (isinstance(value, float) and math.isnan(value)):
-            plain[label] = asdict(value) if isinstance(value, Estimate) else value
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            continue
+        if isinstance(value, HeldOut | HeldOutCritical):
+            value = _labelled(value, _HELD_OUT if isinstance(value, HeldOut) else _HELD_OUT_CRITICAL)
+        plain[label] = asdict(value) if isinstance(value, Estimate) else value
     return plain

@@ -189,8 +189,10 @@ def _judged_analysis(name: str, info: dict[str, Any]) -> dict[str, Any]:
 
 
 def _judged_reduction(info: dict[str, Any]) -> dict[str, Any]:
-    """Facts of a reduction, with what version 2 did not measure."""
-    return info
+    """Facts of a reduction, without what scenarios that did not choose it say of it."""
+    without = {"held_out": None}
+    graded = {key: {name: one and without | one for name, one in info[key].items()} for key in ("coverage", "critical")}
+    return info | graded
 
 
 _STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1, 2: _from_2}

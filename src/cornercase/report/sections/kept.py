@@ -80,20 +80,28 @@ def _show_left_out(data: ReportData, album: Album, reduced: ReducedSet) -> Itera
     yield album.add(
         draw_coverage(curves, [data.summary.analyses[name].unit for name in curves]),
         "coverage",
-        "Share of all scenarios, and of the critical ones, whose nearest kept one is at most so far away by Dynamic"
-        " Time Warping; beside it k-medoids, and the range that 90 of 100 random choices of as many leave.",
+        "Share of all scenarios that were run, and of the critical ones, whose nearest kept one is at most so far away"
+        " by Dynamic Time Warping; beside it k-medoids, and the range that 90 of 100 random choices of as many leave."
+        " The kept ones and k-medoids were chosen from these scenarios.",
     )
     yield tables.tell_coverage(reduced.coverage)
     yield (
         "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"
-        " distance between any two; than how many of 100 random subsets of the same size that is better, subsets that"
-        " the choice was not made with; and k-medoids of the same size, which leave a small mean in that one"
-        " clustering.</p>"
+        " distance between any two. The kept ones were chosen to make these small.</p>"
     )
+    if judged := tables.tell_held_out(reduced.coverage):
+        yield judged
+        yield (
+            "<p>What chose a set does not grade it: the same of scenarios that were held out, each fifth of them (one"
+            " fifth where there are many) from a set that was chosen in the same way from the other four; than how many"
+            " of 100 random subsets of these four that is better; and k-medoids of these four, which leave a small mean"
+            " in that one clustering.</p>"
+        )
     if reduced.critical:
         yield tables.tell_critical_coverage(reduced.critical)
         yield (
-            "<p>Two scenarios are alike where they are closer than a share of what is usual in a cluster. A critical"
-            " scenario is on the boundary where one of its neighbours in the parameter space is not critical. The last"
-            " two columns predict scenarios that were not run, by Gaussian processes.</p>"
+            "<p>Two scenarios are alike where they are closer than a share of what is usual in a cluster. Held out:"
+            " critical scenarios that did not choose the set, as above. A critical scenario is on the boundary where"
+            " one of its neighbours in the parameter space is not critical. The last two columns predict scenarios that"
+            " were not run, by Gaussian processes.</p>"
         )

@@ -1,0 +1,138 @@
+"""The choice of a reduced set, made the same way of all scenarios or of a part of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.reduction.cluster_selection import choose_by_cluster
+from cornercase.reduction.cluster_shapes import ArchetypeMethod, ShapedCluster, find_shapes
+from cornercase.reduction.held_out import Trial, divide
+from cornercase.reduction.kept import Kept
+from cornercase.reduction.selection import choose_scenarios
+
+
+@dataclass(frozen=True)
+class Wish:
+    """How many scenarios are to be kept, and of what kind; one of the first three is given.
+
+    Attributes
+    ----------
+    size : int or None
+        Number of scenarios.
+    cover : float or None
+        Largest distance that is left, as a share of the largest one.
+    archetypes : int, "auto" or None
+        Archetypes of each cluster, beside its prototype.
+    archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}
+        How they are found.
+    """
+
+    size: int | None
+    cover: float | None
+    archetypes: int | Literal["auto"] | None
+    archetypes_by: ArchetypeMethod
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """Scenarios to choose from.
+
+    Attributes
+    ----------
+    points : ndarray of float64, shape (n, d)
+        Parameters in the unit cube.
+    distances : sequence of ndarray of float64, each (n, n)
+        Of all clusterings; the first is that of `labels`.
+    labels : ndarray of int64, shape (n,)
+        -1 is noise.
+    embedding : ndarray of float64, shape (n, e)
+        Kernel space of the clustering.
+    critical : sequence of int
+        Critical clusters.
+    """
+
+    points: FloatArray
+    distances: Sequence[FloatArray]
+    labels: IntArray
+    embedding: FloatArray
+    critical: Sequence[int]
+
+    def part(self, rows: IntArray) -> Material:
+        """Return a part of the scenarios.
+
+        Parameters
+        ----------
+        rows : ndarray of int64, shape (m,)
+            Indices.
+
+        Returns
+        -------
+        Material
+            The clusters are those of all.
+        """
+        return Material(
+            self.points[rows],
+            [matrix[np.ix_(rows, rows)] for matrix in self.distances],
+            self.labels[rows],
+            self.embedding[rows],
+            self.critical,
+        )
+
+
+def choose(material: Material, wish: Wish) -> tuple[tuple[Kept, ...], tuple[ShapedCluster, ...]]:
+    """Choose scenarios.
+
+    Parameters
+    ----------
+    material : Material
+        The scenarios.
+    wish : Wish
+        How many, and of what kind.
+
+    Returns
+    -------
+    kept : tuple of Kept
+        In the order in which they were chosen.
+    shaped : tuple of ShapedCluster
+        How archetypes were found for each cluster.
+    """
+    points, labels = material.points, material.labels
+    shaped = find_shapes(points, labels, material.embedding, wish.archetypes_by)
+    if wish.archetypes is not None:
+        kept = choose_by_cluster(points, material.distances[0], labels, archetypes=wish.archetypes, shaped=shaped)
+    else:
+        kept = choose_scenarios(
+            points, material.distances, labels, material.critical, size=wish.size, cover=wish.cover, shaped=shaped
+        )
+    return kept, shaped
+
+
+def try_choice(material: Material, wish: Wish) -> list[Trial]:
+    """Choose in the same way from parts of the scenarios, for the others to judge.
+
+    The clusters stay those of all scenarios: that the others had a part in finding them is not left out.
+
+    Parameters
+    ----------
+    material : Material
+        The scenarios.
+    wish : Wish
+        How many, and of what kind.
+
+    Returns
+    -------
+    list of Trial
+        By index; as many as `cornercase.reduction.held_out.divide` gives parts.
+    """
+    everyone = np.arange(len(material.labels))
+    trials = []
+    for judging in divide(len(everyone)):
+        rows = np.setdiff1d(everyone, judging)
+        kept, _ = choose(material.part(rows), wish)
+        trials.append(Trial(rows, rows[[one.index for one in kept]], judging))
+    return trials

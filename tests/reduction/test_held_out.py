@@ -1,0 +1,109 @@
+"""What is said of a reduced set holds for scenarios that did not choose it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from cornercase.reduction.choosing import Material, Wish, choose, try_choice
+from cornercase.reduction.coverage import measure_coverage
+from cornercase.reduction.draws import draw_choices, nearest_of
+from cornercase.reduction.held_out import divide, judge, judge_critical, measure_held_out_gaps
+
+TWENTY = Wish(20, None, None, "auto")
+
+
+def drawn(count, rng):
+    """Scenarios of two kinds, and three odd ones."""
+    half = (count - 3) // 2
+    points = np.concatenate([0.3 * rng.random((half, 3)), 0.7 + 0.3 * rng.random((half, 3)), rng.random((3, 3))])
+    return points, np.repeat([0, 1, -1], [half, half, 3])
+
+
+def material(count, rng):
+    points, labels = drawn(count, rng)
+    return Material(points, [cdist(points, points)], labels, points, ())
+
+
+@pytest.mark.parametrize("count", [0, 9, 10, 57, 600, 601, 3000])
+def test_each_scenario_judges_once_and_chooses_nothing_that_it_judges(count):
+    parts = divide(count)
+    assert len(parts) == (0 if count < 10 else 5 if count <= 600 else 1)
+    judging = np.concatenate(parts) if parts else np.zeros(0)
+    assert len(np.unique(judging)) == len(judging) == (0 if count < 10 else count if count <= 600 else -(-count // 5))
+    found = material(57, np.random.default_rng(0))
+    for trial in try_choice(found, TWENTY):
+        assert not set(trial.judging.tolist()) & set(trial.chosen_from.tolist())
+        assert set(trial.kept.tolist()) <= set(trial.chosen_from.tolist())
+        assert len(trial.kept) == 20
+
+
+def test_what_is_said_of_others_is_what_further_scenarios_find():
+    told, alike, further = [], [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        found = material(203, rng)
+        kept = [one.index for one in choose(found, TWENTY)[0]]
+        others, _ = drawn(2003, rng)
+        held_out = judge(measure_held_out_gaps(found.distances[0], try_choice(found, TWENTY)))
+        assert held_out is not None
+        told.append(held_out.mean)
+        alike.append(measure_coverage(found.distances[0], kept).mean)
+        further.append(cdist(others, found.points[kept]).min(axis=1).mean())
+    # The others' sets come from four fifths, so they leave a little more.
+    assert 1.0 <= np.mean(told) / np.mean(further) < 1.1
+    # Of those that chose it a set leaves less, which is said of these alone.
+    assert np.mean(alike) / np.mean(further) < 0.9
+
+
+def test_a_set_leaves_less_of_further_scenarios_than_random_choices_do_in_the_mean():
+    for seed in range(5):
+        rng = np.random.default_rng(100 + seed)
+        found = material(303, rng)
+        kept = [one.index for one in choose(found, Wish(30, None, None, "auto"))[0]]
+        others, _ = drawn(2003, rng)
+        away = cdist(found.points, others)
+        random = nearest_of(away, draw_choices(303, 30, stream="grading", draws=200, seed=seed)).mean(axis=1)
+        # Not the largest: what is odd among further scenarios, no choice can know.
+        assert (random > away[kept].min(axis=0).mean()).mean() >= 0.9
+
+
+def test_critical_scenarios_are_like_a_kept_one_as_often_as_is_said_of_others():
+    told, itself, further = [], [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        found = material(203, rng)
+        distances, points = found.distances[0], found.points
+        kept = np.array([one.index for one in choose(found, TWENTY)[0]])
+        gaps = measure_held_out_gaps(distances, try_choice(found, TWENTY))
+        critical = points.sum(axis=1) <= 0.4
+        found_so = judge_critical(gaps, critical, critical, 0.08)
+        others, _ = drawn(4003, rng)
+        others = others[others.sum(axis=1) <= 0.4]
+        assert found_so is not None
+        assert found_so.scenarios == critical.sum()
+        told.append(found_so.critical)
+        itself.append((distances[critical][:, kept].min(axis=1) <= 0.08).mean())
+        further.append((cdist(others, points[kept]).min(axis=1) <= 0.08).mean())
+    assert np.mean(told) == pytest.approx(np.mean(further), abs=0.1)
+    # A kept scenario is like itself.
+    assert np.mean(itself) > np.mean(further) + 0.1
+
+
+def test_a_few_scenarios_are_judged_by_nobody():
+    few = material(9, np.random.default_rng(0))
+    assert measure_held_out_gaps(few.distances[0], try_choice(few, Wish(3, None, None, "auto"))) is None
+    assert judge(None) is None
+
+
+def test_the_same_scenarios_are_judged_the_same_each_time():
+    found = material(61, np.random.default_rng(3))
+    for wish in (TWENTY, Wish(None, 0.3, None, "auto"), Wish(None, None, 4, "hull")):
+        first, second = (judge(measure_held_out_gaps(found.distances[0], try_choice(found, wish))) for _ in range(2))
+        assert first is not None
+        assert second is not None
+        assert asdict(first) == asdict(second)
+        assert first.scenarios == 61
