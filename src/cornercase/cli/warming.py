@@ -10,9 +10,12 @@ from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from cornercase.cli.options import app, out
+
+if TYPE_CHECKING:
+    from cornercase.recordings import Recording
 
 # What is compiled depends neither on how many scenarios there are nor on how long they take.
 _SCENARIOS, _SECONDS = 12, 3.0
@@ -86,6 +89,8 @@ def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     # Two groups, far apart: so few scenarios of an example need not have any that could be judged.
     along = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
     yield "clustering", partial(clustering.cluster, np.abs(np.subtract.outer(along, along)))
+    # So short runs do not come to a crossing.
+    yield "clustering", partial(clustering.find_outcome, _crossing(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_SECONDS)
     for one in drivers.DRIVERS.names():
         yield "drivers", partial(simulate, drivers={"Ego": one})
@@ -101,3 +106,26 @@ def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
                 return
 
         yield "optimizers", explore
+
+
+def _crossing() -> Recording:
+    """Two cars, of which the one crosses the way of the other."""
+    import numpy as np
+
+    from cornercase import recordings
+
+    time = np.arange(20.0)
+    along, still = time - 10.0, np.zeros((2, len(time)))
+    return recordings.Recording(
+        time=time,
+        names=("Ego", "Other"),
+        kinds=("car", "car"),
+        x=np.stack([2.0 * along, still[0]]),
+        y=np.stack([still[0], 2.0 * along - 9.0]),
+        heading=np.stack([still[0], still[0] + 0.5 * np.pi]),
+        speed=still + 2.0,
+        acceleration=still,
+        length=np.full(2, 4.0),
+        width=np.full(2, 2.0),
+        center_x=np.zeros(2),
+    )

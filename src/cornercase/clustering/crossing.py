@@ -72,7 +72,7 @@ class Way:
         at, time, poses = at[kept], time[kept], poses[:, kept]
         size = np.array([recording.length[i], recording.width[i]], dtype=np.float64)
         time, poses = _filled(time, poses, _CLOSE * float(size.min()))
-        return cls(time, poses, size, float(recording.time[-1]))
+        return cls(time, np.ascontiguousarray(poses), size, float(recording.time[-1]))
 
     def carried_on(self) -> Way:
         """Let it go straight on for 20 m after the end of the recording.
@@ -137,7 +137,8 @@ def find_crossing(one: Way, other: Way) -> Crossing | None:
         i, j = np.nonzero(places == k)
         mine = np.zeros_like(meets)
         mine[i + rows[0], j + columns[0]] = True
-        found.append(Crossing(*_stay(one, other, mine), *_stay(other, one, mine.T)))
+        # Compiled code is made for each layout of arrays.
+        found.append(Crossing(*_stay(one, other, mine), *_stay(other, one, np.ascontiguousarray(mine.T))))
     return min(found, key=lambda place: min(place.enters, place.other_enters))
 
 
