@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -14,6 +15,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Scope, Value
 from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
 from cornercase.simulators.builtin.entities import read_entities
+from cornercase.simulators.builtin.frames.recorded import motion_of
 from cornercase.simulators.builtin.frames.scene import CENTER_X, LENGTH, WIDTH
 from cornercase.simulators.builtin.openscenario import refuse_unusable
 from cornercase.simulators.builtin.paths.positions import entities_in
@@ -113,38 +115,62 @@ class Batch:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             self._stepper.run()
 
-    def result(self, i: int) -> Recording | SimulationError:
-        """Give what came out of one scenario, once the batch has run."""
-        world, scene = self._world, self._stepper.scene
-        if i in world.errors:
-            return SimulationError(world.errors[i])
-        instants = int(scene.frames[i])
-        motion = np.ascontiguousarray(scene.motion[i, :instants].transpose(1, 2, 0))
-        if not np.isfinite(motion[0]).any():
-            return SimulationError("no entity is ever placed on the map")
-        x, y, heading, speed, acceleration = motion
-        return Recording(
-            time=np.arange(instants) * self._time_step,
-            names=tuple(world.names),
-            kinds=tuple(entity.kind for entity in world.entities),
-            x=x,
-            y=y,
-            heading=heading,
-            speed=speed,
-            acceleration=acceleration,
-            length=scene.boxes[:, LENGTH].copy(),
-            width=scene.boxes[:, WIDTH].copy(),
-            center_x=scene.boxes[:, CENTER_X].copy(),
-            collisions=self._collisions(i),
-        )
+    def results(self, chosen: Sequence[int]) -> list[Recording | SimulationError]:
+        """Give what came out of some scenarios, once the batch has run.
 
-    def _collisions(self, i: int) -> tuple[Collision, ...]:
-        """Who collided in one scenario, in order of time."""
-        begun, names = self._stepper.scene.collided[i], self._world.names
-        # Most scenarios have none.
-        happened = ~np.isnan(begun)
-        found = [(float(begun[a, b]), a, b) for a, b in np.argwhere(happened).tolist()] if happened.any() else []
-        return tuple(Collision(time, (names[a], names[b])) for time, a, b in sorted(found))
+        Parameters
+        ----------
+        chosen : sequence of int
+
+        Returns
+        -------
+        list of Recording or SimulationError
+            Each with memory of its own.
+        """
+        world, scene = self._world, self._stepper.scene
+        motion, placed = motion_of(scene, np.array(chosen, dtype=np.int64))
+        names, kinds = tuple(world.names), tuple(entity.kind for entity in world.entities)
+        result: list[Recording | SimulationError] = []
+        for i, (x, y, heading, speed, acceleration), there in zip(chosen, motion, placed.tolist(), strict=True):
+            if i in world.errors:
+                result.append(SimulationError(world.errors[i]))
+                continue
+            if not there:
+                result.append(SimulationError("no entity is ever placed on the map"))
+                continue
+            result.append(
+                Recording(
+                    time=np.arange(x.shape[1]) * self._time_step,
+                    names=names,
+                    kinds=kinds,
+                    x=x,
+                    y=y,
+                    heading=heading,
+                    speed=speed,
+                    acceleration=acceleration,
+                    length=scene.boxes[:, LENGTH].copy(),
+                    width=scene.boxes[:, WIDTH].copy(),
+                    center_x=scene.boxes[:, CENTER_X].copy(),
+                    collisions=self._collisions.get(i, ()),
+                )
+            )
+        return result
+
+    def bytes_of(self, i: int) -> int:
+        """Say how much memory the recording of a scenario takes, once the batch has run."""
+        scene = self._stepper.scene
+        return int(scene.frames[i]) * scene.pages[0, :, :, 0].nbytes
+
+    @cached_property
+    def _collisions(self) -> dict[int, tuple[Collision, ...]]:
+        """Who collided, in order of time, in scenarios with collisions."""
+        begun, names = self._stepper.scene.collided, self._world.names
+        found: dict[int, list[tuple[float, int, int]]] = {}
+        for i, a, b in np.argwhere(~np.isnan(begun)).tolist():
+            found.setdefault(i, []).append((float(begun[i, a, b]), a, b))
+        return {
+            i: tuple(Collision(time, (names[a], names[b])) for time, a, b in sorted(each)) for i, each in found.items()
+        }
 
 
 def _held(value: Any, scenarios: int) -> Any:

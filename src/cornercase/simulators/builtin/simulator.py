@@ -19,6 +19,8 @@ from cornercase.simulators.builtin.prepared import PreparedScenario
 # A batch keeps the whole motion of its scenarios; so many bytes at most, and so many scenarios.
 _MOST_BYTES = 400_000_000
 _LARGEST_BATCH = 4096
+# Recordings are made so many bytes at once.
+_MOST_RECORDED = 4_000_000
 
 
 class BuiltinSimulator(Simulator):
@@ -139,7 +141,7 @@ class BuiltinSimulator(Simulator):
             yield concretes[begin:]
 
     def _run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        ran: dict[int, tuple[Batch, int] | SimulationError] = {}
+        ran: dict[int, _Ran] = {}
         files: dict[tuple[Path, Scenario | None], list[int]] = {}
         for i, concrete in enumerate(concretes):
             files.setdefault((concrete.path, concrete.source), []).append(i)
@@ -151,10 +153,8 @@ class BuiltinSimulator(Simulator):
             ran.update((i, SimulationError(words)) for i, words in wrong.items())
             for group in _groups(prepared, concretes, [i for i in chosen if i not in wrong]):
                 self._run_group(prepared, concretes, group, ran)
-        # Recordings are made one by one, so that only those that the caller keeps take memory.
-        for i in range(len(concretes)):
-            found = ran.pop(i)
-            yield found if isinstance(found, SimulationError) else found[0].result(found[1])
+        for begin, end in _portions_of_results(ran):
+            yield from _results([ran.pop(i) for i in range(begin, end)])
 
     def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
         """Prepared file of a concrete scenario: that of the last run, if its content is the same."""
@@ -178,7 +178,7 @@ class BuiltinSimulator(Simulator):
         prepared: PreparedScenario,
         concretes: Sequence[ConcreteScenario],
         chosen: list[int],
-        ran: dict[int, tuple[Batch, int] | SimulationError],
+        ran: dict[int, _Ran],
     ) -> None:
         try:
             batch = self._batch(prepared, [concretes[i] for i in chosen])
@@ -200,6 +200,31 @@ class BuiltinSimulator(Simulator):
             return
         batch.run()
         ran.update((i, (batch, place)) for place, i in enumerate(chosen))
+
+
+_Ran = tuple[Batch, int] | SimulationError
+
+
+def _portions_of_results(ran: Mapping[int, _Ran]) -> Iterator[tuple[int, int]]:
+    """Recordings that are made together, first and last one: few, as only those that the caller keeps take memory."""
+    count, begin, held = len(ran), 0, 0
+    for i in range(count):
+        found = ran[i]
+        held += 0 if isinstance(found, SimulationError) else found[0].bytes_of(found[1])
+        if held > _MOST_RECORDED:
+            yield begin, i + 1
+            begin, held = i + 1, 0
+    yield begin, count
+
+
+def _results(ran: list[_Ran]) -> list[Recording | SimulationError]:
+    """What came out of scenarios, of each batch at once."""
+    places: dict[Batch, list[int]] = {}
+    for found in ran:
+        if not isinstance(found, SimulationError):
+            places.setdefault(found[0], []).append(found[1])
+    made = {batch: iter(batch.results(chosen)) for batch, chosen in places.items()}
+    return [found if isinstance(found, SimulationError) else next(made[found[0]]) for found in ran]
 
 
 def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:

@@ -102,6 +102,8 @@ class Stepper:
         self._pool, self._planned = TrackPool(), dict[tuple[int, int], int]()
         driven = np.array([one.entity for one in self._drivings], dtype=np.int64)
         status = np.full(world.scenarios, RESTS, dtype=np.int8)
+        self._threads = max(min(os.cpu_count() or 1, world.scenarios // _WORTH_A_THREAD), 1)
+        self._bounds = np.linspace(0, world.scenarios, 4 * self._threads + 1).astype(int).tolist()
         self._course = Course(status, np.zeros(world.scenarios, dtype=np.bool_), driven)
 
     def _read_triggers(self) -> None:
@@ -198,16 +200,13 @@ class Stepper:
     def _run_on(self) -> None:
         tracks = self._pool.gather(self._world.tracks)
         self._plan_routes()
-        scenarios = self._world.scenarios
-        threads = max(min(os.cpu_count() or 1, scenarios // _WORTH_A_THREAD), 1)
         who = (self.scene, tracks, self._roads, self._fleet, self._actions, self._leaves)
         run = partial(run_on, *who, self._course, self._rules)
-        if threads == 1:
-            run(0, scenarios)
+        if self._threads == 1:
+            run(0, self._world.scenarios)
             return
-        bounds = np.linspace(0, scenarios, 4 * threads + 1).astype(int).tolist()
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(run, bounds[:-1], bounds[1:]))
+        with ThreadPoolExecutor(self._threads) as pool:
+            list(pool.map(run, self._bounds[:-1], self._bounds[1:]))
 
     def _plan_routes(self) -> None:
         """Let built-in drivers plan along all that they follow now."""

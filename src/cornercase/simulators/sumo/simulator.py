@@ -158,7 +158,7 @@ class SumoSimulator(Simulator):
         with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
             batch = self._batch(prepared, values, {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}, coupling)
             batch.run()
-        return coupling.error or batch.result(0)
+        return coupling.error or batch.results([0])[0]
 
     def _batch(
         self,

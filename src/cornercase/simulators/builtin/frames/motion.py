@@ -10,6 +10,7 @@ from typing import Final
 
 from cornercase._common.compiling import kernel
 from cornercase.simulators.builtin.frames.boxes import overlap
+from cornercase.simulators.builtin.frames.scene import PAGE
 from cornercase.simulators.builtin.tracks.lane_kernels import advance_lane, goes_over
 from cornercase.simulators.builtin.tracks.place_kernels import place_on
 from cornercase.simulators.builtin.tracks.pool import LANE, OTHER
@@ -249,14 +250,14 @@ def _held(f, e):
 
 
 @_part
-def record(scene, n, dt):
+def record(scene, n, first, dt):
     """Record where all entities of a scenario are, and who has begun to touch whom.
 
     Parameters
     ----------
     scene : Scene
-    n : int
-        Scenario.
+    n, first : int
+        Scenario, and the first of those that are run together with it.
     dt : float
         Length in s of the step that led here.
 
@@ -267,22 +268,27 @@ def record(scene, n, dt):
     """
     f, b, frame = scene.floats[n], scene.flags[n], scene.frames[n]
     entities = f.shape[1]
+    number, line = frame // PAGE, frame % PAGE
+    if line == 0:
+        scene.page[n, number] = first * scene.page.shape[1] + scene.taken[first]
+        scene.taken[first] += 1
+    page = scene.pages[scene.page[n, number]]
     for e in range(entities):
         if dt > 0.0:
             f[ACCELERATION, e] = (f[SPEED, e] - f[BEFORE, e]) / dt
         for q in range(5):
             row = (X, Y, HEADING, SPEED, ACCELERATION)[q]
-            scene.motion[n, frame, q, e] = f[row, e] if b[PRESENT, e] else math.nan
+            page[q, e, line] = f[row, e] if b[PRESENT, e] else math.nan
     scene.frames[n] = frame + 1
     collides = False
-    for first in range(entities):
-        for second in range(first + 1, entities):
-            touches = overlap(scene, n, first, second)
+    for one in range(entities):
+        for other in range(one + 1, entities):
+            touches = overlap(scene, n, one, other)
             # Who overlaps from the start collides in the first row.
-            begins = touches and not (frame > 0 and scene.overlaps[n, first, second])
-            scene.overlaps[n, first, second] = scene.overlaps[n, second, first] = touches
+            begins = touches and not (frame > 0 and scene.overlaps[n, one, other])
+            scene.overlaps[n, one, other] = scene.overlaps[n, other, one] = touches
             if begins:
                 collides = True
-                if math.isnan(scene.collided[n, first, second]):
-                    scene.collided[n, first, second] = scene.time[n]
+                if math.isnan(scene.collided[n, one, other]):
+                    scene.collided[n, one, other] = scene.time[n]
     return collides

@@ -97,7 +97,7 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
     course : Course
     rules : Rules
     first, last : int
-        Scenarios, the last one not included.
+        Scenarios, the last one not included; always the same ones together.
     """
     entities = scene.floats.shape[2]
     work, others = workspace(entities - 1), np.empty((4, entities - 1))
@@ -127,7 +127,7 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
                     _remember(actions, n, memory, actions.memory[n])
                     status = ENDS if status == ACTS else WAITS
                     break
-            status = _finish(scene, tracks, fleet, course, rules, n, dt, work, others)
+            status = _finish(scene, tracks, fleet, course, rules, n, first, dt, work, others)
             if begun and course.looks[n] and status == GOES:
                 status = WAITS
         if status == WAITS and scene.frames[n] >= rules.most:
@@ -161,13 +161,13 @@ def _note_speeds(scene, n):
 
 
 @_part
-def _finish(scene, tracks, fleet, course, rules, n, dt, work, others):
+def _finish(scene, tracks, fleet, course, rules, n, first, dt, work, others):
     """Do the part of a frame that comes after the storyboard; what becomes of the scenario then."""
     if rules.drives and dt > 0.0:
         for d in range(course.driven.shape[0]):
             _drive(scene, tracks, fleet, n, d, course.driven[d], dt, work, others)
     elsewhere = move(scene, tracks, n, dt)
-    collides = record(scene, n, dt)
+    collides = record(scene, n, first, dt)
     if collides and rules.stop_at_collision:
         return OVER
     return ELSEWHERE if elsewhere else GOES

@@ -15,9 +15,12 @@ LENGTH, WIDTH, CENTER_X, MAX_SPEED, MAX_ACCELERATION, MAX_DECELERATION, REACH = 
 QUANTITIES: Final = ("x", "y", "heading", "speed", "acceleration")
 """What is recorded of an entity, in this order."""
 
+PAGE: Final = 32
+"""So many instants are recorded together."""
+
 
 class Scene(NamedTuple):
-    """State of E entities in N scenarios, and what is recorded of them at up to I instants.
+    """State of E entities in N scenarios, and what is recorded of them, on pages of 32 instants.
 
     Attributes
     ----------
@@ -33,8 +36,12 @@ class Scene(NamedTuple):
         Rows of vehicle and trailer, hitch and coupler in m.
     frames : ndarray of int64, shape (N,)
         How many are recorded.
-    motion : ndarray of float64, shape (N, I, 5, E)
+    pages : ndarray of float64, shape (P, 5, E, 32)
         What is recorded; NaN for who is not there.
+    page : ndarray of int64, shape (N, R)
+        Which pages are a scenario's; R are as many as one can need, and R times N pages there are.
+    taken : ndarray of int64, shape (N,)
+        By the first of scenarios that are run together, how many of their pages are in use.
     collided : ndarray of float64, shape (N, E, E)
         Time in s at which two first collided; NaN before, and below the diagonal.
     """
@@ -48,7 +55,9 @@ class Scene(NamedTuple):
     boxes: FloatArray
     tows: FloatArray
     frames: IntArray
-    motion: FloatArray
+    pages: FloatArray
+    page: IntArray
+    taken: IntArray
     collided: FloatArray
 
 
@@ -65,7 +74,7 @@ def scene_of(world: World, instants: int) -> Scene:
     -------
     Scene
     """
-    scenarios, entities = world.scenarios, world.entities
+    scenarios, entities, most = world.scenarios, world.entities, -(-instants // PAGE)
     boxes = [
         (
             one.length,
@@ -89,7 +98,9 @@ def scene_of(world: World, instants: int) -> Scene:
         boxes=np.array(boxes, dtype=np.float64).reshape(-1, 7),
         tows=np.array(tows, dtype=np.float64).reshape(-1, 4),
         frames=np.zeros(scenarios, dtype=np.int64),
-        # Memory of which nothing is used takes none: many scenarios end early.
-        motion=np.empty((scenarios, instants, len(QUANTITIES), len(entities))),
+        # Memory of which nothing is used takes none: many scenarios end early, so each takes the next page as it goes.
+        pages=np.empty((scenarios * most, len(QUANTITIES), len(entities), PAGE)),
+        page=np.full((scenarios, most), -1),
+        taken=np.zeros(scenarios, dtype=np.int64),
         collided=np.full((scenarios, len(entities), len(entities)), np.nan),
     )
