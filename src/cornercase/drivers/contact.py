@@ -60,46 +60,93 @@ def meeting(places, row, ego, margin, other, horizon):
     for leg in range(legs.shape[0]):
         if leg > 0 and legs[leg, 4] >= horizon:
             break
-        first, last = 0.0, max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
-        dx, dy = legs[leg, 0] - places[row, 1], legs[leg, 1] - places[row, 2]
-        reach = own_length + own_width + half_length + half_width + abs(speed) * last
-        if abs(dx) > reach or abs(dy) > reach:
-            continue
-        sideways = dy * legs[leg, 2] - dx * legs[leg, 3]
-        if abs(sideways) > own_length + own_width + half_width:
-            continue
-        cos = places[row, 3] * legs[leg, 2] + places[row, 4] * legs[leg, 3]
-        sin = places[row, 3] * legs[leg, 3] - places[row, 4] * legs[leg, 2]
-        for axis in range(4):
-            if axis == 0:
-                apart = dx * places[row, 3] + dy * places[row, 4]
-                radius = own_length + half_length * abs(cos) + half_width * abs(sin)
-                rate = speed * cos
-            elif axis == 1:
-                apart = dy * places[row, 3] - dx * places[row, 4]
-                radius = own_width + half_length * abs(sin) + half_width * abs(cos)
-                rate = speed * sin
-            elif axis == 2:
-                apart = dx * legs[leg, 2] + dy * legs[leg, 3]
-                radius = half_length + own_length * abs(cos) + own_width * abs(sin)
-                rate = speed
-            else:
-                apart = sideways
-                radius = half_width + own_length * abs(sin) + own_width * abs(cos)
-                rate = 0.0
-            if abs(rate) < 1e-9:
-                if abs(apart) > radius:
-                    last = -1.0
-            else:
-                one, two = (-radius - apart) / rate, (radius - apart) / rate
-                first, last = max(first, min(one, two)), min(last, max(one, two))
-            if first > last:
-                break
+        first, last = _on_leg(places, row, own_length, own_width, other, leg, horizon)
         if first <= last:
             if enters == math.inf:
                 enters, at = legs[leg, 4] + first, leg
             leaves = legs[leg, 4] + last
     return enters, leaves, at
+
+
+@_kernel
+def meets_within(places, row, ego, margin, other, horizon, before, after):
+    """Whether the other would touch the driven entity before one instant and after another, if that were at a place.
+
+    As `meeting` says it: what is over too early, or comes too late, is not asked for.
+
+    Parameters
+    ----------
+    places, row, ego, margin, other, horizon
+        As in `meeting`.
+    before, after : tuple of (float, float)
+        Instant in s, and what is added to those of `meeting` before they are compared with it.
+
+    Returns
+    -------
+    bool
+    """
+    legs = other[0]
+    own_length, own_width = ego[0], ego[1] + margin
+    leg, first, last = legs.shape[0], math.inf, -math.inf
+    while leg > 0 and not first <= last:
+        leg -= 1
+        if leg > 0 and legs[leg, 4] >= horizon:
+            continue
+        if not _duration(legs, leg, horizon) + legs[leg, 4] + after[1] > after[0]:
+            return False
+        first, last = _on_leg(places, row, own_length, own_width, other, leg, horizon)
+    if not (first <= last and legs[leg, 4] + last + after[1] > after[0]):
+        return False
+    for early in range(leg):
+        if not legs[early, 4] + before[1] < before[0]:
+            return False
+        found = _on_leg(places, row, own_length, own_width, other, early, horizon)
+        if found[0] <= found[1]:
+            return legs[early, 4] + found[0] + before[1] < before[0]
+    return legs[leg, 4] + first + before[1] < before[0]
+
+
+@_part
+def _duration(legs, leg, horizon):
+    return max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
+
+
+@_kernel
+def _on_leg(places, row, own_length, own_width, other, leg, horizon):
+    """First and last instant of contact, counted from the begin of a leg; the last one before the first for never."""
+    legs, half_length, half_width, speed = other
+    first, last = 0.0, _duration(legs, leg, horizon)
+    dx, dy = legs[leg, 0] - places[row, 1], legs[leg, 1] - places[row, 2]
+    reach = own_length + own_width + half_length + half_width + abs(speed) * last
+    if abs(dx) > reach or abs(dy) > reach:
+        return math.inf, -math.inf
+    # The axis on which it does not move first: it takes no division.
+    sideways = dy * legs[leg, 2] - dx * legs[leg, 3]
+    if abs(sideways) > own_length + own_width + half_width:
+        return math.inf, -math.inf
+    cos = places[row, 3] * legs[leg, 2] + places[row, 4] * legs[leg, 3]
+    sin = places[row, 3] * legs[leg, 3] - places[row, 4] * legs[leg, 2]
+    if abs(sideways) > half_width + own_length * abs(sin) + own_width * abs(cos):
+        return math.inf, -math.inf
+    apart = dx * legs[leg, 2] + dy * legs[leg, 3]
+    first, last = _during(first, last, apart, half_length + own_length * abs(cos) + own_width * abs(sin), speed)
+    if first > last:
+        return math.inf, -math.inf
+    apart, across = dx * places[row, 3] + dy * places[row, 4], dy * places[row, 3] - dx * places[row, 4]
+    radius = own_length + half_length * abs(cos) + half_width * abs(sin)
+    first, last = _during(first, last, apart, radius, speed * cos)
+    radius = own_width + half_length * abs(sin) + half_width * abs(cos)
+    return _during(first, last, across, radius, speed * sin)
+
+
+@_part
+def _during(first, last, apart, radius, rate):
+    """Part of a time in which what is so far apart, and moves at a rate, is within a radius."""
+    one, two = (-radius - apart) / rate, (radius - apart) / rate
+    still = abs(rate) < 1e-9
+    begin, end = max(first, min(one, two)), min(last, max(one, two))
+    away = -1.0 if abs(apart) > radius else last
+    return (first if still else begin), (away if still else end)
 
 
 @_part

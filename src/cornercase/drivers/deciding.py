@@ -110,7 +110,7 @@ def workspace(others):
         np.empty(others, dtype=np.bool_),
         np.empty((MOST_PLACES, 6)),
         np.empty((TURN_LEGS + 1, 6)),
-        np.empty(2),
+        np.empty(3),
         np.empty((1, 6)),
     )
 

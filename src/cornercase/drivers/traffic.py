@@ -155,8 +155,8 @@ class Workspace(NamedTuple):
     legs : ndarray of float64, shape (L, 6)
         Where another will be, in straight legs: centre of the box in m, cosine and sine of its heading, begin and end
         in s.
-    arrivals : ndarray of float64, shape (2,)
-        Up to which place the times of arrival are known, and the square of the speed there in m²/s².
+    arrivals : ndarray of float64, shape (3,)
+        Up to which place the times of arrival are known, the square of the speed there in m²/s², and the speed in m/s.
     between : ndarray of float64, shape (1, 6)
         A place between two others.
     """

@@ -35,8 +35,9 @@ class Way(NamedTuple):
     ----------
     places : ndarray of float64, shape (K, 6)
         As in `Workspace`; each row is right once `lay` has been called for it.
-    arrivals : ndarray of float64, shape (2,)
-        Row up to which times of arrival are known, and the square of the speed there: few are ever asked for.
+    arrivals : ndarray of float64, shape (3,)
+        Row up to which times of arrival are known, the square of the speed there, and the speed: few are ever asked
+        for.
     between : ndarray of float64, shape (1, 6)
         As in `Workspace`.
     rows : int
@@ -123,7 +124,7 @@ def look_ahead(behaviour, routes, route, scene, v, wanted, work):
         last -= 1
     most = routes.measures[route, 1] + (abs(center_x) + abs(offset)) * routes.measures[route, 2]
     arrivals = work.arrivals
-    arrivals[0], arrivals[1] = 0.0, v * v
+    arrivals[0], arrivals[1], arrivals[2] = 0.0, v * v, math.sqrt(v * v)
     return Way(
         places, arrivals, work.between, 1 + last - before, most, points, begin + before, before, step, distance,
         offset, center_x, (scene.own[HALF_LENGTH], scene.own[HALF_WIDTH]), v, wanted,
@@ -186,16 +187,17 @@ def arrive(behaviour, way, k):
     """
     known = int(way.arrivals[0])
     if k > known:
-        squared, when, here = way.arrivals[1], way.places[known, 5], distance_to(way, known)
+        squared, root, when, here = way.arrivals[1], way.arrivals[2], way.places[known, 5], distance_to(way, known)
         for i in range(known + 1, k + 1):
             there = distance_to(way, i)
             leg, here = there - here, there
             limit = min(way.wanted * way.wanted, way.points[way.first + i, 4])
             slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
             then = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
-            both = math.sqrt(squared) + math.sqrt(then)
+            there_root = math.sqrt(then)
+            both = root + there_root
             when += 2.0 * leg / both if both > 0.0 else math.inf
             way.places[i, 5] = when
-            squared = then
-        way.arrivals[0], way.arrivals[1] = k, squared
+            squared, root = then, there_root
+        way.arrivals[0], way.arrivals[1], way.arrivals[2] = k, squared, root
     return way.places[k, 5]

@@ -14,7 +14,7 @@ import math
 from typing import Final
 
 from cornercase._common.compiling import kernel
-from cornercase.drivers.contact import first_contact, meeting, next_rows
+from cornercase.drivers.contact import first_contact, meeting, meets_within, next_rows
 from cornercase.drivers.foreseeing import STANDING, foresee
 from cornercase.drivers.traffic import (
     CENTER_X,
@@ -215,28 +215,35 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
     Past the point of choice, the driver expects those behind it in the same direction to brake.
     Returns the row where the stretch that holds the place begins, and its own row (-1: there is none).
     """
-    start, k, until, places, ego = -1, 0, -1, way.places, way.ego
+    k, until, places, ego, horizon = 0, -1, way.places, way.ego, behaviour.horizon
     while k + 1 < way.rows:
         k += 1
         if k > until:
-            begin, until = next_rows(way, k, margin, other, behaviour.horizon)
-            if begin > k:
-                start, k = -1, begin
-                if k >= way.rows:
-                    break
+            k, until = next_rows(way, k, margin, other, horizon)
+            if k >= way.rows:
+                break
         lay(way, k)
-        enters, leaves, leg = meeting(places, k, ego, margin, other, behaviour.horizon)
-        if enters == math.inf:
-            start = -1
-            continue
-        if start < 0:
-            start = k
         arrives = arrive(behaviour, way, k)
-        if past_choice and arrives < enters and _along(places, k, other, leg) >= ALIGNED:
+        # Most places are passed long before, or long after, the other comes.
+        if not meets_within(places, k, ego, margin, other, horizon, (arrives, -gap_first), (arrives, gap_after)):
+            continue
+        enters, leaves, leg = meeting(places, k, ego, margin, other, horizon)
+        if enters == math.inf or (past_choice and arrives < enters and _along(places, k, other, leg) >= ALIGNED):
             continue
         if enters - gap_first < arrives < leaves + gap_after:
-            return start, k
+            return _begin(way, k, margin, other, horizon), k
     return -1, -1
+
+
+@_part
+def _begin(way, k, margin, other, horizon):
+    """Row where the stretch begins on which the other may be met, of which one row is known."""
+    while k > 1:
+        lay(way, k - 1)
+        if meeting(way.places, k - 1, way.ego, margin, other, horizon)[0] == math.inf:
+            break
+        k -= 1
+    return k
 
 
 @_kernel
