@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Final, Protocol
@@ -37,6 +38,9 @@ from cornercase.simulators.builtin.tracks.track import Trajectory
 from cornercase.simulators.builtin.world.motion import go_on_along_lanes, watch_roads
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.towing import place_trailers
+
+# Calls a function of two numbers for each pair of two lists.
+_Share = Callable[[Callable[[int, int], object], list[int], list[int]], Iterable[object]]
 
 # So many scenarios are worth a thread.
 _WORTH_A_THREAD: Final = 32
@@ -103,7 +107,9 @@ class Stepper:
         driven = np.array([one.entity for one in self._drivings], dtype=np.int64)
         status = np.full(world.scenarios, RESTS, dtype=np.int8)
         self._threads = max(min(os.cpu_count() or 1, world.scenarios // _WORTH_A_THREAD), 1)
-        self._bounds = np.linspace(0, world.scenarios, 4 * self._threads + 1).astype(int).tolist()
+        parts = 4 * self._threads if self._threads > 1 else 1
+        self._bounds: list[int] = np.linspace(0, world.scenarios, parts + 1).astype(int).tolist()
+        self._share: _Share = map
         self._course = Course(status, np.zeros(world.scenarios, dtype=np.bool_), driven)
 
     def _read_triggers(self) -> None:
@@ -127,6 +133,14 @@ class Stepper:
 
     def run(self) -> None:
         """Step until every scenario has ended."""
+        if self._threads == 1:
+            self._run(map)
+            return
+        with ThreadPoolExecutor(self._threads) as pool:
+            self._run(pool.map)
+
+    def _run(self, share: _Share) -> None:
+        self._share = share
         world, course, first = self._world, self._course, True
         looking, dt = world.running.copy(), 0.0
         while looking.any():
@@ -202,11 +216,7 @@ class Stepper:
         self._plan_routes()
         who = (self.scene, tracks, self._roads, self._fleet, self._actions, self._leaves)
         run = partial(run_on, *who, self._course, self._rules)
-        if self._threads == 1:
-            run(0, self._world.scenarios)
-            return
-        with ThreadPoolExecutor(self._threads) as pool:
-            list(pool.map(run, self._bounds[:-1], self._bounds[1:]))
+        list(self._share(run, self._bounds[:-1], self._bounds[1:]))
 
     def _plan_routes(self) -> None:
         """Let built-in drivers plan along all that they follow now."""

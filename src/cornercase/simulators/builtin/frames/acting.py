@@ -6,9 +6,12 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
+
+import numpy as np
 
 from cornercase._common.compiling import kernel
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.simulators.builtin.frames.motion import advance, set_speed, settle
 from cornercase.simulators.builtin.frames.scene import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
 from cornercase.simulators.builtin.frames.synchronising import keep_distance, synchronise
@@ -16,9 +19,12 @@ from cornercase.simulators.builtin.frames.table import (
     DISTANCE_ACTION,
     LANE_CHANGE,
     LANE_OFFSET,
+    MEMORY,
+    REMEMBERED,
     SPEED_ACTION,
     SYNCHRONISATION,
     TRAJECTORY_ACTION,
+    UNKNOWN,
 )
 from cornercase.simulators.builtin.tracks.place_kernels import (
     trajectory_direction,
@@ -30,15 +36,20 @@ from cornercase.simulators.builtin.tracks.place_kernels import (
 from cornercase.simulators.builtin.tracks.pool import LANE, OTHER
 from cornercase.simulators.builtin.world.layout import (
     AT_END_SINCE,
+    DECIDED,
     DISTANCE,
     DRIVEN,
     HEADING,
+    LAST_S,
     MOVED,
     OFFSET,
     PACE,
     SPEED,
+    TARGET_SPEED,
     TRACK,
     TURN,
+    X,
+    Y,
 )
 
 _CUBIC, _SINUSOIDAL, _STEP = 1, 2, 3
@@ -49,13 +60,48 @@ _SHORT: Final = 1e-4
 # rad; who moves only sideways is turned by a little less than a quarter.
 _SIDEWAYS: Final = 0.5 * math.pi - 1e-3
 
+# All that actions change of their own entity.
+_FLOATS: Final = (X, Y, HEADING, SPEED, DISTANCE, OFFSET, TURN, PACE, LAST_S, AT_END_SINCE, TARGET_SPEED)
+_FLAGS: Final = (MOVED, DECIDED)
+
 _kernel = kernel(error_model="numpy", _nrt=False)
 # What is called in one place: passing the tables on costs more than what it does.
 _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
+class Kept(NamedTuple):
+    """What J actions may change of one scenario, each as it was before the action.
+
+    Attributes
+    ----------
+    floats : ndarray of float64, shape (J, 12)
+    flags : ndarray of bool, shape (J, 2)
+    memory : ndarray of float64, shape (J, 24)
+    """
+
+    floats: FloatArray
+    flags: BoolArray
+    memory: FloatArray
+
+
+@kernel(error_model="numpy")
+def room_to_keep(actions):
+    """Make room for what the actions of a scenario may change.
+
+    Parameters
+    ----------
+    actions : int
+
+    Returns
+    -------
+    Kept
+    """
+    floats, flags = np.empty((actions, len(_FLOATS) + 1)), np.empty((actions, len(_FLAGS)), dtype=np.bool_)
+    return Kept(floats, flags, np.empty((actions, MEMORY)))
+
+
 @_part
-def act(scene, tracks, roads, actions, n, dt):
+def act(scene, tracks, roads, actions, kept, n, dt):
     """Let all actions of a scenario act for one time step.
 
     Parameters
@@ -64,6 +110,7 @@ def act(scene, tracks, roads, actions, n, dt):
     tracks : Tracks
     roads : RoadTables
     actions : Actions
+    kept : Kept
     n : int
         Scenario.
     dt : float
@@ -72,12 +119,13 @@ def act(scene, tracks, roads, actions, n, dt):
     Returns
     -------
     bool
-        False where one ends, or cannot be done here: then the scenario is left half done.
+        False where one ends, or cannot be done here: then none has acted.
     """
     for j in range(actions.options.shape[0]):
         if not actions.running[n, j]:
             continue
         kind, goes_on = actions.options[j, 0], False
+        _keep(scene, actions, kept, n, j)
         if kind == SPEED_ACTION:
             goes_on = _change_speed(scene, actions, n, j, dt)
         elif kind == TRAJECTORY_ACTION:
@@ -91,8 +139,43 @@ def act(scene, tracks, roads, actions, n, dt):
         elif kind == DISTANCE_ACTION:
             goes_on = keep_distance(scene, actions, n, j, dt)
         if not goes_on:
+            while j >= 0:
+                if actions.running[n, j]:
+                    _take_back(scene, actions, kept, n, j)
+                j -= 1
             return False
     return True
+
+
+@_part
+def _keep(scene, actions, kept, n, j):
+    f, b, e, master = scene.floats[n], scene.flags[n], actions.options[j, 1], actions.options[j, 2]
+    if actions.options[j, 0] == UNKNOWN:
+        return
+    for k in range(len(_FLOATS)):
+        kept.floats[j, k] = f[_FLOATS[k], e]
+    if actions.options[j, 0] == SYNCHRONISATION:
+        # It looks its master up on the road, too.
+        kept.floats[j, len(_FLOATS)] = f[LAST_S, master]
+    for k in range(len(_FLAGS)):
+        kept.flags[j, k] = b[_FLAGS[k], e]
+    for k in range(actions.options[j, REMEMBERED]):
+        kept.memory[j, k] = actions.memory[n, j, k]
+
+
+@_kernel
+def _take_back(scene, actions, kept, n, j):
+    f, b, e, master = scene.floats[n], scene.flags[n], actions.options[j, 1], actions.options[j, 2]
+    if actions.options[j, 0] == UNKNOWN:
+        return
+    if actions.options[j, 0] == SYNCHRONISATION:
+        f[LAST_S, master] = kept.floats[j, len(_FLOATS)]
+    for k in range(len(_FLOATS)):
+        f[_FLOATS[k], e] = kept.floats[j, k]
+    for k in range(len(_FLAGS)):
+        b[_FLAGS[k], e] = kept.flags[j, k]
+    for k in range(actions.options[j, REMEMBERED]):
+        actions.memory[n, j, k] = kept.memory[j, k]
 
 
 @_kernel

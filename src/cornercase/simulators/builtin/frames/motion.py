@@ -47,6 +47,10 @@ from cornercase.simulators.builtin.world.layout import (
     Y,
 )
 
+MOVED_BY_OTHERS, AWAKE, SETTLED, RESTING = range(4)
+"""How an entity of a scenario stands: an action, a driver or what it tows decides where it goes; only it itself does; so,
+and the last frame has left it where it was on its track; so, and no frame changes anything of it any more."""
+
 # An entity this close to the end of a road, in m, is at the end.
 _ON_END: Final = 1e-3
 # Slower than this, in m/s, it stands.
@@ -60,7 +64,7 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 @_part
-def move(scene, tracks, n, dt):
+def move(scene, tracks, n, dt, rest):
     """Advance every entity of a scenario by one time step with its present speed, then the clock.
 
     Parameters
@@ -71,6 +75,8 @@ def move(scene, tracks, n, dt):
         Scenario.
     dt : float
         s; with 0 entities are only put on their tracks.
+    rest : ndarray of int8, shape (E,)
+        `MOVED_BY_OTHERS` and so on; brought up to date.
 
     Returns
     -------
@@ -82,30 +88,46 @@ def move(scene, tracks, n, dt):
     for t in range(scene.tows.shape[0]):
         b[MOVED, int(scene.tows[t, 1])] = True
     for e in range(entities):
-        if not b[PRESENT, e]:
+        if rest[e] == RESTING or not b[PRESENT, e]:
             continue
         track = numbers[TRACK, e]
         row = tracks.row[e, track] if track >= 0 else -1
         if not b[MOVED, e]:
+            distance, since = f[DISTANCE, e], f[AT_END_SINCE, e]
             _go(scene, tracks, n, e, row, dt)
+            if rest[e] == AWAKE and f[DISTANCE, e] == distance and f[AT_END_SINCE, e] == since:
+                rest[e] = SETTLED
         if row >= 0 and tracks.kind[row] == LANE:
             beyond = beyond or goes_over(tracks, row, f[DISTANCE, e])
-    _stop_at_ends(scene, tracks, n, dt)
+    _stop_at_ends(scene, tracks, n, dt, rest)
     for t in range(scene.tows.shape[0]):
         _pull_trailer(scene, n, t)
     for e in range(entities):
-        _measure(f, b, e, dt)
+        if rest[e] != RESTING:
+            _measure(f, b, e, dt)
     scene.time[n] += dt
     scene.last_step[n] = dt
     # As in esmini, nobody stands before the first frame that takes time.
     now = scene.time[n] if dt > 0.0 else math.inf
     for e in range(entities):
+        if rest[e] == RESTING:
+            continue
+        if rest[e] == SETTLED:
+            rest[e] = RESTING if dt > 0.0 and _rests(f, b, e) else AWAKE
         moving = abs(f[SPEED, e]) > _STILL
         f[STANDING_SINCE, e] = math.inf if moving else min(f[STANDING_SINCE, e], now)
         f[FROM_X, e], f[FROM_Y, e], f[FROM_HEADING, e] = f[X, e], f[Y, e], f[HEADING, e]
         b[MOVED, e] = b[JUMPED, e] = b[DECIDED, e] = False
         f[PACE, e], f[SIDEWAYS, e] = math.nan, 0.0
     return beyond
+
+
+@_part
+def _rests(f, b, e):
+    """Whether one that has stayed where it was stood before, too, so that the next frame computes the same from it."""
+    moves = f[SPEED, e] != 0.0 or f[VELOCITY, e] != 0.0 or f[GONE_X, e] != 0.0 or f[GONE_Y, e] != 0.0
+    pulled = f[PULL_X, e] != 0.0 or f[PULL_Y, e] != 0.0 or f[HEADING, e] != f[FROM_HEADING, e]
+    return not (moves or pulled or b[JUMPED, e])
 
 
 @_part
@@ -192,11 +214,11 @@ def set_speed(scene, n, e, speed):
 
 
 @_part
-def _stop_at_ends(scene, tracks, n, dt):
+def _stop_at_ends(scene, tracks, n, dt, rest):
     """Stop who is at the end of its road once the last step has moved it neither on nor sideways, as in esmini."""
     f, b = scene.floats[n], scene.flags[n]
     for e in range(f.shape[1]):
-        if not (b[PRESENT, e] and f[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
+        if rest[e] == RESTING or not (b[PRESENT, e] and f[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
             continue
         track = scene.numbers[n, TRACK, e]
         on_lane = track >= 0 and tracks.kind[tracks.row[e, track]] == LANE
@@ -250,7 +272,7 @@ def _held(f, e):
 
 
 @_part
-def record(scene, n, first, dt):
+def record(scene, n, first, dt, rest):
     """Record where all entities of a scenario are, and who has begun to touch whom.
 
     Parameters
@@ -260,6 +282,8 @@ def record(scene, n, first, dt):
         Scenario, and the first of those that are run together with it.
     dt : float
         Length in s of the step that led here.
+    rest : ndarray of int8, shape (E,)
+        As in `move`.
 
     Returns
     -------
@@ -283,6 +307,8 @@ def record(scene, n, first, dt):
     collides = False
     for one in range(entities):
         for other in range(one + 1, entities):
+            if rest[one] == RESTING and rest[other] == RESTING:
+                continue
             touches = overlap(scene, n, one, other)
             # Who overlaps from the start collides in the first row.
             begins = touches and not (frame > 0 and scene.overlaps[n, one, other])

@@ -14,10 +14,11 @@ import numpy.typing as npt
 from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, IntArray
 from cornercase.drivers import Driven, accelerate, route_row, workspace
-from cornercase.simulators.builtin.frames.acting import act
+from cornercase.simulators.builtin.frames.acting import act, room_to_keep
 from cornercase.simulators.builtin.frames.leaves import stays, take_down
-from cornercase.simulators.builtin.frames.motion import move, record
+from cornercase.simulators.builtin.frames.motion import AWAKE, MOVED_BY_OTHERS, move, record
 from cornercase.simulators.builtin.frames.scene import MAX_SPEED
+from cornercase.simulators.builtin.frames.table import UNKNOWN
 from cornercase.simulators.builtin.world.layout import (
     BEFORE,
     DISTANCE,
@@ -101,12 +102,12 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
     """
     entities = scene.floats.shape[2]
     work, others = workspace(entities - 1), np.empty((4, entities - 1))
-    floats, flags = np.empty(scene.floats.shape[1:]), np.empty(scene.flags.shape[1:], dtype=np.bool_)
-    memory = np.empty(actions.memory.shape[1:])
+    kept, rest = room_to_keep(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
     for n in range(first, last):
         status = course.status[n]
         if status == RESTS:
             continue
+        _wake(scene, actions, course, n, rest)
         while status in (GOES, ACTS, BEGUN):
             begun, dt = status != GOES, rules.time_step if scene.frames[n] > 0 else 0.0
             if status == GOES:
@@ -117,17 +118,10 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
                     status = WAITS
                     break
                 _note_speeds(scene, n)
-            if status != BEGUN:
-                _copy(scene.floats[n], floats)
-                _copy(scene.flags[n], flags)
-                _remember(actions, n, actions.memory[n], memory)
-                if not act(scene, tracks, roads, actions, n, dt):
-                    _copy(floats, scene.floats[n])
-                    _copy(flags, scene.flags[n])
-                    _remember(actions, n, memory, actions.memory[n])
-                    status = ENDS if status == ACTS else WAITS
-                    break
-            status = _finish(scene, tracks, fleet, course, rules, n, first, dt, work, others)
+            if status != BEGUN and not act(scene, tracks, roads, actions, kept, n, dt):
+                status = ENDS if status == ACTS else WAITS
+                break
+            status = _finish(scene, tracks, fleet, course, rules, n, first, dt, rest, work, others)
             if begun and course.looks[n] and status == GOES:
                 status = WAITS
         if status == WAITS and scene.frames[n] >= rules.most:
@@ -137,21 +131,18 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
         course.status[n] = status
 
 
-@_kernel
-def _remember(actions, n, source, target):
-    """Copy what the actions that run in a scenario remember."""
-    for j in range(actions.running.shape[1]):
-        if actions.running[n, j]:
-            for k in range(source.shape[1]):
-                target[j, k] = source[j, k]
-
-
-@_kernel
-def _copy(source, target):
-    """Copy a table, number by number: an assignment of slices looks first whether they overlap."""
-    for k in range(source.shape[0]):
-        for e in range(source.shape[1]):
-            target[k, e] = source[k, e]
+@_part
+def _wake(scene, actions, course, n, rest):
+    """Take note of who is moved by others than itself, and of the others that they may not rest yet."""
+    for e in range(rest.size):
+        rest[e] = AWAKE
+    for j in range(actions.options.shape[0]):
+        if actions.running[n, j] and actions.options[j, 0] != UNKNOWN:
+            rest[actions.options[j, 1]] = MOVED_BY_OTHERS
+    for d in range(course.driven.size):
+        rest[course.driven[d]] = MOVED_BY_OTHERS
+    for t in range(scene.tows.shape[0]):
+        rest[int(scene.tows[t, 0])] = rest[int(scene.tows[t, 1])] = MOVED_BY_OTHERS
 
 
 @_part
@@ -161,13 +152,13 @@ def _note_speeds(scene, n):
 
 
 @_part
-def _finish(scene, tracks, fleet, course, rules, n, first, dt, work, others):
+def _finish(scene, tracks, fleet, course, rules, n, first, dt, rest, work, others):
     """Do the part of a frame that comes after the storyboard; what becomes of the scenario then."""
     if rules.drives and dt > 0.0:
         for d in range(course.driven.shape[0]):
             _drive(scene, tracks, fleet, n, d, course.driven[d], dt, work, others)
-    elsewhere = move(scene, tracks, n, dt)
-    collides = record(scene, n, first, dt)
+    elsewhere = move(scene, tracks, n, dt, rest)
+    collides = record(scene, n, first, dt, rest)
     if collides and rules.stop_at_collision:
         return OVER
     return ELSEWHERE if elsewhere else GOES
