@@ -50,7 +50,7 @@ def meeting(places, row, ego, margin, other, horizon):
         First and last instant of contact within the horizon in s, and the leg of the first; (inf, -inf, 0)
         for never.
     """
-    legs, half_length, half_width, speed = other
+    legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
     if horizon <= 0.0:
         if _touching(places, row, own_length, own_width, other):

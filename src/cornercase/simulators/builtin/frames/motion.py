@@ -48,8 +48,8 @@ from cornercase.simulators.builtin.world.layout import (
 )
 
 MOVED_BY_OTHERS, AWAKE, SETTLED, RESTING = range(4)
-"""How an entity of a scenario stands: an action, a driver or what it tows decides where it goes; only it itself does; so,
-and the last frame has left it where it was on its track; so, and no frame changes anything of it any more."""
+"""How an entity of a scenario stands: an action, a driver or what it tows decides where it goes; only it itself does;
+so, and the last frame has left it where it was on its track; so, and no frame changes anything of it any more."""
 
 # An entity this close to the end of a road, in m, is at the end.
 _ON_END: Final = 1e-3

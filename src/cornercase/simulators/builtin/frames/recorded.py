@@ -1,7 +1,7 @@
 """Taking what was recorded of scenarios off their pages."""
 
 # Compiled functions have no static types.
-# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
 
 from __future__ import annotations
 
