@@ -3,7 +3,7 @@ from .concrete_files import write_concrete as write_concrete
 from .constraints import Constraint as Constraint
 from .constraints import Declaration as Declaration
 from .constraints import read_declarations as read_declarations
-from .declared_types import unusable_value as unusable_value
+from .declared_types import unusable_values as unusable_values
 from .declared_types import value_text as value_text
 from .finding import find_scenario as find_scenario
 from .logical import ConcreteScenario as ConcreteScenario

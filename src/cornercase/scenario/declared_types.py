@@ -8,6 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from cornercase._common.typing import FloatArray
 from cornercase.scenario.parameter import Value
 
 INTEGERS: Final = frozenset({"integer", "int", "unsignedInt", "unsignedShort"})
@@ -20,6 +21,8 @@ NUMERIC: Final = INTEGERS | {"double"}
 _WHOLE: Final = 1e-6
 
 _TRUTHS: Final = {"true": "true", "1": "true", "1.0": "true", "false": "false", "0": "false", "0.0": "false"}
+
+_NUMBERS: Final = {float, int, np.float64}
 
 _MOST: Final = {"unsignedInt": 2**32 - 1, "unsignedShort": 2**16 - 1}
 
@@ -59,6 +62,33 @@ def typed_value(value: Value, kind: str) -> Value:
     return value if isinstance(value, str) else value_text(value)
 
 
+def typed_numbers(values: Sequence[object], kind: str) -> FloatArray | None:
+    """Give many numbers the type that their parameter is declared with.
+
+    Parameters
+    ----------
+    values : sequence
+    kind : str
+        As in `typed_value`.
+
+    Returns
+    -------
+    ndarray of float64, or None
+        None where it takes a look at each of them: one may be no number, or no value of that type.
+    """
+    if kind not in NUMERIC or not set(map(type, values)) <= _NUMBERS:
+        return None
+    numbers: FloatArray = np.array(values, dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        return None
+    if kind == "double":
+        return numbers
+    whole: FloatArray = np.round(numbers) + 0.0
+    if (np.abs(numbers - whole) > _WHOLE).any() or not ((whole >= 0) & (whole <= _MOST.get(kind, np.inf))).all():
+        return None
+    return whole
+
+
 class _Declared(Protocol):
     @property
     def name(self) -> str: ...
@@ -67,20 +97,30 @@ class _Declared(Protocol):
     def kind(self) -> str: ...
 
 
-def unusable_value(declarations: Sequence[_Declared], values: Mapping[str, Value]) -> str | None:
-    """Tell why a value cannot be that of its parameter.
+def unusable_values(declarations: Sequence[_Declared], values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
+    """Tell which concrete scenarios have a value that cannot be that of its parameter, and why.
 
     Parameters
     ----------
     declarations : sequence of Declaration
-    values : mapping of str to float or str
-        Those of a concrete scenario.
+    values : sequence of mapping of str to float or str
+        Those of each concrete scenario.
 
     Returns
     -------
-    str or None
-        A sentence without its full stop; None where all are of the declared types, or are expressions.
+    dict of int to str
+        By place among the values, a sentence without its full stop; not of scenarios whose values are all of the
+        declared types, or are expressions.
     """
+    names = set().union(*values)
+    given = [one for one in declarations if one.name in names]
+    # Numbers, of which most values are, are looked at all at once.
+    asked = [one for one in given if typed_numbers([each.get(one.name) for each in values], one.kind) is None]
+    found = ((i, _unusable_value(asked, each)) for i, each in enumerate(values)) if asked else ()
+    return {i: words for i, words in found if words is not None}
+
+
+def _unusable_value(declarations: Sequence[_Declared], values: Mapping[str, Value]) -> str | None:
     for declaration in declarations:
         value = values.get(declaration.name)
         if value is None or (isinstance(value, str) and value.lstrip().startswith("$")):

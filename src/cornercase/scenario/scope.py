@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.attributes import Attributes
 from cornercase.scenario.constraints import Declaration, read_declarations, violations
-from cornercase.scenario.declared_types import INTEGERS, NUMERIC, typed_value, value_text
+from cornercase.scenario.declared_types import INTEGERS, NUMERIC, typed_numbers, typed_value, value_text
 from cornercase.scenario.expressions import evaluate
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.varies import VariesError
@@ -131,6 +131,8 @@ class Scope(Attributes):
     def _numbers(self, declaration: Declaration, given: Mapping[int, Value]) -> FloatArray:
         """Values of a numeric parameter, its own where none is given, shape (N,)."""
         result = np.full(self.scenarios, np.nan)
+        if len(given) == self.scenarios and (numbers := typed_numbers([*given.values()], declaration.kind)) is not None:
+            return numbers
         if len(given) < self.scenarios:
             own = self._typed(self._value(declaration.value, declaration), declaration)
             result[:] = np.nan if isinstance(own, str) else own

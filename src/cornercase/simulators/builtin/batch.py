@@ -130,6 +130,7 @@ class Batch:
         world, scene = self._world, self._stepper.scene
         motion, placed = motion_of(scene, np.array(chosen, dtype=np.int64))
         names, kinds = tuple(world.names), tuple(entity.kind for entity in world.entities)
+        boxes = scene.boxes[:, [LENGTH, WIDTH, CENTER_X]].T
         result: list[Recording | SimulationError] = []
         for i, (x, y, heading, speed, acceleration), there in zip(chosen, motion, placed.tolist(), strict=True):
             if i in world.errors:
@@ -138,6 +139,7 @@ class Batch:
             if not there:
                 result.append(SimulationError("no entity is ever placed on the map"))
                 continue
+            length, width, center_x = boxes.copy()
             result.append(
                 Recording(
                     time=np.arange(x.shape[1]) * self._time_step,
@@ -148,9 +150,9 @@ class Batch:
                     heading=heading,
                     speed=speed,
                     acceleration=acceleration,
-                    length=scene.boxes[:, LENGTH].copy(),
-                    width=scene.boxes[:, WIDTH].copy(),
-                    center_x=scene.boxes[:, CENTER_X].copy(),
+                    length=length,
+                    width=width,
+                    center_x=center_x,
                     collisions=self._collisions.get(i, ()),
                 )
             )

@@ -12,7 +12,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
-from cornercase.scenario import Declaration, Scenario, Scope, Value, read_declarations, unusable_value, value_text
+from cornercase.scenario import Declaration, Scenario, Scope, Value, read_declarations, unusable_values, value_text
 
 # What the samples of one trajectory take, its vertices, a curve of a kilometre, and what of it a driver gets, in bytes
 # for each scenario.
@@ -78,9 +78,9 @@ class PreparedScenario:
         """Parameters of the file for scenarios with these values."""
         return Scope.of_file(str(self.scenario.path), self.scenario.root, values, self.scenario.catalog_entry)
 
-    def unusable(self, values: Mapping[str, Value]) -> str | None:
-        """Why a value cannot be that of its parameter, without a full stop; None where all can."""
-        return unusable_value(self._declarations, values)
+    def unusable(self, values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
+        """By place of the scenarios in which one cannot be that of its parameter, why, without a full stop."""
+        return unusable_values(self._declarations, values)
 
     def what_is_wrong(self, error: InputError, values: Mapping[str, Value], build: Callable[[], object]) -> str:
         """Say what is wrong with one scenario, as a part of a sentence that names the file itself.

@@ -115,10 +115,10 @@ class BuiltinSimulator(Simulator):
         wrong: InputError | None = None
         for concrete in concretes:
             prepared = self._prepare(concrete)
-            words = prepared.unusable(concrete.values)
+            unusable = prepared.unusable([concrete.values])
             try:
-                if words is not None:
-                    raise InputError(f"{concrete.path}: {words}.")
+                if unusable:
+                    raise InputError(f"{concrete.path}: {unusable[0]}.")
                 self._batch(prepared, [concrete])
             except InputError as error:
                 wrong = wrong or error
@@ -130,9 +130,12 @@ class BuiltinSimulator(Simulator):
     def _portions(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Sequence[ConcreteScenario]]:
         """Scenarios that are held in memory at the same time."""
         instants = int(self._duration / self._time_step) + 2
-        begin, held = 0, 0
+        begin, held, needed = 0, 0, 0
+        last: ConcreteScenario | None = None
         for i, concrete in enumerate(concretes):
-            needed = self._prepare(concrete).bytes_for(instants, bool(self._drivers))
+            if last is None or concrete.path is not last.path or concrete.source is not last.source:
+                needed = self._prepare(concrete).bytes_for(instants, bool(self._drivers))
+            last = concrete
             if i > begin and (held + needed > _MOST_BYTES or i - begin == _LARGEST_BATCH):
                 yield concretes[begin:i]
                 begin, held = i, 0
@@ -149,9 +152,9 @@ class BuiltinSimulator(Simulator):
             prepared = self._prepare(concretes[chosen[0]])
             for entity in self._drivers:
                 prepared.scenario.require_entity(entity, "driven entity")
-            wrong = {i: words for i in chosen if (words := prepared.unusable(concretes[i].values)) is not None}
-            ran.update((i, SimulationError(words)) for i, words in wrong.items())
-            for group in _groups(prepared, concretes, [i for i in chosen if i not in wrong]):
+            wrong = prepared.unusable([concretes[i].values for i in chosen])
+            ran.update((chosen[place], SimulationError(words)) for place, words in wrong.items())
+            for group in _groups(prepared, concretes, [i for i in chosen if i not in ran]):
                 self._run_group(prepared, concretes, group, ran)
         for begin, end in _portions_of_results(ran):
             yield from _results([ran.pop(i) for i in range(begin, end)])
@@ -229,8 +232,11 @@ def _results(ran: list[_Ran]) -> list[Recording | SimulationError]:
 
 def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:
     """Concrete scenarios that go into one batch each, as far as is known."""
+    names = sorted(prepared.splitting)
+    if not (names and chosen):
+        return [chosen] if chosen else []
     groups: dict[tuple[object, ...], list[int]] = {}
     for i in chosen:
-        key = tuple(concretes[i].values.get(name) for name in sorted(prepared.splitting))
+        key = tuple(concretes[i].values.get(name) for name in names)
         groups.setdefault(key, []).append(i)
     return list(groups.values())

@@ -149,7 +149,7 @@ class SumoSimulator(Simulator):
     def _run(
         self, prepared: PreparedScenario, values: Mapping[str, Value], types: Mapping[str, str]
     ) -> Recording | SimulationError:
-        if (wrong := prepared.unusable(values)) is not None:
+        if wrong := prepared.unusable([values]).get(0):
             return SimulationError(wrong)
         roads = prepared.scenario.road_file(values)
         if roads is not None and not roads.is_file():
