@@ -167,12 +167,11 @@ class Batch:
     def _collisions(self) -> dict[int, tuple[Collision, ...]]:
         """Who collided, in order of time, in scenarios with collisions."""
         begun, names = self._stepper.scene.collided, self._world.names
-        found: dict[int, list[tuple[float, int, int]]] = {}
-        for i, a, b in np.argwhere(~np.isnan(begun)).tolist():
-            found.setdefault(i, []).append((float(begun[i, a, b]), a, b))
-        return {
-            i: tuple(Collision(time, (names[a], names[b])) for time, a, b in sorted(each)) for i, each in found.items()
-        }
+        where = np.nonzero(~np.isnan(begun))
+        found: dict[int, list[Collision]] = {}
+        for i, time, a, b in sorted(zip(where[0].tolist(), begun[where].tolist(), *(k.tolist() for k in where[1:]))):
+            found.setdefault(i, []).append(Collision(time, (names[a], names[b])))
+        return {i: tuple(each) for i, each in found.items()}
 
 
 def _held(value: Any, scenarios: int) -> Any:

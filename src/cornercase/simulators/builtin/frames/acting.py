@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.compiling import kernel
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.frames.motion import advance, set_speed, settle
 from cornercase.simulators.builtin.frames.scene import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
 from cornercase.simulators.builtin.frames.synchronising import keep_distance, synchronise
@@ -74,11 +74,14 @@ class Kept(NamedTuple):
 
     Attributes
     ----------
+    live : ndarray of int64, shape (J + 1,)
+        The actions that run in the scenario, in their order, and then -1.
     floats : ndarray of float64, shape (J, 12)
     flags : ndarray of bool, shape (J, 2)
     memory : ndarray of float64, shape (J, 24)
     """
 
+    live: IntArray
     floats: FloatArray
     flags: BoolArray
     memory: FloatArray
@@ -97,7 +100,26 @@ def room_to_keep(actions):
     Kept
     """
     floats, flags = np.empty((actions, len(_FLOATS) + 1)), np.empty((actions, len(_FLAGS)), dtype=np.bool_)
-    return Kept(floats, flags, np.empty((actions, MEMORY)))
+    return Kept(np.empty(actions + 1, dtype=np.int64), floats, flags, np.empty((actions, MEMORY)))
+
+
+@_part
+def take_up(actions, kept, n):
+    """Take note of which actions run in a scenario.
+
+    Parameters
+    ----------
+    actions : Actions
+    kept : Kept
+    n : int
+        Scenario.
+    """
+    count = 0
+    for j in range(actions.options.shape[0]):
+        if actions.running[n, j]:
+            kept.live[count] = j
+            count += 1
+    kept.live[count] = -1
 
 
 @_part
@@ -121,9 +143,9 @@ def act(scene, tracks, roads, actions, kept, n, dt):
     bool
         False where one ends, or cannot be done here: then none has acted.
     """
-    for j in range(actions.options.shape[0]):
-        if not actions.running[n, j]:
-            continue
+    i = 0
+    while kept.live[i] >= 0:
+        j = kept.live[i]
         kind, goes_on = actions.options[j, 0], False
         _keep(scene, actions, kept, n, j)
         if kind == SPEED_ACTION:
@@ -139,11 +161,11 @@ def act(scene, tracks, roads, actions, kept, n, dt):
         elif kind == DISTANCE_ACTION:
             goes_on = keep_distance(scene, actions, n, j, dt)
         if not goes_on:
-            while j >= 0:
-                if actions.running[n, j]:
-                    _take_back(scene, actions, kept, n, j)
-                j -= 1
+            while i >= 0:
+                _take_back(scene, actions, kept, n, kept.live[i])
+                i -= 1
             return False
+        i += 1
     return True
 
 

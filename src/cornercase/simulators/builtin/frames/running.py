@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.compiling import kernel
-from cornercase._common.typing import BoolArray, IntArray
-from cornercase.drivers import Driven, accelerate, route_row, workspace
-from cornercase.simulators.builtin.frames.acting import act, room_to_keep
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.drivers import Driven, Workspace, accelerate, route_row, workspace
+from cornercase.simulators.builtin.frames.acting import Kept, act, room_to_keep, take_up
 from cornercase.simulators.builtin.frames.leaves import stays, take_down
 from cornercase.simulators.builtin.frames.motion import AWAKE, MOVED_BY_OTHERS, move, record
 from cornercase.simulators.builtin.frames.scene import MAX_SPEED
@@ -81,6 +81,26 @@ class Rules(NamedTuple):
     drives: bool
 
 
+class Desk(NamedTuple):
+    """What a thread needs to run one scenario of E entities after the other.
+
+    Attributes
+    ----------
+    kept : Kept
+    rest : ndarray of int8, shape (E,)
+        `AWAKE` and so on.
+    others : ndarray of float64, shape (4, E - 1)
+        x, y, heading and speed of who a driver may see.
+    work : Workspace
+        Of a driver.
+    """
+
+    kept: Kept
+    rest: npt.NDArray[np.int8]
+    others: FloatArray
+    work: Workspace
+
+
 @kernel(error_model="numpy")
 def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, last):
     """Run scenarios on until their storyboard has to look.
@@ -101,13 +121,13 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
         Scenarios, the last one not included; always the same ones together.
     """
     entities = scene.floats.shape[2]
-    work, others = workspace(entities - 1), np.empty((4, entities - 1))
     kept, rest = room_to_keep(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
+    desk = Desk(kept, rest, np.empty((4, entities - 1)), workspace(entities - 1))
     for n in range(first, last):
         status = course.status[n]
         if status == RESTS:
             continue
-        _wake(scene, actions, course, n, rest)
+        _wake(scene, actions, course, n, desk)
         while status in (GOES, ACTS, BEGUN):
             begun, dt = status != GOES, rules.time_step if scene.frames[n] > 0 else 0.0
             if status == GOES:
@@ -118,10 +138,10 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
                     status = WAITS
                     break
                 _note_speeds(scene, n)
-            if status != BEGUN and not act(scene, tracks, roads, actions, kept, n, dt):
+            if status != BEGUN and not act(scene, tracks, roads, actions, desk.kept, n, dt):
                 status = ENDS if status == ACTS else WAITS
                 break
-            status = _finish(scene, tracks, fleet, course, rules, n, first, dt, rest, work, others)
+            status = _finish(scene, tracks, fleet, course, rules, n, first, dt, desk)
             if begun and course.looks[n] and status == GOES:
                 status = WAITS
         if status == WAITS and scene.frames[n] >= rules.most:
@@ -132,13 +152,17 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
 
 
 @_part
-def _wake(scene, actions, course, n, rest):
-    """Take note of who is moved by others than itself, and of the others that they may not rest yet."""
+def _wake(scene, actions, course, n, desk):
+    """Take note of the actions that run, of who is moved by others than itself, and that nobody may rest yet."""
+    rest, live = desk.rest, desk.kept.live
     for e in range(rest.size):
         rest[e] = AWAKE
-    for j in range(actions.options.shape[0]):
-        if actions.running[n, j] and actions.options[j, 0] != UNKNOWN:
-            rest[actions.options[j, 1]] = MOVED_BY_OTHERS
+    take_up(actions, desk.kept, n)
+    i = 0
+    while live[i] >= 0:
+        if actions.options[live[i], 0] != UNKNOWN:
+            rest[actions.options[live[i], 1]] = MOVED_BY_OTHERS
+        i += 1
     for d in range(course.driven.size):
         rest[course.driven[d]] = MOVED_BY_OTHERS
     for t in range(scene.tows.shape[0]):
@@ -152,22 +176,22 @@ def _note_speeds(scene, n):
 
 
 @_part
-def _finish(scene, tracks, fleet, course, rules, n, first, dt, rest, work, others):
+def _finish(scene, tracks, fleet, course, rules, n, first, dt, desk):
     """Do the part of a frame that comes after the storyboard; what becomes of the scenario then."""
     if rules.drives and dt > 0.0:
         for d in range(course.driven.shape[0]):
-            _drive(scene, tracks, fleet, n, d, course.driven[d], dt, work, others)
-    elsewhere = move(scene, tracks, n, dt, rest)
-    collides = record(scene, n, first, dt, rest)
+            _drive(scene, tracks, fleet, n, d, course.driven[d], dt, desk)
+    elsewhere = move(scene, tracks, n, dt, desk.rest)
+    collides = record(scene, n, first, dt, desk.rest)
     if collides and rules.stop_at_collision:
         return OVER
     return ELSEWHERE if elsewhere else GOES
 
 
 @_part
-def _drive(scene, tracks, fleet, n, d, e, dt, work, others):
+def _drive(scene, tracks, fleet, n, d, e, dt, desk):
     """Let a driver decide the speed of its entity at the end of the coming time step, where it is in charge."""
-    f, b, numbers = scene.floats[n], scene.flags[n], scene.numbers[n]
+    f, b, numbers, others = scene.floats[n], scene.flags[n], scene.numbers[n], desk.others
     track = numbers[TRACK, e]
     if not (b[PRESENT, e] and b[DRIVEN, e] and numbers[DRIVER, e] == d and track >= 0):
         return
@@ -183,5 +207,5 @@ def _drive(scene, tracks, fleet, n, d, e, dt, work, others):
         others[2, a] = f[HEADING, k] if there else math.nan
         others[3, a] = f[SPEED, k] if there else math.nan
     driven = Driven(f[DISTANCE, e], f[X, e], f[Y, e], f[HEADING, e], f[SPEED, e], f[TARGET_SPEED, e])
-    acceleration = accelerate(fleet, d, n, route, scene.time[n], dt, driven, others, work)
+    acceleration = accelerate(fleet, d, n, route, scene.time[n], dt, driven, others, desk.work)
     f[SPEED, e] = min(max(f[SPEED, e] + acceleration * dt, 0.0), scene.boxes[e, MAX_SPEED])

@@ -87,11 +87,19 @@ class ClothoidSpline(Trajectory):
         self.chord = np.maximum(_CHORD, lengths / _MOST_CHORDS)
         chords = np.ceil(lengths / self.chord)
         self.last = np.maximum(chords.astype(np.int64) - 1, 0)
-        every = np.arange(len(lengths))
+        # As a rule the curve is the same in all scenarios.
+        self._alike = all(
+            (a == a[0]).all() for a in (self._x, self._y, self._turn, self._start, self._rate, self.begin)
+        )
+        every = np.arange(1 if self._alike else len(lengths))
         points = [
-            self._on_curve(np.minimum(k * self.chord, lengths), every) for k in range(int(chords.max(initial=0.0)) + 1)
+            self._on_curve(np.minimum(k * self.chord, lengths)[every], every)
+            for k in range(int(chords.max(initial=0.0)) + 1)
         ]
-        self.x, self.y, self.heading = (np.stack(parts, axis=1) for parts in zip(*points, strict=True))
+        self.x, self.y, self.heading = (
+            np.repeat(np.stack(parts, axis=1), len(lengths) // len(every), axis=0)
+            for parts in zip(*points, strict=True)
+        )
 
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         length = self.lengths.take(rows)
@@ -134,6 +142,8 @@ class ClothoidSpline(Trajectory):
         return rows * count + k, first + k
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
+        if self._alike and len(x) > 1 and (x == x[0]).all() and (y == y[0]).all():
+            return np.repeat(self.nearest(x[:1], y[:1], rows[:1]), len(x))
         places = np.linspace(0.0, 1.0, 201)
         best, gap = np.zeros(len(x)), np.full(len(x), np.inf)
         for place in places:
