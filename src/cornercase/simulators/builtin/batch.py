@@ -167,9 +167,10 @@ class Batch:
     def _collisions(self) -> dict[int, tuple[Collision, ...]]:
         """Who collided, in order of time, in scenarios with collisions."""
         begun, names = self._stepper.scene.collided, self._world.names
-        where = np.nonzero(~np.isnan(begun))
+        scenarios, firsts, seconds = np.nonzero(~np.isnan(begun))
+        columns = (scenarios, begun[scenarios, firsts, seconds], firsts, seconds)
         found: dict[int, list[Collision]] = {}
-        for i, time, a, b in sorted(zip(where[0].tolist(), begun[where].tolist(), *(k.tolist() for k in where[1:]))):
+        for i, time, a, b in sorted(zip(*(column.tolist() for column in columns), strict=True)):
             found.setdefault(i, []).append(Collision(time, (names[a], names[b])))
         return {i: tuple(each) for i, each in found.items()}
 
