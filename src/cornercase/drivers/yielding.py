@@ -224,6 +224,9 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
                 break
         lay(way, k)
         arrives = arrive(behaviour, way, k)
+        # Later places are reached later; a hair more, as instants are sums.
+        if arrives >= horizon + gap_after + 1e-6:
+            break
         # Most places are passed long before, or long after, the other comes.
         if not meets_within(places, k, ego, margin, other, horizon, (arrives, -gap_first), (arrives, gap_after)):
             continue

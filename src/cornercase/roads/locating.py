@@ -81,6 +81,10 @@ class Locator:
         -------
         Place
         """
+        if len(x) > 1 and (x == x[0]).all() and (y == y[0]).all():
+            # As a rule a file puts all scenarios at the same place.
+            road, lane, s, offset = self.locate(x[:1], y[:1])
+            return Place(road.repeat(len(x)), lane.repeat(len(x)), s.repeat(len(x)), offset.repeat(len(x)))
         samples = self._samples
         # What is as far as that is found nowhere; NaN is not near either.
         known = (np.abs(x) < _ANYWHERE) & (np.abs(y) < _ANYWHERE)
