@@ -21,7 +21,7 @@ from cornercase.drivers import (
     BehaviourDriver,
     DrivenPath,
 )
-from cornercase.drivers.contact import first_contact, meeting
+from cornercase.drivers.contact import first_contact, meeting, meets_within
 from cornercase.drivers.route import plan_route
 
 
@@ -102,6 +102,30 @@ def test_times_of_contact_agree_with_boxes_at_many_instants(own, heading, speed,
         )
     else:
         assert last - first <= 0.002001
+
+
+@given(
+    other=st.tuples(st.floats(-15, 15), st.floats(-15, 15), st.floats(-4, 4)),
+    turn=st.floats(-1.5, 1.5),
+    legs=st.integers(1, 9),
+    speed=st.floats(-3, 12),
+    arrives=st.floats(0, 9),
+    gaps=st.tuples(st.floats(0, 3), st.floats(0, 3)),
+)
+@settings(max_examples=400, deadline=None)
+def test_who_is_met_within_gaps_is_met_at_these_times(other, turn, legs, speed, arrives, gaps):
+    place = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
+    a, b, towards = other
+    rows = np.empty((legs, 6))
+    for k in range(legs):
+        cos, sin, duration = math.cos(towards), math.sin(towards), 0.5 if k < legs - 1 else 8.0
+        rows[k] = a, b, cos, sin, 0.5 * k, 0.5 * k + duration
+        a, b, towards = a + duration * speed * cos, b + duration * speed * sin, towards + turn
+    them = (rows, 2.0, 0.8, speed)
+    first, last, _ = meeting(place, 0, (2.3, 0.9), 0.35, them, 6.0)
+    expected = first - gaps[0] < arrives < last + gaps[1]
+    found = meets_within(place, 0, (2.3, 0.9), 0.35, them, 6.0, (arrives, -gaps[0]), (arrives, gaps[1]))
+    assert found == expected
 
 
 @given(

@@ -244,7 +244,7 @@ def test_straight_stretches_that_are_passed_over_hold_no_contact(bends, other, t
     places = np.zeros((MOST_PLACES, 6))
     most = float(plan.longest[0] + (1.4 + abs(offset)) * plan.sharpest[0])
     way = Way(
-        places, np.zeros(2), np.zeros((1, 6)), len(x), most, points, 0, 0, float(plan.step[0]), 0.0, offset, 1.4,
+        places, np.zeros(3), np.zeros((1, 6)), len(x), most, points, 0, 0, float(plan.step[0]), 0.0, offset, 1.4,
         (2.3, 0.9), 5.0, 10.0,
     )  # fmt: skip
     all_places = np.column_stack(

@@ -54,6 +54,21 @@ def test_a_place_on_a_route_hangs_on_the_route_of_its_own_scenario(tmp_path):
     assert differing(path, values, 1.0) == []
 
 
+def test_a_recording_holds_no_more_memory_than_its_own():
+    base = ROOT / "examples" / "t_intersection" / "t_intersection.xosc"
+    found = results(base, {}, {}, {}, duration=5.0)
+    for one in found:
+        arrays = [one.x, one.y, one.heading, one.speed, one.acceleration]
+        held = {id(array if array.base is None else array.base): array for array in arrays}
+        assert sum((array if array.base is None else array.base).nbytes for array in held.values()) == sum(
+            array.nbytes for array in arrays
+        )
+        assert all(array.flags.c_contiguous and array.flags.writeable for array in arrays)
+    found[0].x[:] = 0.0
+    np.testing.assert_array_equal(found[1].x, found[2].x)
+    assert (found[1].x != 0.0).any()
+
+
 def test_a_nurbs_is_the_same_for_one_scenario_and_for_many():
     random = np.random.default_rng(0)
     x, y = (np.cumsum(random.uniform(0, 40 * (k + 1), (9, 5)), axis=1) for k in range(2))
