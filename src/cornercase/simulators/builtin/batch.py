@@ -131,6 +131,7 @@ class Batch:
         motion, placed = motion_of(scene, np.array(chosen, dtype=np.int64))
         names, kinds = tuple(world.names), tuple(entity.kind for entity in world.entities)
         boxes = scene.boxes[:, [LENGTH, WIDTH, CENTER_X]].T
+        time = np.arange(scene.frames.max(initial=0)) * self._time_step
         result: list[Recording | SimulationError] = []
         for i, (x, y, heading, speed, acceleration), there in zip(chosen, motion, placed.tolist(), strict=True):
             if i in world.errors:
@@ -142,7 +143,7 @@ class Batch:
             length, width, center_x = boxes.copy()
             result.append(
                 Recording(
-                    time=np.arange(x.shape[1]) * self._time_step,
+                    time=time[: x.shape[1]].copy(),
                     names=names,
                     kinds=kinds,
                     x=x,
@@ -160,8 +161,13 @@ class Batch:
 
     def bytes_of(self, i: int) -> int:
         """Say how much memory the recording of a scenario takes, once the batch has run."""
+        return self._bytes[i]
+
+    @cached_property
+    def _bytes(self) -> list[int]:
         scene = self._stepper.scene
-        return int(scene.frames[i]) * scene.pages[0, :, :, 0].nbytes
+        sizes: list[int] = (scene.frames * scene.pages[0, :, :, 0].nbytes).tolist()
+        return sizes
 
     @cached_property
     def _collisions(self) -> dict[int, tuple[Collision, ...]]:
