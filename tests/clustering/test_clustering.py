@@ -181,6 +181,18 @@ def test_the_unit_does_not_matter_and_neither_does_the_order():
     assert adjusted_rand_score(again.labels, once.labels[order]) == 1.0
 
 
+@pytest.mark.parametrize(("apart", "seed"), [(4.0, 503), (6.0, 500), (4.0, 1), (5.0, 2)])
+def test_kinds_that_touch_are_the_same_in_any_order(apart, seed):
+    rng = np.random.default_rng(seed)
+    distances = between(rng.normal(size=(150, 2)) + np.repeat([[0.0, 0.0], [apart, 0.0]], 75, axis=0))
+    once = ScenarioClustering().fit(distances)
+    order = rng.permutation(150)
+    again = ScenarioClustering().fit(distances[np.ix_(order, order)])
+    assert np.array_equal(again.labels_, once.labels_[order])
+    assert np.array_equal(again.embedding_, once.embedding_[order])
+    assert np.array_equal(again.predict(distances[:9][:, order]), once.predict(distances[:9]))
+
+
 def test_same_bytes_each_time():
     distances = between(np.random.default_rng(0).normal(size=(250, 3)) + np.repeat([0, 6], 125)[:, None])
     first, second = cluster(distances), cluster(distances)

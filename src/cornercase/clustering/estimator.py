@@ -151,12 +151,12 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         """
         self.require_settings()
         matrix = _checked(distances)
-        order = canonical_order(matrix)
-        self._spanning = np.arange(len(matrix))
+        # A scenario that two clusters touch joins the one that is found first: no order but this one may decide it.
+        self._spanning = canonical_order(matrix)
         count = self._landmark_count(len(matrix))
         if count < len(matrix):
-            self._spanning = np.sort(np.random.default_rng(0).choice(order, count, replace=False))
-        within = matrix if count >= len(matrix) else matrix[np.ix_(self._spanning, self._spanning)]
+            self._spanning = self._spanning[np.sort(np.random.default_rng(0).choice(len(matrix), count, replace=False))]
+        within = matrix[np.ix_(self._spanning, self._spanning)]
         self._known = search_settings(
             within,
             gamma=self.gamma if self.gamma == "auto" else float(self.gamma),
@@ -168,7 +168,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         self._scale = self._known.scale or 1.0
         with threadpool_limits(limits=1):
             self._space = KernelSpace(self._known.gamma, self._known.embedding.shape[1]).fit(within / self._scale)
-            found = self._known if within is matrix else self._extended(matrix)
+            found = self._extended(matrix) if count < len(matrix) else self._as_given()
         self.result_: Clustering = found
         self.labels_, self.embedding_, self.candidates_ = found.labels, found.embedding, found.candidates
         self.gamma_, self.eps_, self.min_samples_ = found.gamma, found.eps, found.min_samples
@@ -251,6 +251,11 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         """
         return join_nearest(self.transform(distances), self._known)
 
+    def _as_given(self) -> Clustering:
+        """Clusters of all scenarios, in the order in which these were given."""
+        place = np.argsort(self._spanning)
+        return replace(self._known, labels=self._known.labels[place], embedding=self._known.embedding[place])
+
     def _extended(self, matrix: FloatArray) -> Clustering:
         """Clusters of the landmarks, joined by all others."""
         landmarks = self._spanning
@@ -266,7 +271,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         labels = order_by_size(labels)
         # The order of sizes may be another with all scenarios; new ones join under the final labels.
         self._known = replace(self._known, labels=labels[landmarks])
-        return replace(self._known, labels=labels, embedding=embedding, landmarks=landmarks, error=error)
+        return replace(self._known, labels=labels, embedding=embedding, landmarks=np.sort(landmarks), error=error)
 
     def _landmark_count(self, n: int) -> int:
         if self.landmarks == "auto":

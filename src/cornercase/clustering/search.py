@@ -61,7 +61,7 @@ def search_settings(
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
-        Symmetric, zero on the diagonal, finite.
+        Symmetric, zero on the diagonal, finite; in `canonical_order`, as clusters that touch depend on the order.
     gamma, eps : float or "auto"
         Kernel width, and radius of the neighbourhood in the embedding.
     min_samples : int or "auto"
@@ -80,9 +80,8 @@ def search_settings(
     positive = distances[distances > 0.0]
     scale = float(np.median(positive)) if len(positive) else 0.0
     scaled = distances / scale if scale else distances
-    order = canonical_order(distances)
     searching = "auto" in (gamma, eps) and n >= _FEWEST
-    search = _Search(scaled, order if searching else None, method)
+    search = _Search(scaled, searching, method)
     # Threads of the linear algebra would change the last digits with their number.
     with threadpool_limits(limits=1):
         for axes, needed in _spaces(n, n_components, min_samples, search.smallest if searching else 0):
@@ -91,7 +90,7 @@ def search_settings(
                 search.try_width(width, eps, axes, needed)
             if not searching or search.best_score >= GOOD:
                 break
-        best = search.choose(order, settled="auto" not in (gamma, eps)) if searching else 0
+        best = search.choose(settled="auto" not in (gamma, eps)) if searching else 0
     chosen, labels, space = search.tried[best]
     return Clustering(
         labels=labels,
@@ -155,14 +154,11 @@ class _Embedding(NamedTuple):
 
 
 class _Search:
-    """Candidates, and how well they show the kinds that the distances show; without an order there is no search."""
+    """Candidates, and how well they show the kinds that the distances show, where settings are searched."""
 
-    def __init__(self, scaled: FloatArray, order: IntArray | None, method: ClusteringMethod) -> None:
-        self._scaled, self._method = scaled, method
-        self._searching = order is not None
-        self.kinds = np.zeros(len(scaled), dtype=np.int64)
-        if order is not None:
-            self.kinds[order] = find_kinds(scaled[np.ix_(order, order)])
+    def __init__(self, scaled: FloatArray, searching: bool, method: ClusteringMethod) -> None:
+        self._scaled, self._searching, self._method = scaled, searching, method
+        self.kinds = find_kinds(scaled) if searching else np.zeros(len(scaled), dtype=np.int64)
         self.smallest = int(np.bincount(self.kinds).min())
         self.tried: list[tuple[Candidate, IntArray, _Embedding]] = []
         self._known: dict[tuple[float, int], _Embedding] = {}
@@ -189,9 +185,10 @@ class _Search:
             one = Candidate(gamma, reach, clusters, noise, math.nan, math.nan, math.nan, score, axes, needed, agreement)
             self.tried.append((one, labels, space))
 
-    def choose(self, order: IntArray, settled: bool) -> int:
+    def choose(self, settled: bool) -> int:
         """Index of the best candidate; validity and stability go into it, and into the best of a few other numbers."""
-        self._stability = Stability(self._scaled, order, method=self._method, most=MOST_SCORED)
+        every = np.arange(len(self._scaled))
+        self._stability = Stability(self._scaled, every, method=self._method, most=MOST_SCORED)
         # Of neighbourhoods that do equally well, the wider one goes on doing so when scenarios are left out.
         falling = sorted(range(len(self.tried)), key=lambda k: (-self.tried[k][0].score, -self.tried[k][0].eps))
         highest = self.tried[falling[0]][0].score
@@ -210,7 +207,7 @@ class _Search:
         numbers = {one.clusters: k for k in reversed(falling) for one in [self.tried[k][0]]}
         numbers[self.tried[best][0].clusters] = best
         shown = sorted(numbers.values(), key=lambda k: -self.tried[k][0].score)[:MOST_JUDGED]
-        validity = Validity(self._scaled, np.sort(order[:: math.ceil(len(order) / MOST_SCORED)]))
+        validity = Validity(self._scaled, every[:: math.ceil(len(every) / MOST_SCORED)])
         for k in {*shown, *([numbers[1]] if 1 in numbers else [])}:
             self._judge(k)
             one, labels, space = self.tried[k]
