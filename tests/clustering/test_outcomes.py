@@ -159,6 +159,14 @@ def test_one_that_is_there_only_at_times():
     assert traits["mean speed"] == pytest.approx(20.0)
 
 
+def test_an_ego_that_is_never_there():
+    told = recording(Ego=entity(0.0, 0.0, 0.0, (0, 20.0), exists=(-2.0, -1.0)), P=CROSSES, Q=PASSES)
+    outcome = find_outcome(told, "Ego", "P")
+    assert (outcome.moves, outcome.first) == (False, None)
+    assert endings(outcome)[-1] == "does not meet P"
+    assert math.isnan(measure_traits(told, outcome)["way"])
+
+
 def test_an_ego_that_never_moves():
     stands = entity(0.0, 0.0, 0.0, (0, 0.0))
     told = recording(Ego=stands, P=CROSSES)

@@ -63,14 +63,16 @@ class Way:
             Without boxes where it never exists.
         """
         i, at = recording.index(name), np.flatnonzero(there)
+        size = np.array([recording.length[i], recording.width[i]], dtype=np.float64)
+        if not len(at):
+            return cls(np.empty(0), np.empty((4, 0)), size, float(recording.time[-1]))
         heading = recording.heading[i, at]
         poses = np.stack([*recording.center(name)[at].T, np.cos(heading), np.sin(heading)])
         time, steps = recording.time[at], np.diff(at) == 1
         # Of a time of standing the first and the last instant are enough.
         still = steps & (np.abs(np.diff(poses)) <= _STILL).all(axis=0)
         kept = ~(np.append(False, still) & np.append(still, False))
-        at, time, poses = at[kept], time[kept], poses[:, kept]
-        size = np.array([recording.length[i], recording.width[i]], dtype=np.float64)
+        time, poses = time[kept], poses[:, kept]
         time, poses = _filled(time, poses, _CLOSE * float(size.min()))
         return cls(time, np.ascontiguousarray(poses), size, float(recording.time[-1]))
 
