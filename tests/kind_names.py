@@ -56,7 +56,10 @@ class Scene:
     """One scenario, as an onlooker sees it."""
 
     def __init__(self, recording: Recording, ego: str, other: str, values: Mapping[str, Any]) -> None:
-        self.recording, self.ego, self.other, self.values = recording, ego, other, values
+        self.recording, self.ego, self.other = recording, ego, other
+        # Of values that go together each by itself, too.
+        sets = [zip(name.split(", "), str(one).split(", "), strict=False) for name, one in values.items()]
+        self.values = {name: one for each in sets for name, one in each} | dict(values)
         self.i, self.time = recording.names.index(ego), recording.time
         self.v = np.abs(recording.speed[self.i])
 
@@ -311,6 +314,10 @@ def qualifier(scene, said):
     if found := re.fullmatch(rf"(.*?) ([<>]) {NUMBER}( \S+)?", said):
         value, bound = scene.values[found[1]], float(found[3])
         return value < bound if found[2] == "<" else value > bound
+    if found := re.fullmatch(r"(.*) from the (left|right)", said):
+        r, o = scene.recording, scene.recording.names.index(found[1])
+        _, left, _ = scene.seen(found[1], np.flatnonzero(np.isfinite(r.x[o] + r.x[scene.i]))[0])
+        return scene.met[0] == "crossing" and left * (1 if found[2] == "left" else -1) > 1.5
     name, _, choice = said.partition(" is ")
     chosen = str(scene.values[name])
     if chosen.startswith(f"{choice}, "):

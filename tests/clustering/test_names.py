@@ -15,8 +15,8 @@ from scipy.stats import qmc
 from conftest import EXAMPLES, ran
 from cornercase.clustering import analyze, find_outcome
 from cornercase.clustering.agreement import agree_with_facts, find_facts
-from cornercase.clustering.clauses import Account
-from cornercase.clustering.names import name_kinds
+from cornercase.clustering.clauses import Account, Clause
+from cornercase.clustering.names import KindName, name_kinds
 from cornercase.clustering.traits import measure_traits
 from cornercase.drivers import named_driver
 from cornercase.exploration import explore
@@ -176,6 +176,40 @@ def test_kinds_with_one_ending_are_set_apart_by_what_differs():
         "Ego passes before P, closely, enters before 2 s",
         "Ego passes before P, clear",
     ]
+
+
+def test_kinds_may_be_set_apart_by_the_side_that_the_other_comes_from():
+    def walking(side, k):
+        return entity(50.0, side * 6.0, -side * NORTH, (0, 1.5 + 0.01 * k), length=0.6, width=0.6)
+
+    told = Told.of(
+        [recording(Ego=passing(0.0, 18.0), P=walking(side, k)) for side in (1, -1) for k in range(10)], "Ego", "P"
+    )
+    labels = np.repeat([0, 1], 10)
+    require_true(told, labels)
+    begin = "Ego passes before P, closely, P from the"
+    assert list(names_of(told, labels).values()) == [f"{begin} left", f"{begin} right"]
+
+
+def test_a_second_bound_on_the_same_side_takes_the_place_of_the_first():
+    values = np.arange(10.0)
+    above = [Clause(f"above {bound}", values > bound, "above") for bound in (2, 4)]
+    name = KindName(Clause("Ego goes", values >= 0.0))
+    for clause in (above[0], Clause("below 8", values < 8, "below"), Clause("clear", values != 5), above[1]):
+        name = name.with_qualifier(clause)
+    assert name.text == "Ego goes, below 8, clear, above 4"
+    assert np.flatnonzero(name.holds).tolist() == [6, 7]
+
+
+def test_of_values_that_go_together_the_first_that_tells_is_named():
+    choices = ("1, left.xosc", "-1, right.xosc")
+    space = ParameterSpace([Parameter("side, file", 0, 1, choices=choices)])
+    same = [KINDS["before"][0]] * 20
+    told = Told.of(same, "Ego", "P", space, [{"side, file": choices[k // 10]} for k in range(20)])
+    labels = np.repeat([0, 1], 10)
+    require_true(told, labels)
+    begin = "Ego passes before P, closely, side is"
+    assert list(names_of(told, labels).values()) == [f"{begin} 1", f"{begin} -1"]
 
 
 def test_lane_changes_to_the_left_and_to_the_right_are_set_apart():

@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering.outcomes import Encounter, Impact, Outcome
 from cornercase.clustering.traits import TRAITS
-from cornercase.scenario import ParameterSpace, Value
+from cornercase.scenario import Parameter, ParameterSpace, Value
 
 # Bounds of impact speeds in m/s, of gaps in s, of decelerations in m/s², of turns in rad and of shifts in m.
 _LOW_SPEED, _HIGH_SPEED = 5.0, 10.0
@@ -36,10 +36,13 @@ class Clause:
         In words.
     holds : ndarray of bool, shape (n,)
         Of which scenarios it is true.
+    of : str
+        What a bound is of, and on which side; empty for what has none. Of two with the same, one is enough.
     """
 
     text: str
     holds: BoolArray
+    of: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +160,9 @@ def fixed_clauses(account: Account) -> list[Clause]:
     """
     traits, outcomes = account.traits, account.outcomes
     hit, gap, braking = traits["impact speed"], traits["gap"], traits["braking"]
-    turn, shift = traits["turn"], traits["shift"]
+    turn, shift, aside = traits["turn"], traits["shift"], traits["aside"]
+    crosses = np.array([one.encounter.relation == "crossing" for one in outcomes])
+    other = outcomes[0].encounter.entity
     straight = np.abs(turn) < _STRAIGHT
     stops, moves = (np.array([getattr(one, name) for one in outcomes]) for name in ("stops", "moves"))
     found = [
@@ -176,6 +181,8 @@ def fixed_clauses(account: Account) -> list[Clause]:
         Clause("goes straight on", moves & straight & (np.abs(shift) <= _ASIDE)),
         Clause("turns left", turn >= _TURNED),
         Clause("turns right", turn <= -_TURNED),
+        Clause(f"{other} from the left", crosses & (aside > _ASIDE)),
+        Clause(f"{other} from the right", crosses & (aside < -_ASIDE)),
     ]
     said = [tuple(_of_others(one)) for one in outcomes]
     texts = dict.fromkeys(text for each in said for text in each)
@@ -224,12 +231,22 @@ def bounded_clauses(account: Account, wanted: BoolArray, needed: int, rivals: Bo
         read = [one.read(each) for each in account.values]
         if one.choices:
             chosen = np.array([str(value) for value in read])
-            found += [(2, Clause(f"{one.name} is {choice}", chosen == choice)) for choice in one.choices]
+            found += [(2, Clause(_choice(one, choice), chosen == choice)) for choice in one.choices]
         elif one.size != 1:
             texts = (f"{{other}} < {{}} {one.unit}".rstrip(), f"{{other}} > {{}} {one.unit}".rstrip())
             column = np.array(read, dtype=np.float64)
             found += [(2, clause) for clause in _bounds(column, texts, one.name, wanted, needed, rivals)]
     return found
+
+
+def _choice(parameter: Parameter, choice: str) -> str:
+    """Name a choice; of values that go together the first that tells it from all others."""
+    names, parts = parameter.name.split(", "), [one.split(", ") for one in parameter.choices]
+    if len(names) > 1 and all(len(one) == len(names) for one in parts):
+        for name, mine, others in zip(names, choice.split(", "), zip(*parts, strict=True), strict=True):
+            if len(set(others)) == len(others):
+                return f"{name} is {mine}"
+    return f"{parameter.name} is {choice}"
 
 
 def _bounds(
@@ -252,7 +269,9 @@ def _bounds(
                 # Zero has no sign.
                 number = sign * float(bound) + 0.0
                 if number >= least:
-                    yield Clause(text.format(f"{number:.{_DIGITS[-1]}g}", other=of), signed > float(bound))
+                    yield Clause(
+                        text.format(f"{number:.{_DIGITS[-1]}g}", other=of), signed > float(bound), f"{of}: {text}"
+                    )
 
 
 def _round(low: float, high: float) -> str | None:

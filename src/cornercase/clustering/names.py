@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -35,14 +35,41 @@ class KindName:
 
     Attributes
     ----------
-    text : str
-        The name.
-    holds : ndarray of bool, shape (n,)
-        Of which scenarios it is true.
+    ending : Clause
+        How its scenarios end.
+    qualifiers : tuple of Clause
+        What is true of them, too.
     """
 
-    text: str
-    holds: BoolArray
+    ending: Clause
+    qualifiers: tuple[Clause, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The name."""
+        return ", ".join([self.ending.text, *(one.text for one in self.qualifiers)])
+
+    @property
+    def holds(self) -> BoolArray:
+        """Of which scenarios it is true, shape (n,)."""
+        holds: BoolArray = np.all([self.ending.holds, *(one.holds for one in self.qualifiers)], axis=0)
+        return holds
+
+    def with_qualifier(self, clause: Clause) -> KindName:
+        """Say one thing more.
+
+        Parameters
+        ----------
+        clause : Clause
+            Takes the place of one with a bound on the same side.
+
+        Returns
+        -------
+        KindName
+            The longer name.
+        """
+        kept = tuple(one for one in self.qualifiers if not one.of or one.of != clause.of)
+        return KindName(self.ending, (*kept, clause))
 
 
 def name_kinds(account: Account, labels: IntArray, examples: Sequence[int]) -> dict[int, KindName]:
@@ -77,8 +104,11 @@ def name_kinds(account: Account, labels: IntArray, examples: Sequence[int]) -> d
     for _ in range(_MOST_QUALIFIERS):
         names = {label: _set_apart(account, fixed, kinds, names, label) for label in kinds}
     counts = Counter(name.text for name in names.values())
+    everywhere = np.ones(len(labels), dtype=np.bool_)
     return {
-        label: name if counts[name.text] == 1 else replace(name, text=f"{name.text}, as in scenario {examples[label]}")
+        label: name
+        if counts[name.text] == 1
+        else name.with_qualifier(Clause(f"as in scenario {examples[label]}", everywhere))
         for label, name in names.items()
     }
 
@@ -105,7 +135,7 @@ def _named_by_ending(
     covered = np.array([each[-1] in chosen for each in said])
     of_others = [covered[one].mean() for one in others]
     if len(chosen) > _MOST_ENDINGS or (len(chosen) > 1 and of_others and np.mean(of_others) >= _OF_ALL):
-        return KindName("any ending", np.ones(len(said), dtype=np.bool_))
+        return KindName(Clause("any ending", np.ones(len(said), dtype=np.bool_)))
     for k, text in enumerate(chosen):
         ladder = dict.fromkeys(one for i in members if said[i][-1] == text for one in said[i][:-1])
         # Those that say most come first in each scenario's own order.
@@ -114,10 +144,11 @@ def _named_by_ending(
             if _true_of_all(said, mine, tried) >= needed:
                 chosen = tried
                 break
-    name = KindName(f"{ego} {' or '.join(chosen)}", np.array([any(text in each for text in chosen) for each in said]))
+    holds = np.array([any(text in each for text in chosen) for each in said])
+    name = KindName(Clause(f"{ego} {' or '.join(chosen)}", holds))
     for clause in fixed:
         if clause.text in _HOW and int((clause.holds & name.holds & mine).sum()) >= needed:
-            return _joined(name, clause)
+            return name.with_qualifier(clause)
     return name
 
 
@@ -148,13 +179,10 @@ def _set_apart(
     needed = _needed(mine)
     among = np.any([kinds[one] for one in rivals], axis=0) & name.holds
     bounded = bounded_clauses(account, mine & name.holds, needed, among)
-    best, least = name, (1.0 - _SETS_APART) * left(name.holds).mean()
+    before = name.holds
+    best, least = name, (1.0 - _SETS_APART) * left(before).mean()
     for rank, clause in [*((0, one) for one in fixed), *bounded]:
-        holds = name.holds & clause.holds
+        holds = before & clause.holds
         if int(holds[mine].sum()) >= needed and left(holds).mean() + _PREFERENCE[rank] < least:
-            best, least = _joined(name, clause), left(holds).mean() + _PREFERENCE[rank]
+            best, least = name.with_qualifier(clause), left(holds).mean() + _PREFERENCE[rank]
     return best
-
-
-def _joined(name: KindName, clause: Clause) -> KindName:
-    return KindName(f"{name.text}, {clause.text}", name.holds & clause.holds)

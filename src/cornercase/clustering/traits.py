@@ -64,7 +64,7 @@ def measure_traits(recording: Recording, outcome: Outcome) -> dict[str, float]:
           m/s²;
         - ``"way"``, ``"duration"``: how far and how long it goes, in m and s;
         - ``"turn"``, ``"shift"``: by how much its heading turns to the left, in rad, and how far to the left of a
-          straight way it ends, in m.
+          straight way it ends, in m; ``"aside"``: how far to the left of it the other is at the beginning, in m.
     """
     i, j = recording.index(outcome.ego), recording.index(outcome.encounter.entity)
     gap, here = outcome.encounter.gap, there(recording, outcome.ego)
@@ -75,10 +75,18 @@ def measure_traits(recording: Recording, outcome: Outcome) -> dict[str, float]:
         "entry": outcome.encounter.enters,
         "gap": gap if gap >= 0.0 else math.nan,
         "mean speed of the other": _mean(np.abs(recording.speed[j])),
-    } | dict.fromkeys(("nearest", "nearest time", "first distance"), math.nan)
+    } | dict.fromkeys(("nearest", "nearest time", "first distance", "aside"), math.nan)
     if (both := np.flatnonzero(here & there(recording, outcome.encounter.entity))).size:
         nearest, at, begins = _nearest(recording, i, j, both)
-        traits |= {"nearest": nearest, "nearest time": float(recording.time[at]), "first distance": begins}
+        away = (recording.center(recording.names[j]) - recording.center(outcome.ego))[both[0]]
+        heading = recording.heading[i, both[0]]
+        aside = float(np.cos(heading) * away[1] - np.sin(heading) * away[0])
+        traits |= {
+            "nearest": nearest,
+            "nearest time": float(recording.time[at]),
+            "first distance": begins,
+            "aside": aside,
+        }
     return traits
 
 
