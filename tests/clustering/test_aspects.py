@@ -195,3 +195,30 @@ def test_refuses_an_aspect_that_gives_something_else(path, monkeypatch):
     monkeypatch.setitem(ASPECTS._factories, "odd", (Odd, {}))
     with pytest.raises(InputError, match=r"The aspect 'odd' gives shape \(3, 1\) for scenario"):
         analyze(path, "odd")
+
+
+class Texts(Aspect):
+    name, unit = "odd", "m"
+
+    def series(self, recording, ego, other):
+        return [["fast"]] * len(recording.time)
+
+
+class Writes(Aspect):
+    name, unit = "odd", "m"
+
+    def series(self, recording, ego, other):
+        recording.x[:] = 0.0
+        return recording.x.T
+
+
+def test_refuses_an_aspect_that_gives_no_numbers(path, monkeypatch):
+    monkeypatch.setitem(ASPECTS._factories, "odd", (Texts, {}))
+    with pytest.raises(InputError, match=r"The aspect 'odd' gives no numbers for scenario 1"):
+        analyze(path, "odd")
+
+
+def test_no_aspect_can_change_what_others_compare(path, monkeypatch):
+    monkeypatch.setitem(ASPECTS._factories, "odd", (Writes, {}))
+    with pytest.raises(ValueError, match="read-only"):
+        analyze(path, ["odd", "relative"])

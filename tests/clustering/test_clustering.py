@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
@@ -179,6 +181,14 @@ def test_the_unit_does_not_matter_and_neither_does_the_order():
     order = np.random.default_rng(0).permutation(200)
     again = cluster(distances[np.ix_(order, order)])
     assert adjusted_rand_score(again.labels, once.labels[order]) == 1.0
+
+
+def test_the_stability_is_that_of_the_embedding_that_was_chosen():
+    found = cluster(between(np.random.default_rng(0).normal(size=(30, 2))), gamma=1.0, eps=0.5)
+    tried = found.candidates[0]
+    other = replace(tried, n_components=12, stability=0.3)
+    both = replace(found, candidates=(other, replace(tried, n_components=3, stability=0.9)))
+    assert both.stability == 0.9
 
 
 @pytest.mark.parametrize(("apart", "seed"), [(4.0, 503), (6.0, 500), (4.0, 1), (5.0, 2)])

@@ -102,7 +102,9 @@ class Clustering:
         for one in self.candidates:
             chosen = (one.gamma, one.eps) == (self.gamma, self.eps)
             # A study of an early version does not say with how many each was tried.
-            if chosen and one.min_samples in (0, self.min_samples) and not math.isnan(one.stability):
+            chosen = chosen and one.min_samples in (0, self.min_samples)
+            chosen = chosen and one.n_components in (0, self.embedding.shape[1])
+            if chosen and not math.isnan(one.stability):
                 return one.stability
         return None
 

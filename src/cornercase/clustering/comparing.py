@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import FloatArray
 from cornercase.clustering.aspects import ASPECTS, EGO_TRAJECTORY, Aspect
 from cornercase.metrics import METRICS
-from cornercase.recordings import Recording
+from cornercase.recordings import MOTION, Recording
 from cornercase.study import Study
 
 BY_DEFAULT: Final = (EGO_TRAJECTORY, "bearing", "interaction")
@@ -110,8 +110,18 @@ def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect)
     InputError
         The aspect gives something else.
     """
-    series = np.asarray(aspect.series(recording, study.meta.ego, study.meta.other), dtype=np.float64)
-    if series.ndim != 2 or len(series) != len(recording.time) or not np.isfinite(series).all():
+    # Other aspects get the same recording: one that writes into it would change what these compare.
+    for name in MOTION:
+        getattr(recording, name).flags.writeable = False
+    given = aspect.series(recording, study.meta.ego, study.meta.other)
+    try:
+        series = np.asarray(given).astype(np.float64, casting="same_kind")
+    except (TypeError, ValueError):
+        raise InputError(
+            f"The aspect '{aspect.name}' gives no numbers for scenario {scenario} of {study.path}; it has to give one"
+            f" finite row for each of {len(recording.time)} instants."
+        ) from None
+    if series.ndim != 2 or len(series) != len(recording.time) or not series.size or not np.isfinite(series).all():
         raise InputError(
             f"The aspect '{aspect.name}' gives shape {series.shape} for scenario {scenario} of {study.path}, or what is"
             f" not finite; it has to give one finite row for each of {len(recording.time)} instants."
