@@ -5,12 +5,21 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 from sklearn.metrics import adjusted_rand_score
 
-from cornercase.clustering import cluster
+from cornercase.clustering import ASPECTS, cluster
 from cornercase.clustering.kinds import find_kinds
+from cornercase.dtw import distance_matrix
+from staged import ASPECTS_OF, SETS, WITHOUT
 
 
 def between(points):
     return squareform(pdist(np.asarray(points, dtype=float)))
+
+
+def staged(name, count, seed, aspect):
+    """Distances of a set that is drawn afresh, and its kinds."""
+    recordings, truth = {**SETS, **WITHOUT}[name](count, np.random.default_rng(seed))
+    chosen = ASPECTS.create(aspect)
+    return distance_matrix([chosen.series(one, "Ego", "Other") for one in recordings]), truth
 
 
 def apart(kinds, each, seed, dimensions=3):
@@ -22,8 +31,7 @@ def apart(kinds, each, seed, dimensions=3):
     return between(centres[truth] + rng.normal(size=(len(truth), dimensions))), truth
 
 
-@pytest.mark.parametrize("kinds", [2, 9, 12, 16])
-@pytest.mark.parametrize("method", ["dbscan", "hdbscan"])
+@pytest.mark.parametrize(("kinds", "method"), [(2, "dbscan"), (9, "dbscan"), (16, "dbscan"), (9, "hdbscan")])
 @pytest.mark.filterwarnings("ignore:Conversion of an array:DeprecationWarning")
 def test_as_many_kinds_as_there_are(kinds, method):
     distances, truth = apart(kinds, 30, kinds)
@@ -75,3 +83,19 @@ def test_kinds_of_other_dimensions_and_densities_stay_apart():
     ball = rng.normal(loc=(10.0, 9.0, 0.0), size=(100, 3))
     kinds = find_kinds(between(np.concatenate((line, ball))))
     assert adjusted_rand_score(np.repeat([0, 1], [150, 100]), kinds) > 0.95
+
+
+@pytest.mark.parametrize("name", sorted(SETS))
+def test_kinds_of_scenarios_are_found(name):
+    # Seeds that no constant was chosen with; benchmarks/kinds.py draws more of them.
+    found = []
+    for seed in (1000, 1002):
+        distances, truth = staged(name, 240, seed, ASPECTS_OF[name][0])
+        found.append(adjusted_rand_score(truth, cluster(distances).labels))
+    assert np.mean(found) >= 0.9
+
+
+@pytest.mark.parametrize("name", sorted(WITHOUT))
+def test_a_family_that_varies_smoothly_is_one_kind(name):
+    kinds = [find_kinds(staged(name, 60, seed, "interaction")[0]).max() + 1 for seed in range(1000, 1020, 2)]
+    assert np.sum(np.array(kinds) == 1) >= 9
