@@ -289,7 +289,10 @@ ASPECTS_OF: Final[Mapping[str, tuple[str, ...]]] = {
     "exits": ("ego-trajectory", "ego-motion"),
     "who is first": ("bearing", "interaction"),
     "following": ("ego-motion", "ego-speed"),
-    **dict.fromkeys(WITHOUT, ("ego-trajectory", "ego-speed", "ego-motion", "interaction", "bearing")),
+    # By bearing these two have kinds: the other passes before the ego or behind it.
+    "one by speed": ("ego-trajectory", "ego-speed", "ego-motion", "interaction"),
+    "one by reaction": ("ego-trajectory", "ego-speed", "ego-motion", "interaction"),
+    "one by gap": ("ego-trajectory", "ego-speed", "ego-motion", "interaction", "bearing"),
 }
 # Sets that were not made when constants were chosen.
 UNSEEN: Final = ("exits", "who is first", "following", "one by gap")

@@ -22,11 +22,11 @@ def staged(name, count, seed, aspect):
     return distance_matrix([chosen.series(one, "Ego", "Other") for one in recordings]), truth
 
 
-def apart(kinds, each, seed, dimensions=3):
-    """So many kinds of one size, on a lattice eight standard deviations wide."""
+def apart(kinds, each, seed, dimensions=3, step=8.0):
+    """So many kinds of one size, on a lattice of a step in standard deviations."""
     rng = np.random.default_rng(seed)
     places = np.stack(np.meshgrid(*[np.arange(4)] * dimensions), axis=-1).reshape(-1, dimensions)
-    centres = 8.0 * rng.permutation(places)[:kinds]
+    centres = step * rng.permutation(places)[:kinds]
     truth = np.repeat(np.arange(kinds), each)
     return between(centres[truth] + rng.normal(size=(len(truth), dimensions))), truth
 
@@ -60,6 +60,29 @@ def test_what_has_no_structure_is_one_kind(n, draw):
         )
         sizes.append(cluster(between(points)).n_clusters)
     assert np.sum(np.array(sizes) == 1) >= 9
+
+
+def test_kinds_of_ten_are_found_among_twelve():
+    distances, truth = apart(12, 10, 5, dimensions=2, step=12.0)
+    assert adjusted_rand_score(truth, cluster(distances).labels) > 0.95
+
+
+def test_a_step_of_density_is_no_gap():
+    # Evenly spread scenarios, of which those on one side lie closer together; nothing is between the two.
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        sparse, dense = rng.random((150, 3)) * [6.0, 3.0, 3.0], rng.random((100, 3)) * [1.0, 1.5, 1.5]
+        assert find_kinds(between(np.concatenate((sparse - [6.0, 0.0, 0.0], dense)))).max() == 0
+
+
+def test_a_kernel_that_is_not_positive_ends_no_clustering():
+    # As those of warped distances can be; a triangle inequality does not hold there either.
+    rng = np.random.default_rng(0)
+    apart = np.abs(rng.normal(size=(40, 40))) + 3.0
+    distances = np.triu(apart, 1) + np.triu(apart, 1).T
+    found = cluster(distances, gamma=0.1, eps=0.3, n_components=39)
+    assert found.embedding.shape == (40, 39)
+    assert not found.embedding[:, -1].any()
 
 
 def test_scenarios_alike_but_for_the_last_digits_are_no_kinds():

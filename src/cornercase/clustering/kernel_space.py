@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Self
 
 import numpy as np
-from scipy.linalg import lstsq
+from scipy.linalg import eigvalsh, lstsq
 from sklearn.decomposition import KernelPCA
 
 from cornercase._common.typing import FloatArray
@@ -60,8 +60,7 @@ class KernelSpace:
         variance = float(np.trace(centred - centred.mean(axis=1)[:, None]))
         # Without variance there is nothing to project on.
         if n >= 2 and variance > 1e-12 * n:
-            self._pca = KernelPCA(min(self._n_components, n), kernel="precomputed", random_state=0)
-            found = self._pca.fit_transform(kernel)
+            self._pca, found = _fitted(kernel, centred - centred.mean(axis=1)[:, None], min(self._n_components, n))
             self.embedding[:, : found.shape[1]] = found
             self.explained = float(min(1.0, self._pca.eigenvalues_.sum() / variance))
         return self
@@ -106,3 +105,15 @@ class KernelSpace:
 
     def _kernel(self, distances: FloatArray) -> FloatArray:
         return np.asarray(np.exp(-self._gamma * distances**2))
+
+
+def _fitted(kernel: FloatArray, centred: FloatArray, count: int) -> tuple[KernelPCA, FloatArray]:
+    """Kernel PCA with so many components, or with as many as there are."""
+    model = KernelPCA(count, kernel="precomputed", random_state=0)
+    try:
+        return model, model.fit_transform(kernel)
+    except ValueError:
+        # A kernel of warped distances need not be positive: beyond its positive axes there are none to project on.
+        values = eigvalsh(centred)
+        model = KernelPCA(max(1, int((values > 1e-9 * values[-1]).sum())), kernel="precomputed", random_state=0)
+        return model, model.fit_transform(kernel)

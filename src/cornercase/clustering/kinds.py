@@ -24,8 +24,11 @@ CHANCE: Final = ((4.5, -3.0, 1.0), (1.6, 1.5, 0.5), (1.2, 1.0, 0.4))
 # Smooth families of trajectories are not as even as such points; a split must be stronger by CLEAR, or by FAIR where
 # it is STANDS_OUT times as strong as the next. Set by looking at sets of benchmarks/kinds.py with odd seeds.
 CLEAR, FAIR, STANDS_OUT = 1.4, 1.15, 2.0
+# Members nearest to the other group that are asked, at least, and what their neighbours count. Set by looking at the
+# T-intersection, and at braking of benchmarks/kinds.py with odd seeds.
+LEAST_AT_SEAM, SEAM_SHARE = 10, 1.15
 _MOST_CENTRES: Final = 300
-_DIMENSION_NEIGHBOURS: Final = 10
+_DIMENSION_NEIGHBOURS: Final = 6
 
 
 def find_kinds(distances: FloatArray) -> IntArray:
@@ -170,23 +173,27 @@ class _Hierarchy:
 
     def _strengths(self, small: IntArray, large: IntArray, length: float) -> tuple[float, float]:
         """Neighbours within the length of a split, of the smaller group and of the other."""
-        if 2 * len(small) >= len(large):
-            return self._neighbours(small, length), self._neighbours(large, length)
-        # A few that lie apart at a sparse edge are no kind, though most of the others lie close together.
-        away = self._distances[np.ix_(large, small)].min(axis=1)
-        near = large[np.argsort(away, kind="stable")[: 2 * len(small)]]
-        around = (self._distances[np.ix_(_some(near), large)] <= length).sum(axis=1)
-        return self._neighbours(small, length), float(np.median(around))
+        return self._neighbours(small, large, length), self._neighbours(large, small, length)
 
-    def _neighbours(self, members: IntArray, length: float) -> float:
-        """Members within a length of a typical one; beyond the extent of all or half of them as if there were more."""
+    def _neighbours(self, members: IntArray, others: IntArray, length: float) -> float:
+        """Members within a length of a typical one; beyond the extent of all or half of them as if there were more.
+
+        And of those nearest to the others: where a dense part meets a sparse one, or a few lie apart at a sparse edge,
+        there is no gap between two kinds, though most members of one lie close together.
+        """
         between = self._distances[np.ix_(_some(members), members)]
         around = float(np.median((between <= length).sum(axis=1)))
         for count in {math.ceil(len(members) / 2), len(members)}:
             extent = float(np.median(np.partition(between, count - 1, axis=1)[:, count - 1]))
             if extent <= length:
                 around = max(around, count * length / max(extent, 1e-12 * length))
-        return around
+        seam = max(LEAST_AT_SEAM, min(2 * len(others), len(members) // 10))
+        if seam >= len(members):
+            return around
+        away = self._distances[np.ix_(members, others)].min(axis=1)
+        near = members[np.argsort(away, kind="stable")[:seam]]
+        at_seam = float(np.median((self._distances[np.ix_(near, members)] <= length).sum(axis=1)))
+        return around if at_seam >= len(members) else min(around, SEAM_SHARE * at_seam)
 
 
 def _some(members: IntArray) -> IntArray:
