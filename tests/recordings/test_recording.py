@@ -147,6 +147,16 @@ def test_a_second_row_of_one_entity_and_time_is_refused(tmp_path):
         read_recording(tmp_path / "r.csv")
 
 
+def test_collisions_are_kept_where_the_simulators_clock_differs_in_the_last_digits(tmp_path):
+    one = recording()
+    clock = float(np.nextafter(one.time[1], 9.0))
+    hit = replace(one, collisions=(Collision(clock, ("ego", "walker")),))
+    hit.to_csv(tmp_path / "hit.csv")
+    on_time = (Collision(float(one.time[1]), ("ego", "walker")),)
+    assert read_recording(tmp_path / "hit.csv").collisions == on_time
+    assert set(hit.table()["collision"]) == {"", "walker"}
+
+
 def test_a_table_has_the_rows_and_columns_of_the_csv(tmp_path):
     one = recording()
     one.to_csv(tmp_path / "one.csv")

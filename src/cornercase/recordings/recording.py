@@ -186,15 +186,17 @@ class Recording:
         }
         columns |= {column: getattr(self, column).T.ravel() for column in MOTION}
         columns |= {column: np.tile(getattr(self, column), instants) for column in BOX}
-        columns["collision"] = [";".join(touched.get((t, name), ())) for t in self.time.tolist() for name in self.names]
+        columns["collision"] = [";".join(touched.get((t, name), ())) for t in range(instants) for name in self.names]
         return pandas.DataFrame(columns)
 
-    def _touched(self) -> dict[tuple[float, str], list[str]]:
-        """Whom an entity first touches at an instant."""
-        touched: dict[tuple[float, str], list[str]] = {}
+    def _touched(self) -> dict[tuple[int, str], list[str]]:
+        """Whom an entity first touches at an instant, by the instant's number."""
+        touched: dict[tuple[int, str], list[str]] = {}
         for collision in self.collisions:
             first, second = collision.entities
-            touched.setdefault((collision.time, first), []).append(second)
+            # A simulator's clock may differ from the recording's in the last digits.
+            nearest = int(np.abs(self.time - collision.time).argmin())
+            touched.setdefault((nearest, first), []).append(second)
         return touched
 
     def to_csv(self, path: Path | str) -> None:
@@ -224,5 +226,5 @@ class Recording:
                 for a, name in enumerate(self.names):
                     motion = [float(getattr(self, column)[a, t]) for column in MOTION]
                     box = [float(getattr(self, column)[a]) for column in BOX]
-                    others = ";".join(touched.get((time, name), ()))
+                    others = ";".join(touched.get((t, name), ()))
                     writer.writerow((time, *map(cell_text, (name, self.kinds[a])), *motion, *box, cell_text(others)))
