@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import sqlite3
 from dataclasses import asdict, fields
 
 import numpy as np
@@ -106,3 +108,21 @@ def test_refuses_before_it_begins(path, options, words):
 def test_what_is_no_study_is_refused(wrong):
     with pytest.raises(InputError, match=r"`study` .*: give the path of a file"):
         analyze(wrong)
+
+
+def test_a_profile_of_no_cluster_is_refused(path):
+    analyze(path, "distance")
+    with sqlite3.connect(path) as connection:
+        ((info,),) = connection.execute("SELECT info FROM analyses").fetchall()
+        changed = json.loads(info)
+        changed["profiles"][0]["cluster"] = 77
+        connection.execute("UPDATE analyses SET info = ?", (json.dumps(changed),))
+    connection.close()
+    with Study.open(path, readonly=True) as study, pytest.raises(InputError, match="profiles of other clusters"):
+        read_analysis(study, "distance")
+
+
+def test_kept_clusters_keep_their_method(path):
+    analyze(path, "distance")
+    with pytest.raises(InputError, match="`method`"):
+        analyze(path, "distance", method="hdbscan", keep=True)

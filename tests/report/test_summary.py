@@ -9,11 +9,11 @@ from html import unescape
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.clustering import analyze
+from cornercase.clustering import Profile, analyze
 from cornercase.evidence import Estimate
 from cornercase.report import put_in_words, summarize, write_report
 from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
-from cornercase.report.words import judge_clusters, name_cluster, name_criterion, name_range
+from cornercase.report.words import judge_clusters, name_cluster, name_criterion, name_kind, name_range
 from cornercase.scenario import Parameter
 from cornercase.study import Study
 from synthetic import SPACE, about, explorer, opened
@@ -146,3 +146,12 @@ def test_nothing_is_said_of_a_study_in_which_nothing_was_run(tmp_path):
     with pytest.raises(InputError, match="no scenario was run yet"):
         write_report(tmp_path / "s.db", tmp_path / "r.html")
     assert not (tmp_path / "r.html").exists()
+
+
+def test_a_name_never_hides_collisions():
+    outcomes = {"Pedestrian first": 117, "Ego and Pedestrian collide": 3}
+    kind = Profile(0, 120, {}, outcomes, (), "Ego passes after Pedestrian", 0.975, 0.0, 1)
+    assert kind.label == "Ego passes after Pedestrian; 3 of 120 collide"
+    assert name_kind(kind) == f"cluster 0: {kind.label}"
+    crash = replace(kind, size=3, outcomes={"Ego and Pedestrian collide": 3}, name="Ego collides with Pedestrian")
+    assert crash.label == crash.name

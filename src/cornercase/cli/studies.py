@@ -87,7 +87,7 @@ def analyze(
     for name, one in results.items():
         for kind in one.profiles if len(one.sizes) > 1 else ():
             if kind.name:
-                out.print(f"{name}, cluster {kind.cluster}: {kind.name} ({kind.size} scenarios)", markup=False)
+                out.print(f"{name}, cluster {kind.cluster}: {kind.label} ({kind.size} scenarios)", markup=False)
 
 
 @app.command()

@@ -161,6 +161,8 @@ def read_analysis(study: Study, by: str) -> Analysis:
         window = None if info["window"] is None else float(info["window"])
         tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
         found, fitted, profiles = _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
+        described = sorted(one.cluster for one in profiles)
+        require(described in ([], np.unique(labels).tolist()), "profiles of other clusters")
         require({one.example for one in profiles} <= {None, *ids.tolist()}, "an example of no scenario")
         return Analysis(by, str(info["unit"]), window, ids, found, fitted, profiles, tells)
 

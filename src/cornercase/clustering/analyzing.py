@@ -102,9 +102,10 @@ def analyze(
         for one in aspects:
             require_aspect(opened, one)
         known = set(aspects) & set(opened.analyses())
-        if keep and known and ({gamma, eps, min_samples} != {"auto"} or window is not None):
+        if keep and known and ({gamma, eps, min_samples} != {"auto"} or method != "dbscan" or window is not None):
             raise InputError(
-                "`keep`: kept clusters keep their settings; leave out `gamma`, `eps`, `min_samples` and `window`."
+                "`keep`: kept clusters keep their settings;"
+                " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."
             )
         return _analyzed(opened, aspects, model, window, keep, progress)
 

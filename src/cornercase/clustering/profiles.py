@@ -48,6 +48,18 @@ class Profile:
     true_elsewhere: float = math.nan
     example: int | None = None
 
+    @property
+    def collisions(self) -> int:
+        """Number of its scenarios in which the ego collides."""
+        return sum(count for outcome, count in self.outcomes.items() if outcome.endswith(" collide"))
+
+    @property
+    def label(self) -> str:
+        """Its name, with the number of collisions where only some of its scenarios end so."""
+        if not self.name or self.collisions in (0, self.size):
+            return self.name
+        return f"{self.name}; {self.collisions} of {self.size} collide"
+
 
 def describe_clusters(study: Study, labels: IntArray, account: Account, distances: FloatArray) -> tuple[Profile, ...]:
     """Describe each cluster of a study, noise last.

@@ -118,11 +118,11 @@ def tell_names(profiles: Sequence[Profile]) -> str:
         HTML.
     """
     return make_table(
-        ["cluster", "name", "scenarios", "true of", "of all others", "example"],
+        ["cluster", "name", "scenarios", "collide", "true of", "of all others", "example"],
         [
             [
-                name_cluster(one.cluster), one.name, str(one.size), f"{one.true_of:.0%}", f"{one.true_elsewhere:.0%}",
-                f"scenario {one.example}",
+                name_cluster(one.cluster), one.name, str(one.size), str(one.collisions), f"{one.true_of:.0%}",
+                f"{one.true_elsewhere:.0%}", f"scenario {one.example}",
             ]
             for one in profiles
             if one.name

@@ -76,9 +76,9 @@ def name_kind(profile: Profile) -> str:
     Returns
     -------
     str
-        ``"cluster 0: Ego yields to Pedestrian"``; without a name as `name_cluster`.
+        ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``; without a name as `name_cluster`.
     """
-    return ": ".join(filter(None, (name_cluster(profile.cluster), profile.name)))
+    return ": ".join(filter(None, (name_cluster(profile.cluster), profile.label)))
 
 
 def judge_clusters(analysis: Analysis) -> str:

@@ -85,7 +85,7 @@ def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterat
     ids = analysis.ids.tolist()
     rows = data.rows_of(ids)
     what = f"the course of {name}" if name in data.summary.meta.metrics else name
-    names = {one.cluster: one.name for one in analysis.profiles if one.name}
+    names = {one.cluster: one.label for one in analysis.profiles if one.name}
     yield f"<h2>Kinds of scenario, by {escape(what)}</h2>"
     if judged := judge_clusters(analysis):
         yield f"<p>{escape(judged)}</p>"
@@ -154,7 +154,8 @@ def _how_found(analysis: Analysis) -> str:
     found = analysis.clustering
     text = (
         f"Dynamic Time Warping, RBF kernel PCA (gamma {found.gamma:.4g}, {100 * found.explained:.0f} % of the variance"
-        f" in three components), {_METHODS[found.method]} (eps {found.eps:.4g}, min samples {found.min_samples})."
+        f" in {found.embedding.shape[1]} components), {_METHODS[found.method]} (eps {found.eps:.4g}, min samples"
+        f" {found.min_samples})."
     )
     if len(found.landmarks):
         text += (
