@@ -174,7 +174,9 @@ class Batch:
         """Who collided, in order of time, in scenarios with collisions."""
         begun, names = self._stepper.scene.collided, self._world.names
         scenarios, firsts, seconds = np.nonzero(~np.isnan(begun))
-        columns = (scenarios, begun[scenarios, firsts, seconds], firsts, seconds)
+        # The clock adds up steps; the instants of a recording are multiples of one.
+        times = np.rint(begun[scenarios, firsts, seconds] / self._time_step) * self._time_step
+        columns = (scenarios, times, firsts, seconds)
         found: dict[int, list[Collision]] = {}
         for i, time, a, b in sorted(zip(*(column.tolist() for column in columns), strict=True)):
             found.setdefault(i, []).append(Collision(time, (names[a], names[b])))
