@@ -123,26 +123,27 @@ def _analyzed(
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
     begun = time.monotonic()
     outcomes, traits, times = [], [], []
-    seen: dict[str, list[FloatArray]] = {one: [] for one in aspects if one not in study.meta.metrics}
+    compared = {one: ASPECTS.create(one) for one in aspects if one not in study.meta.metrics}
+    seen: dict[str, list[FloatArray]] = {one: [] for one in compared}
     # Each recording is unpacked once.
     for i in ids.tolist():
         recording = study.recording(i)
         outcomes.append(find_outcome(recording, study.meta.ego, study.meta.other))
         traits.append(measure_traits(recording, outcomes[-1]))
         times.append(recording.time)
-        for one, series in seen.items():
-            series.append(series_in(study, i, recording, ASPECTS.create(one)))
+        for one, aspect in compared.items():
+            seen[one].append(series_in(study, i, recording, aspect))
     instants_within(times, window)
     account = Account.of(outcomes, traits, study.space, [row.values for row in study.done()])
     facts = find_facts(study, outcomes)
     study.save_outcomes({i: one.text for i, one in zip(ids.tolist(), outcomes, strict=True)})
     study.add_elapsed("read", time.monotonic() - begun)
     results = {}
-    for aspect in aspects:
+    for by in aspects:
         begun = time.monotonic()
-        before = read_analysis(study, aspect) if keep and aspect in study.analyses() else None
+        before = read_analysis(study, by) if keep and by in study.analyses() else None
         within = window if before is None else before.window
-        series = seen.pop(aspect) if aspect in seen else series_of(study, aspect)
+        series = seen.pop(by) if by in seen else series_of(study, by)
         distances = distance_matrix(series, window=instants_within(times, within), progress=progress)
         measured = time.monotonic()
         if before is not None:
@@ -151,8 +152,8 @@ def _analyzed(
             found, fitted = model.fit(distances).result_, ids
         profiles = describe_clusters(study, found.labels, account, distances)
         tells = agree_with_facts(found.labels, facts)
-        results[aspect] = Analysis(aspect, unit_of(study, aspect), within, ids, found, fitted, profiles, tells)
-        save_analysis(study, results[aspect], distances)
+        results[by] = Analysis(by, unit_of(study, by), within, ids, found, fitted, profiles, tells)
+        save_analysis(study, results[by], distances)
         study.add_elapsed("compare", measured - begun)
         study.add_elapsed("cluster", time.monotonic() - measured)
     return results

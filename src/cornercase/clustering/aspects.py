@@ -188,7 +188,7 @@ def _seen(recording: Recording, ego: str, other: str) -> FloatArray:
 def _held(values: FloatArray) -> FloatArray:
     """Fill instants at which an entity does not exist: it stays as it was last, and begins as it will first be."""
     exists = np.isfinite(values).all(axis=1)
-    if exists.all() or not exists.any():
-        return np.nan_to_num(values) if not exists.any() else values
+    if not exists.any():
+        return np.nan_to_num(values)
     last = np.maximum.accumulate(np.where(exists, np.arange(len(values)), -1))
     return np.asarray(values[np.where(last < 0, np.argmax(exists), last)])
