@@ -39,7 +39,7 @@ def look_of(cluster: int, names: Mapping[int, str] | None = None) -> tuple[str, 
     """
     if cluster < 0:
         return GREY, "x", name_cluster(cluster)
-    name = ": ".join(filter(None, (name_cluster(cluster), (names or {}).get(cluster))))
+    name = (names or {}).get(cluster, name_cluster(cluster))
     return COLOURS[cluster % len(COLOURS)], _MARKERS[cluster % len(_MARKERS)], wrap(name)
 
 

@@ -85,7 +85,7 @@ def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterat
     ids = analysis.ids.tolist()
     rows = data.rows_of(ids)
     what = f"the course of {name}" if name in data.summary.meta.metrics else name
-    names = {one.cluster: one.label for one in analysis.profiles if one.name}
+    names = {one.cluster: name_kind(one) for one in analysis.profiles if one.name}
     yield f"<h2>Kinds of scenario, by {escape(what)}</h2>"
     if judged := judge_clusters(analysis):
         yield f"<p>{escape(judged)}</p>"
