@@ -54,9 +54,9 @@ def wrap(text: str) -> str:
     Returns
     -------
     str
-        Three lines at most.
+        Four lines at most, so that what stands behind a name is rarely cut.
     """
-    return textwrap.fill(text, _LINE, max_lines=3, placeholder=" …")
+    return textwrap.fill(text, _LINE, max_lines=4, placeholder=" …")
 
 
 def name_axis(parameter: Parameter) -> str:
