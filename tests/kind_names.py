@@ -5,6 +5,7 @@ Boxes are looked at at each instant alone, so times may be an instant off; bound
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -19,6 +20,26 @@ from cornercase.recordings import Recording
 
 TOLERANCE = 0.11
 NUMBER = r"(-?[\d.]+)"
+# A text between quotation marks, in which those of its own are escaped.
+QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"')
+
+
+def bare(name):
+    """What stands between quotation marks."""
+    return json.loads(name) if QUOTED.fullmatch(name) else name
+
+
+def parts_of(name, mark):
+    """Parts of a text between marks that are not in quotation marks."""
+    masked = QUOTED.sub(lambda found: "\0" * len(found[0]), name)
+    starts = [0, *(one.end() for one in re.finditer(mark, masked))]
+    ends = [*(one.start() for one in re.finditer(mark, masked)), len(name)]
+    return [name[start:end] for start, end in zip(starts, ends, strict=True)]
+
+
+def written(name):
+    """How an entity is called in a name of a kind."""
+    return name if re.fullmatch(r"[\w./:#+-]+", name) else json.dumps(name, ensure_ascii=False)
 
 
 def turned(angle):
@@ -60,6 +81,7 @@ class Scene:
         # Of values that go together each by itself, too.
         sets = [zip(name.split(", "), str(one).split(", "), strict=False) for name, one in values.items()]
         self.values = {name: one for each in sets for name, one in each} | dict(values)
+        self.there = [bool(np.isfinite(recording.x[recording.names.index(one)]).any()) for one in (ego, other)]
         self.i, self.time = recording.names.index(ego), recording.time
         self.v = np.abs(recording.speed[self.i])
 
@@ -209,9 +231,9 @@ class Scene:
 
 def ending(scene, said):
     """Whether one of the endings at the beginning of a name is true."""
-    hit, other, ego = scene.impact, re.escape(scene.other), scene.ego
+    hit, other, ego = scene.impact, written(scene.other), scene.ego
     if said == "stands all the time":
-        return bool(scene.v.max() < 0.1)
+        return scene.there[0] and bool(np.nanmax(scene.v) < 0.1)
     manners = {
         r"runs into the rear of (.*)": "behind",
         r"is hit from behind by (.*)": "rear",
@@ -220,12 +242,14 @@ def ending(scene, said):
     }
     for pattern, manner in manners.items():
         if found := re.fullmatch(pattern, said):
-            return hit is not None and hit[0] == found[1] and manner in (None, scene.hit_manner())
+            return hit is not None and hit[0] == bare(found[1]) and manner in (None, scene.hit_manner())
     if hit is not None:
         return False
     relation, first, ahead, enters, _, between = scene.met
     crossing, second = relation == "crossing", relation == "crossing" and first == scene.other
     checks = {
+        "is never there": not scene.there[0],
+        f"is there without {other}": scene.there == [True, False],
         f"does not meet {other}": relation == "apart",
         f"stays ahead of {other}": relation == "lane" and first == ahead == ego,
         f"stays behind {other}": relation == "lane" and first == ahead == scene.other,
@@ -238,7 +262,7 @@ def ending(scene, said):
         f"stops for {other}": scene.gives_way(0.0),
         f"yields to {other}": scene.gives_way(0.8),
     }
-    return checks[re.escape(said) if re.escape(said) in checks else said]
+    return checks[said]
 
 
 def speeds(low: float, high: float) -> Callable[[Scene], bool]:
@@ -297,55 +321,37 @@ def qualifier(scene, said):
     if said in WORDS:
         return bool(WORDS[said](scene))
     for name, (pattern, value) in MEASURED.items():
-        pattern = pattern.replace("#", NUMBER).replace("OTHER", re.escape(scene.other))
+        pattern = pattern.replace("#", NUMBER).replace("OTHER", re.escape(written(scene.other)))
         if found := re.fullmatch(pattern, said):
             tolerance = TOLERANCE if name in TIMES else 0.0
             number, bound = value(scene), float(found[2])
             return bool(number < bound + tolerance if found[1] in LESS else number > bound - tolerance)
     if found := re.fullmatch(r"(before|after|ahead of|behind) (.*)", said):
-        _, first, *_ = scene.meet(found[2])
-        return first == (scene.ego if found[1] in ("before", "ahead of") else found[2])
+        _, first, *_ = scene.meet(bare(found[2]))
+        return first == (scene.ego if found[1] in ("before", "ahead of") else bare(found[2]))
     if found := re.fullmatch(r"(.*) and (.*) collide", said):
-        return any(set(one.entities) == {found[1], found[2]} for one in scene.recording.collisions)
+        return any(set(one.entities) == {bare(found[1]), bare(found[2])} for one in scene.recording.collisions)
     if found := re.fullmatch(r"(.*) first", said):
-        return scene.met[1] == found[1]
+        return scene.met[1] == bare(found[1])
     if found := re.fullmatch(r"as in scenario \d+", said):
         return True
     if found := re.fullmatch(rf"(.*?) ([<>]) {NUMBER}( \S+)?", said):
-        value, bound = scene.values[found[1]], float(found[3])
+        value, bound = scene.values[bare(found[1])], float(found[3])
         return value < bound if found[2] == "<" else value > bound
     if found := re.fullmatch(r"(.*) from the (left|right)", said):
-        r, o = scene.recording, scene.recording.names.index(found[1])
-        _, left, _ = scene.seen(found[1], np.flatnonzero(np.isfinite(r.x[o] + r.x[scene.i]))[0])
+        r, o = scene.recording, scene.recording.names.index(bare(found[1]))
+        _, left, _ = scene.seen(bare(found[1]), np.flatnonzero(np.isfinite(r.x[o] + r.x[scene.i]))[0])
         return scene.met[0] == "crossing" and left * (1 if found[2] == "left" else -1) > 1.5
-    name, _, choice = said.partition(" is ")
-    chosen = str(scene.values[name])
-    if chosen.startswith(f"{choice}, "):
-        raise KeyError(said)
-    return chosen == choice
+    name, choice = map(bare, parts_of(said, " is "))
+    return str(scene.values[name]) == choice
 
 
 def is_true(name, scene):
-    """Whether a name of a kind is true of a scenario.
-
-    It is taken apart at commas; what cannot be read as a part (a parameter with a comma in its name) is read with the
-    part that follows it.
-    """
-    head, *parts = name.split(", ")
+    """Whether a name of a kind is true of a scenario; it is taken apart at commas."""
+    head, *parts = parts_of(name, ", ")
     if head != "any ending":
-        assert head.startswith(f"{scene.ego} ")
-        if not any(ending(scene, one) for one in head.removeprefix(f"{scene.ego} ").split(" or ")):
+        ego = f"{written(scene.ego)} "
+        assert head.startswith(ego)
+        if not any(ending(scene, one) for one in parts_of(head.removeprefix(ego), " or ")):
             return False
-    while parts:
-        for taken in range(1, len(parts) + 1):
-            try:
-                told = qualifier(scene, ", ".join(parts[:taken]))
-            except KeyError:
-                continue
-            break
-        else:
-            raise AssertionError(f"nobody understands '{name}'")
-        if not told:
-            return False
-        parts = parts[taken:]
-    return True
+    return all(qualifier(scene, one) for one in parts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from scipy.stats import qmc
 from conftest import EXAMPLES, ran
 from cornercase.clustering import analyze, find_outcome
 from cornercase.clustering.agreement import agree_with_facts, find_facts
-from cornercase.clustering.clauses import Account, Clause
+from cornercase.clustering.clauses import Account, Clause, fixed_clauses
 from cornercase.clustering.names import KindName, name_kinds
 from cornercase.clustering.traits import measure_traits
 from cornercase.drivers import named_driver
@@ -24,7 +24,7 @@ from cornercase.recordings import Collision
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
-from kind_names import Scene, is_true
+from kind_names import Scene, is_true, written
 from meetings import CROSSES, NORTH, entity, recording, walker
 
 NCAP = Path(__file__).parents[3] / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP"
@@ -229,6 +229,75 @@ def test_what_nothing_sets_apart_is_named_after_an_example():
     told = Told.of([KINDS["before"][0]] * 20, "Ego", "P")
     names = names_of(told, np.repeat([0, 1], 10))
     assert list(names.values()) == [f"Ego passes before P, closely, as in scenario {k}" for k in (0, 10)]
+
+
+NEVER = {"exists": (-2.0, -1.0)}
+
+
+def test_kinds_in_which_one_is_never_there_say_so():
+    nobody = [recording(Ego=entity(0.0, 0.0, 0.0, (0, 10.0), **NEVER), P=walker(y=-6.0 - k)) for k in range(10)]
+    alone = [recording(Ego=passing(-k, 10.0), P=walker(**NEVER)) for k in range(10)]
+    stands = [recording(Ego=passing(-k, 0.0), P=CROSSES) for k in range(10)]
+    told = Told.of([*nobody, *alone, *stands, *KINDS["apart"]], "Ego", "P")
+    labels = np.repeat(range(4), 10)
+    require_true(told, labels)
+    assert list(names_of(told, labels).values()) == [
+        "Ego is never there",
+        "Ego is there without P",
+        "Ego stands all the time",
+        "Ego does not meet P, stays more than 60 m from P",
+    ]
+
+
+NAMED = [
+    ("Ego", "C, closely"),
+    ("the ego", 'P" or "Q'),
+    ("Ego", "P or stops for Q"),
+    ("E, clear", "Q and R collide"),
+    ("Ego\n", "a\tb"),
+    ("Ich", "Fußgänger"),
+    ("自车", "行人, 近"),
+    ("Ego", "{}"),
+    ("Ego", "P and Q first"),
+    ("Ego", "x waits"),
+]
+
+
+@pytest.mark.parametrize(("ego", "other"), NAMED)
+def test_no_name_of_an_entity_is_read_as_something_else(ego, other):
+    kinds = ("before", "stops", "after", "low", "apart")
+    further = {"Ego": ego, "P": other}
+    recordings = [replace(one, names=tuple(further[name] for name in one.names)) for kind in kinds for one in KINDS[kind]]
+    recordings = [
+        replace(one, collisions=tuple(replace(hit, entities=(ego, other)) for hit in one.collisions))
+        for one in recordings
+    ]
+    told = Told.of(recordings, ego, other)
+    labels = np.repeat(range(len(kinds)), 10)
+    require_true(told, labels)
+    for kind, name in names_of(told, labels).items():
+        assert written(other) in name, name
+        assert name.startswith(f"{written(ego)} "), name
+        # Nothing else is said than with plain names.
+        plain = names_of(hand_made(*kinds)[0], labels)[kind]
+        assert name.replace(written(other), "P").replace(written(ego), "Ego", 1) == plain
+    for one in told.account.outcomes:
+        assert one.text.replace(written(ego), "Ego").replace(written(other), "P") in {
+            "Ego first", "P first", "Ego and P collide", "ways do not cross",
+        }  # fmt: skip
+
+
+def test_further_entities_and_parameters_with_odd_names_are_quoted():
+    space = ParameterSpace([Parameter("side, file", 0, 1, choices=("a or b", "c"), unit=""), Parameter("v, w", 0, 1)])
+    odd = walker(y=-20.0)
+    told = Told.of(
+        [recording(**{"Ego": passing(0.0, 18.0), "P": CROSSES, "Q, clear": odd})] * 20,
+        "Ego", "P", space, [{"side, file": ("a or b", "c")[k // 10], "v, w": 0.5} for k in range(20)],
+    )  # fmt: skip
+    labels = np.repeat([0, 1], 10)
+    require_true(told, labels)
+    assert names_of(told, labels)[0].endswith('"side, file" is "a or b"')
+    assert 'before "Q, clear"' in {one.text for one in fixed_clauses(told.account)}
 
 
 def test_clusterings_are_compared_with_what_happened(tmp_path):

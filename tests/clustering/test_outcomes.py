@@ -152,7 +152,8 @@ def test_one_that_is_there_only_at_times():
     never = walker((-2.0, -1.0))
     told = recording(Ego=PASSES, P=never)
     outcome = find_outcome(told, "Ego", "P")
-    assert endings(outcome) == ("does not meet P",)
+    assert outcome.text == "P is never there"
+    assert endings(outcome) == ("is there without P", "does not meet P")
     traits = measure_traits(told, outcome)
     assert math.isnan(traits["nearest"])
     assert math.isnan(traits["mean speed of the other"])
@@ -162,16 +163,23 @@ def test_one_that_is_there_only_at_times():
 def test_an_ego_that_is_never_there():
     told = recording(Ego=entity(0.0, 0.0, 0.0, (0, 20.0), exists=(-2.0, -1.0)), P=CROSSES, Q=PASSES)
     outcome = find_outcome(told, "Ego", "P")
-    assert (outcome.moves, outcome.first) == (False, None)
-    assert endings(outcome)[-1] == "does not meet P"
+    assert (outcome.exists, outcome.moves, outcome.first) == (False, False, None)
+    assert outcome.text == "Ego is never there"
+    assert endings(outcome) == ("is never there", "does not meet P")
     assert math.isnan(measure_traits(told, outcome)["way"])
+
+
+def test_who_is_there_only_when_the_other_is_not_does_not_meet_it():
+    told = recording(Ego=entity(0.0, 0.0, 0.0, (0, 20.0), exists=(0.0, 2.0)), P=walker((3.0, 99.0)))
+    outcome = find_outcome(told, "Ego", "P")
+    assert (outcome.text, endings(outcome)) == ("ways do not cross", ("does not meet P",))
 
 
 def test_an_ego_that_never_moves():
     stands = entity(0.0, 0.0, 0.0, (0, 0.0))
     told = recording(Ego=stands, P=CROSSES)
     outcome = find_outcome(told, "Ego", "P")
-    assert (outcome.moves, outcome.stops) == (False, False)
+    assert (outcome.exists, outcome.moves, outcome.stops) == (True, False, False)
     assert endings(outcome) == ("stands all the time", "does not meet P")
     assert measure_traits(told, outcome)["standing"] == pytest.approx(20.0)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from typing import Final
 
@@ -11,6 +12,8 @@ _ORDERS: Final = re.compile(
 )
 # What a spreadsheet takes for a formula, and what was escaped already.
 _FORMULA: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+# A name of such characters alone cannot be taken for the words around it.
+_ONE_WORD: Final = re.compile(r"[\w./:#+-]+")
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASCII)
 
 
@@ -54,6 +57,26 @@ def shorten(text: str, longest: int) -> str:
     'pede…'
     """
     return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+def quoted_name(name: str) -> str:
+    """Return a name as it stands in a sentence.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    str
+        Between quotation marks unless it is one word.
+
+    Examples
+    --------
+    >>> print(quoted_name("Ego"), "yields to", quoted_name("C, closely"))
+    Ego yields to "C, closely"
+    """
+    return name if _ONE_WORD.fullmatch(name) else json.dumps(name, ensure_ascii=False)
 
 
 def cell_text(text: str) -> str:

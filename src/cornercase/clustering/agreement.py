@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from cornercase._common.texts import quoted_name
 from cornercase._common.typing import IntArray
 from cornercase.clustering.outcomes import Outcome
 from cornercase.exploration import Objective
@@ -110,7 +111,7 @@ def find_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]
     }
     for name in dict.fromkeys(met.entity for one in outcomes for met in one.others):
         firsts = [{met.entity: met.first for met in one.others}.get(name) for one in outcomes]
-        facts[f"first of {study.meta.ego} and {name}"] = [str(first) for first in firsts]
+        facts[f"first of {quoted_name(study.meta.ego)} and {quoted_name(name)}"] = [str(first) for first in firsts]
     objective = Objective.of_study(study.meta)
     if study.meta.critical is not None and not objective.pareto:
         critical = objective.oriented_of(study) <= objective.flip(study.meta.critical)

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.texts import quoted_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering.outcomes import Encounter, Impact, Outcome
 from cornercase.clustering.traits import TRAITS
@@ -107,12 +108,12 @@ def endings(outcome: Outcome) -> tuple[str, ...]:
     tuple of str
         Predicates of the ego, all of them true; from the one that says most to the one that says least.
     """
-    still = () if outcome.moves else ("stands all the time",)
+    still = ("stands all the time",) if outcome.exists and not outcome.moves else ()
     return still + (_of_impact(outcome.impacts[0]) if outcome.impacts else _of_encounter(outcome))
 
 
 def _of_impact(impact: Impact) -> tuple[str, ...]:
-    who = impact.entity
+    who = quoted_name(impact.entity)
     most = {
         "from behind": (f"runs into the rear of {who}",),
         "its rear": (f"is hit from behind by {who}",),
@@ -123,7 +124,9 @@ def _of_impact(impact: Impact) -> tuple[str, ...]:
 
 
 def _of_encounter(outcome: Outcome) -> tuple[str, ...]:
-    met, who = outcome.encounter, outcome.encounter.entity
+    met, who = outcome.encounter, quoted_name(outcome.encounter.entity)
+    if met.relation == "absent":
+        return (f"is there without {who}" if outcome.exists else "is never there", f"does not meet {who}")
     if met.first is None:
         return (f"does not meet {who}",)
     if met.relation == "lane":
@@ -162,7 +165,7 @@ def fixed_clauses(account: Account) -> list[Clause]:
     hit, gap, braking = traits["impact speed"], traits["gap"], traits["braking"]
     turn, shift, aside = traits["turn"], traits["shift"], traits["aside"]
     crosses = np.array([one.encounter.relation == "crossing" for one in outcomes])
-    other = outcomes[0].encounter.entity
+    other = quoted_name(outcomes[0].encounter.entity)
     straight = np.abs(turn) < _STRAIGHT
     stops, moves = (np.array([getattr(one, name) for one in outcomes]) for name in ("stops", "moves"))
     found = [
@@ -193,13 +196,13 @@ def _of_others(outcome: Outcome) -> Iterator[str]:
     for one in outcome.others:
         if one.first is not None:
             words = ("ahead of", "behind") if one.relation == "lane" else ("before", "after")
-            yield f"{words[one.first != outcome.ego]} {one.entity}"
+            yield f"{words[one.first != outcome.ego]} {quoted_name(one.entity)}"
     for collision in outcome.elsewhere:
-        yield f"{' and '.join(collision.entities)} collide"
+        yield f"{' and '.join(map(quoted_name, collision.entities))} collide"
     # Of those that collide it is not said yet.
     met: Encounter = outcome.encounter
     if outcome.impacts and met.relation == "crossing":
-        yield f"{met.first} first"
+        yield f"{quoted_name(str(met.first))} first"
 
 
 def bounded_clauses(account: Account, wanted: BoolArray, needed: int, rivals: BoolArray) -> list[tuple[int, Clause]]:
@@ -221,7 +224,7 @@ def bounded_clauses(account: Account, wanted: BoolArray, needed: int, rivals: Bo
     list of (int, Clause)
         Traits with 1, parameters with 2.
     """
-    other = account.outcomes[0].encounter.entity
+    other = quoted_name(account.outcomes[0].encounter.entity)
     found = [
         (1, clause)
         for name, texts in TRAITS.items()
@@ -233,9 +236,10 @@ def bounded_clauses(account: Account, wanted: BoolArray, needed: int, rivals: Bo
             chosen = np.array([str(value) for value in read])
             found += [(2, Clause(_choice(one, choice), chosen == choice)) for choice in one.choices]
         elif one.size != 1:
-            texts = (f"{{other}} < {{}} {one.unit}".rstrip(), f"{{other}} > {{}} {one.unit}".rstrip())
+            unit = one.unit.replace("{", "{{").replace("}", "}}")
+            texts = (f"{{other}} < {{}} {unit}".rstrip(), f"{{other}} > {{}} {unit}".rstrip())
             column = np.array(read, dtype=np.float64)
-            found += [(2, clause) for clause in _bounds(column, texts, one.name, wanted, needed, rivals)]
+            found += [(2, clause) for clause in _bounds(column, texts, quoted_name(one.name), wanted, needed, rivals)]
     return found
 
 
@@ -245,8 +249,8 @@ def _choice(parameter: Parameter, choice: str) -> str:
     if len(names) > 1 and all(len(one) == len(names) for one in parts):
         for name, mine, others in zip(names, choice.split(", "), zip(*parts, strict=True), strict=True):
             if len(set(others)) == len(others):
-                return f"{name} is {mine}"
-    return f"{parameter.name} is {choice}"
+                return f"{quoted_name(name)} is {quoted_name(mine)}"
+    return f"{quoted_name(parameter.name)} is {quoted_name(choice)}"
 
 
 def _bounds(

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.texts import quoted_name
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.clauses import Account, Clause, bounded_clauses, endings, fixed_clauses
 
@@ -125,7 +126,7 @@ def _named_by_ending(
     others: Sequence[BoolArray],
 ) -> KindName:
     """Name a kind by the fewest endings that cover it, each as much in detail as is true."""
-    ego, needed = account.outcomes[0].ego, _needed(mine)
+    ego, needed = quoted_name(account.outcomes[0].ego), _needed(mine)
     members = np.flatnonzero(mine).tolist()
     counts = Counter(said[k][-1] for k in members)
     general = sorted(counts, key=lambda text: (-counts[text], text))

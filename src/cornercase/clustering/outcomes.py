@@ -9,6 +9,7 @@ from typing import Final, Literal
 import numpy as np
 
 from cornercase._common.geometry import within_half_turn
+from cornercase._common.texts import quoted_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering.crossing import Way, find_crossing
 from cornercase.recordings import Collision, Recording
@@ -16,7 +17,7 @@ from cornercase.recordings import Collision, Recording
 STANDING: Final = 0.1
 """Speed in m/s below which an entity stands."""
 
-Relation = Literal["crossing", "lane", "apart"]
+Relation = Literal["crossing", "lane", "apart", "absent"]
 Manner = Literal["from behind", "its rear", "while it stands", "otherwise"]
 
 # Entities go the same way where their headings differ by less, and are in one lane or in two beside each other where
@@ -58,10 +59,10 @@ class Encounter:
     ----------
     entity : str
         The other one.
-    relation : {"crossing", "lane", "apart"}
+    relation : {"crossing", "lane", "apart", "absent"}
         ``"lane"`` where both go the same way at the beginning and at the end, in one lane or beside each other;
         ``"crossing"`` where the areas overlap that their boxes sweep, or would when both went straight on for 20 m
-        after the end.
+        after the end; ``"absent"`` where one of them never exists.
     first : str or None
         Who is in the overlap first; in a lane, who is ahead at the end.
     ahead : str or None
@@ -99,8 +100,8 @@ class Outcome:
         Collisions of the ego, in order of time.
     elsewhere : tuple of Collision
         Collisions of others.
-    moves, stops : bool
-        Whether the ego moves at all, and whether it comes to stand after it moved.
+    exists, moves, stops : bool
+        Whether the ego ever exists, whether it moves at all, and whether it comes to stand after it moved.
     waits, yields : bool
         Where the other is first on a crossing: whether the ego stands before it enters and before the other has left;
         whether it does or at least slows down there by a fifth, and speeds up again by a quarter before it enters.
@@ -111,6 +112,7 @@ class Outcome:
     others: tuple[Encounter, ...]
     impacts: tuple[Impact, ...]
     elsewhere: tuple[Collision, ...]
+    exists: bool
     moves: bool
     stops: bool
     waits: bool
@@ -131,15 +133,17 @@ class Outcome:
     @property
     def text(self) -> str:
         """In words, as ``"Ego and Pedestrian collide"`` or ``"Pedestrian first"``."""
-        met = self.encounter
+        met, ego, other = self.encounter, quoted_name(self.ego), quoted_name(self.encounter.entity)
         if self.impacts:
-            return f"{self.ego} and {self.impacts[0].entity} collide"
+            return f"{ego} and {quoted_name(self.impacts[0].entity)} collide"
+        if met.relation == "absent":
+            return f"{other if self.exists else ego} is never there"
         if met.first is None:
             return "ways do not cross"
+        first, second = (ego, other) if met.first == self.ego else (other, ego)
         if met.relation == "crossing":
-            return f"only {met.first} crosses" if math.isnan(met.gap) else f"{met.first} first"
-        passed = met.entity if met.first == self.ego else self.ego
-        return f"{met.first} ahead" if met.first == met.ahead else f"{met.first} overtakes {passed}"
+            return f"only {first} crosses" if math.isnan(met.gap) else f"{first} first"
+        return f"{first} ahead" if met.first == met.ahead else f"{first} overtakes {second}"
 
 
 def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
@@ -162,7 +166,8 @@ def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
     InputError
         There is no such entity.
     """
-    way = Way.of(recording, ego, there(recording, ego))
+    here = there(recording, ego)
+    way = Way.of(recording, ego, here)
     met = _meet(recording, way, ego, other, foresees=True)
     moving = [name for name in recording.names if name not in (ego, other) and _fastest(recording, name) >= STANDING]
     speed = np.nan_to_num(np.abs(recording.speed[recording.index(ego)]))
@@ -174,8 +179,9 @@ def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
         others=tuple(_meet(recording, way, ego, name) for name in moving),
         impacts=tuple(_impact(recording, ego, one) for one in recording.collisions if ego in one.entities),
         elsewhere=tuple(one for one in recording.collisions if ego not in one.entities),
+        exists=bool(here.any()),
         moves=bool(went.any()),
-        stops=bool((went & there(recording, ego) & (speed < STANDING)).any()),
+        stops=bool((went & here & (speed < STANDING)).any()),
         waits=waits,
         yields=yields,
     )
@@ -196,7 +202,7 @@ def tell_outcome(recording: Recording, ego: str, other: str) -> str:
     str
         ``"Ego and Pedestrian collide"``, ``"Ego first"``, ``"Pedestrian first"``, ``"only Pedestrian crosses"`` where
         the ego did not come to the place until the end, ``"Pedestrian ahead"`` or ``"Ego overtakes Pedestrian"`` in a
-        lane, or ``"ways do not cross"``.
+        lane, ``"ways do not cross"``, or ``"Pedestrian is never there"``.
     """
     return find_outcome(recording, ego, other).text
 
@@ -229,7 +235,8 @@ def _fastest(recording: Recording, name: str) -> float:
 def _meet(recording: Recording, ego: Way, name: str, other: str, foresees: bool = False) -> Encounter:
     together = _go_together(recording, name, other)
     if together is None:
-        return Encounter(other, "apart")
+        exist = there(recording, name).any() and there(recording, other).any()
+        return Encounter(other, "apart" if exist else "absent")
     same_way, beside, in_lane = together
     if same_way and beside:
         return in_lane

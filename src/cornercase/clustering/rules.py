@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cornercase._common.texts import quoted_name
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import ParameterSpace, Value
 
@@ -145,10 +146,10 @@ def _columns(
         read = [one.read(each) for each in values]
         for choice in one.choices:
             columns.append([float(str(value) == choice) for value in read])
-            names.append((one.name, "", choice))
+            names.append((quoted_name(one.name), "", quoted_name(choice)))
         if not one.choices:
             columns.append([float(value) for value in read])
-            names.append((one.name, one.unit, ""))
+            names.append((quoted_name(one.name), one.unit, ""))
     return np.array(columns, dtype=np.float64).reshape(len(columns), len(values)).T, names
 
 
