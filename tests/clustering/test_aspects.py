@@ -220,5 +220,60 @@ def test_refuses_an_aspect_that_gives_no_numbers(path, monkeypatch):
 
 def test_no_aspect_can_change_what_others_compare(path, monkeypatch):
     monkeypatch.setitem(ASPECTS._factories, "odd", (Writes, {}))
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(InputError, match=r"The aspect 'odd' fails for scenario 1 of .*read-only"):
         analyze(path, ["odd", "relative"])
+
+
+class Fails(Aspect):
+    name, unit = "odd", "m"
+
+    def series(self, recording, ego, other):
+        if recording.x[1, 0] < 5.0:
+            raise KeyError("no such\nthing")
+        return recording.x.T
+
+
+class Widens(Fails):
+    def series(self, recording, ego, other):
+        return recording.x.T[:, : 1 if recording.x[1, 0] > 5.0 else 2]
+
+
+class Refuses(Fails):
+    def __init__(self):
+        raise RuntimeError("not today")
+
+
+class WithoutUnit(Aspect):
+    name = "odd"
+
+    def series(self, recording, ego, other):
+        return recording.x.T
+
+
+class WithoutSeries(Aspect):
+    name, unit = "odd", "m"
+
+
+class NumberForUnit(Fails):
+    unit = 3
+
+
+@pytest.mark.parametrize(
+    ("aspect", "words"),
+    [
+        (Fails, r"^The aspect 'odd' fails for scenario \d+ of .*s\.db: KeyError: 'no such\\nthing'\.$"),
+        (Widens, r"^The aspect 'odd' gives [12] numbers for each instant of scenario \d+ of .*, and [12] for scenario 1;"),
+        (Refuses, r"^The aspect 'odd' cannot be made: RuntimeError: not today\.$"),
+        (WithoutUnit, r"^The aspect 'odd' cannot be made: AttributeError: .*unit"),
+        (WithoutSeries, r"^The aspect 'odd' cannot be made: TypeError: .*series"),
+        (NumberForUnit, r"^The aspect 'odd' has 3 as its unit; it has to be a text\.$"),
+    ],
+)
+def test_an_aspect_that_fails_is_named_in_one_sentence(path, monkeypatch, aspect, words):
+    monkeypatch.setitem(ASPECTS._factories, "odd", (aspect, {}))
+    with pytest.raises(InputError, match=words):
+        analyze(path, ["ego-speed", "odd"])
+    with Study.open(path, readonly=True) as study:
+        assert study.analyses() == []
+        with pytest.raises(InputError, match=words):
+            series_of(study, "odd")

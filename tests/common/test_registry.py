@@ -59,3 +59,16 @@ def test_what_takes_whole_numbers_takes_no_others():
     with pytest.raises(InputError, match="takes a whole number for 'count'"):
         registry(Annotated).create("thing:count=2.5")
     assert registry(Plain).create("thing:count=2.5").given[1] == 2.5
+
+
+def test_a_broken_package_is_named_in_one_sentence(tmp_path, monkeypatch):
+    (tmp_path / "broken-1.0.dist-info").mkdir()
+    (tmp_path / "broken_thing.py").write_text("raise OSError('no such\\nlibrary.')")
+    (tmp_path / "broken-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (tmp_path / "broken-1.0.dist-info" / "entry_points.txt").write_text("[cornercase.none]\nbent = broken_thing:Bent\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(InputError) as refused:
+        registry(Plain).create("bent")
+    assert str(refused.value) == (
+        "The thing 'bent' cannot be loaded since broken_thing:Bent fails: OSError: no such library."
+    )

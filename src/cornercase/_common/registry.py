@@ -9,6 +9,7 @@ from inspect import Parameter, signature
 from typing import Any, Final, Generic, TypeVar, cast
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.texts import in_one_line
 
 T = TypeVar("T")
 
@@ -167,7 +168,13 @@ class Registry(Generic[T]):
             loaded = EntryPoint(name, known, self._group).load() if isinstance(known, str) else known
             return self._checked(name, loaded), options
         for entry in entry_points(group=self._group, name=name):
-            return self._checked(name, entry.load()), {}
+            try:
+                loaded = entry.load()
+            except Exception as error:
+                raise InputError(
+                    f"The {self._kind} '{name}' cannot be loaded since {entry.value} fails: {in_one_line(error)}."
+                ) from error
+            return self._checked(name, loaded), {}
         raise InputError(f"There is no {self._kind} '{name}'; {suggestion(name, self.names())}")
 
     def _checked(self, name: str, loaded: Callable[..., T]) -> Callable[..., T]:

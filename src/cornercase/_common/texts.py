@@ -79,6 +79,26 @@ def quoted_name(name: str) -> str:
     return name if _ONE_WORD.fullmatch(name) else json.dumps(name, ensure_ascii=False)
 
 
+def in_one_line(error: Exception) -> str:
+    """Say in a line what went wrong in code of another package.
+
+    Parameters
+    ----------
+    error : Exception
+
+    Returns
+    -------
+    str
+        Its class and its message, without a full stop.
+
+    Examples
+    --------
+    >>> in_one_line(KeyError("ego"))
+    "KeyError: 'ego'"
+    """
+    return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".: ")
+
+
 def cell_text(text: str) -> str:
     """Return a text as the cell of a CSV table, such that no spreadsheet takes it for a formula.
 

@@ -15,13 +15,14 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.agreement import agree_with_facts, find_facts
 from cornercase.clustering.analysis import Analysis, read_analysis, save_analysis
-from cornercase.clustering.aspects import ASPECTS
 from cornercase.clustering.clauses import Account
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
 from cornercase.clustering.comparing import (
     default_aspects,
     instants_within,
+    make_aspect,
     require_aspect,
+    require_same_channels,
     series_in,
     series_of,
     unit_of,
@@ -123,7 +124,7 @@ def _analyzed(
         raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
     begun = time.monotonic()
     outcomes, traits, times = [], [], []
-    compared = {one: ASPECTS.create(one) for one in aspects if one not in study.meta.metrics}
+    compared = {one: make_aspect(one) for one in aspects if one not in study.meta.metrics}
     seen: dict[str, list[FloatArray]] = {one: [] for one in compared}
     # Each recording is unpacked once.
     for i in ids.tolist():
@@ -133,6 +134,8 @@ def _analyzed(
         times.append(recording.time)
         for one, aspect in compared.items():
             seen[one].append(series_in(study, i, recording, aspect))
+    for one, series in seen.items():
+        require_same_channels(study, one, ids.tolist(), series)
     instants_within(times, window)
     account = Account.of(outcomes, traits, study.space, [row.values for row in study.done()])
     facts = find_facts(study, outcomes)

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.texts import in_one_line
 from cornercase._common.typing import FloatArray
 from cornercase.clustering.aspects import ASPECTS, EGO_TRAJECTORY, Aspect
 from cornercase.metrics import METRICS
@@ -55,7 +56,37 @@ def require_aspect(study: Study, aspect: str) -> None:
     if aspect.partition(":")[0] not in ASPECTS:
         known = sorted({*ASPECTS.names(), *study.meta.metrics})
         raise InputError(f"`by` {aspect}: {study.path} holds nothing to compare by it; {suggestion(aspect, known)}")
-    ASPECTS.create(aspect)
+    make_aspect(aspect)
+
+
+def make_aspect(name: str) -> Aspect:
+    """Make an aspect, which may be one of another package.
+
+    Parameters
+    ----------
+    name : str
+        One of `ASPECTS`.
+
+    Returns
+    -------
+    Aspect
+        It has a name and a unit.
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be made.
+    """
+    try:
+        made = ASPECTS.create(name)
+        unit, _ = made.unit, made.name
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"The aspect '{name}' cannot be made: {in_one_line(error)}.") from error
+    if not isinstance(unit, str):
+        raise InputError(f"The aspect '{name}' has {unit!r} as its unit; it has to be a text.")
+    return made
 
 
 def series_of(study: Study, aspect: str) -> list[FloatArray]:
@@ -83,8 +114,10 @@ def series_of(study: Study, aspect: str) -> list[FloatArray]:
     if aspect in study.meta.metrics:
         metric = METRICS.create(aspect)
         return [metric.capped(study.course(row.id, aspect)) for row in rows]
-    chosen = ASPECTS.create(aspect)
-    return [series_in(study, row.id, study.recording(row.id), chosen) for row in rows]
+    chosen = make_aspect(aspect)
+    series = [series_in(study, row.id, study.recording(row.id), chosen) for row in rows]
+    require_same_channels(study, aspect, [row.id for row in rows], series)
+    return series
 
 
 def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect) -> FloatArray:
@@ -108,12 +141,17 @@ def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect)
     Raises
     ------
     InputError
-        The aspect gives something else.
+        The aspect fails, or gives something else.
     """
     # Other aspects get the same recording: one that writes into it would change what these compare.
     for name in MOTION:
         getattr(recording, name).flags.writeable = False
-    given = aspect.series(recording, study.meta.ego, study.meta.other)
+    try:
+        given = aspect.series(recording, study.meta.ego, study.meta.other)
+    except Exception as error:
+        raise InputError(
+            f"The aspect '{aspect.name}' fails for scenario {scenario} of {study.path}: {in_one_line(error)}."
+        ) from error
     try:
         series = np.asarray(given).astype(np.float64, casting="same_kind")
     except (TypeError, ValueError):
@@ -127,6 +165,33 @@ def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect)
             f" not finite; it has to give one finite row for each of {len(recording.time)} instants."
         )
     return series
+
+
+def require_same_channels(study: Study, aspect: str, ids: Sequence[int], series: Sequence[FloatArray]) -> None:
+    """Refuse series that cannot be compared with each other.
+
+    Parameters
+    ----------
+    study : Study
+        Holds the scenarios.
+    aspect : str
+        What gave the series.
+    ids : sequence of int, length n
+        Scenarios.
+    series : sequence of ndarray of float64, length n
+        Of each, shape (T_i, k).
+
+    Raises
+    ------
+    InputError
+        One has another number of channels than the first.
+    """
+    for scenario, one in zip(ids, series, strict=True):
+        if one.shape[1:] != series[0].shape[1:]:
+            raise InputError(
+                f"The aspect '{aspect}' gives {one.shape[1]} numbers for each instant of scenario {scenario} of"
+                f" {study.path}, and {series[0].shape[1]} for scenario {ids[0]}; it has to give as many for each."
+            )
 
 
 def unit_of(study: Study, aspect: str) -> str:
@@ -150,7 +215,7 @@ def unit_of(study: Study, aspect: str) -> str:
         The study cannot be compared by it.
     """
     require_aspect(study, aspect)
-    return METRICS.create(aspect).unit if aspect in study.meta.metrics else ASPECTS.create(aspect).unit
+    return METRICS.create(aspect).unit if aspect in study.meta.metrics else make_aspect(aspect).unit
 
 
 def instants_within(times: Sequence[FloatArray], window: float | None) -> int | None:

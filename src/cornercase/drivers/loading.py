@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol, TypeGuard, runtime_checkable
 
 from cornercase._common.errors import InputError
+from cornercase._common.texts import in_one_line
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.base import Driver, Situation
 from cornercase.drivers.registry import DRIVERS
@@ -72,7 +73,7 @@ def load_driver(name: str) -> Driver:
             " install it or start in its folder."
         ) from error
     except Exception as error:
-        raise InputError(f"The driver '{name}' cannot be loaded since its module fails: {_one_line(error)}.") from error
+        raise InputError(f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}.") from error
     finally:
         if here in sys.path:
             sys.path.remove(here)
@@ -82,7 +83,7 @@ def load_driver(name: str) -> Driver:
     try:
         driver = made()
     except Exception as error:
-        raise InputError(f"The driver '{name}' cannot be made without arguments: {_one_line(error)}.") from error
+        raise InputError(f"The driver '{name}' cannot be made without arguments: {in_one_line(error)}.") from error
     if not is_driver(driver):
         raise InputError(
             f"The class '{name}' is no driver: it neither derives from cornercase.drivers.Driver nor has start(),"
@@ -109,7 +110,3 @@ def named_driver(name: str) -> Driver:
         There is none.
     """
     return load_driver(name) if ":" in name else DRIVERS.create(name)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")
