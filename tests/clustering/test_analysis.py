@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
 
 from cornercase._common.errors import InputError
-from cornercase.clustering import analyze, read_analyses, read_analysis, read_distances
+from cornercase.clustering import Candidate, analyze, read_analyses, read_analysis, read_distances
 from cornercase.study import Study
 from synthetic import explorer, opened
 
@@ -110,19 +110,54 @@ def test_what_is_no_study_is_refused(wrong):
         analyze(wrong)
 
 
-def test_a_profile_of_no_cluster_is_refused(path):
-    analyze(path, "distance")
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda told: told[0].update(cluster=77), "profiles of other clusters"),
+        (lambda told: told[0].update(size=1), "profiles of other clusters"),
+        (lambda told: told.pop(), "profiles of other clusters"),
+        (lambda told: told.append(told[0]), "profiles of other clusters"),
+        (lambda told: told[0].update(name=None), "Profile has 'None' as its name"),
+        (lambda told: told[0].update(name=["Ego"]), r"Profile has .* as its name"),
+        (lambda told: told[0].update(true_of="all"), "Profile has 'all' as its true_of"),
+        (lambda told: told[0].update(example=0), "an example of no scenario"),
+        (lambda told: told[0].update(outcomes={"Ego first": -1}), "fewer than no scenarios"),
+        (lambda told: told[0].update(more=1), "unexpected keyword argument 'more'"),
+    ],
+)
+def test_profiles_that_were_changed_by_hand_are_refused_in_a_sentence(path, change, words):
+    analyze(path, "distance", gamma=4.0, eps=0.2, min_samples=3)
     with sqlite3.connect(path) as connection:
         ((info,),) = connection.execute("SELECT info FROM analyses").fetchall()
         changed = json.loads(info)
-        changed["profiles"][0]["cluster"] = 77
+        assert len(changed["profiles"]) > 1
+        change(changed["profiles"])
         connection.execute("UPDATE analyses SET info = ?", (json.dumps(changed),))
     connection.close()
-    with Study.open(path, readonly=True) as study, pytest.raises(InputError, match="profiles of other clusters"):
+    with (
+        Study.open(path, readonly=True) as study,
+        pytest.raises(InputError, match=f"s.db: cannot be used as a study .*{words}"),
+    ):
         read_analysis(study, "distance")
 
 
-def test_kept_clusters_keep_their_method(path):
-    analyze(path, "distance")
-    with pytest.raises(InputError, match="`method`"):
-        analyze(path, "distance", method="hdbscan", keep=True)
+@pytest.mark.parametrize("setting", [{"gamma": 2.0}, {"eps": 0.1}, {"min_samples": 3}, {"window": 1.0}])
+@pytest.mark.parametrize("method", ["dbscan", "hdbscan"])
+def test_kept_clusters_keep_their_settings(path, setting, method):
+    analyze(path, "distance", method=method)
+    for given in (setting, {"method": "hdbscan"}, {"method": "dbscan"}):
+        with pytest.raises(InputError, match=f"leave out .*`{next(iter(given))}`"):
+            analyze(path, "distance", **given, keep=True)
+    # Of what is clustered for the first time all settings count.
+    assert analyze(path, "wttc", method="hdbscan", keep=True)["wttc"].clustering.method == "hdbscan"
+
+
+@pytest.mark.parametrize("eps", [10.0, 1e-9])
+def test_one_group_and_noise_alone_have_no_stability(path, eps):
+    found = analyze(path, "distance", gamma=0.25, eps=eps, min_samples=3)["distance"].clustering
+    assert len(np.unique(found.labels)) == 1
+    tried = Candidate(found.gamma, found.eps, found.n_clusters, found.noise, np.nan, np.nan, 1.0, 1.0)
+    # Each part of them is one group, or noise, too.
+    assert replace(found, candidates=(tried,)).stability is None
+    labels = np.arange(len(found.labels)) % 2 - 1
+    assert replace(found, candidates=(tried,), labels=labels).stability == 1.0

@@ -13,6 +13,7 @@ from cornercase.clustering import Profile, analyze
 from cornercase.evidence import Estimate
 from cornercase.report import put_in_words, summarize, write_report
 from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
+from cornercase.report.tables import tell_choices
 from cornercase.report.words import judge_clusters, name_cluster, name_criterion, name_kind, name_range
 from cornercase.scenario import Parameter
 from cornercase.study import Study
@@ -51,6 +52,40 @@ def test_words_are_plain_values_in_a_fixed_order(path):
     assert words["clusters"]["distance"]["cluster 0"]["scenarios"] == words["clusters"]["distance"]["sizes"][0]
     assert json.loads(json.dumps(words)) == words
     assert "kept" not in words
+
+
+def test_scenarios_that_were_run_since_are_told_with_what_mends_it(path, tmp_path):
+    before = put_in_words(summarize(path))
+    with opened(path) as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
+    grown = summarize(path)
+    later = grown.run - before["run"]
+    assert later > 0
+    told, command = put_in_words(grown)["clusters"]["distance"], "cornercase analyze STUDY.db --by distance --keep"
+    assert told["run since, in no cluster yet"] == later
+    assert told["they join with"] == command
+    assert set(told) - set(before["clusters"]["distance"]) == {"run since, in no cluster yet", "they join with"}
+    page = write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
+    assert f"{later} of {grown.run} scenarios were run since and are in no cluster yet" in page
+    assert command in page
+    analyze(path, "distance", keep=True)
+    assert "they join with" not in put_in_words(summarize(path))["clusters"]["distance"]
+    assert "in no cluster yet" not in write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_no_stability_is_told_where_all_are_one_group(path):
+    with Study.open(path) as study:
+        found = analyze(study, "distance")["distance"].clustering
+        assert found.n_clusters == 1
+        # It was measured, and is 1.
+        assert any(one.stability == 1.0 and one.clusters == 1 for one in found.candidates)
+        told = json.loads(json.dumps(put_in_words(summarize(study))))["clusters"]["distance"]
+    assert told["stability"] is None
+    one = next(one for one in found.candidates if one.stability == 1.0)
+    two = replace(one, clusters=2, stability=0.75, eps=2.0 * one.eps)
+    table = tell_choices(replace(found, candidates=(one, two)))
+    assert "<td>0.75</td>" in table
+    assert "<td>1.00</td>" not in table.replace(f"<td>{one.score:.2f}</td></tr>", "")
 
 
 def test_a_front_is_told_by_id(tmp_path):

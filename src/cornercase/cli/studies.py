@@ -35,7 +35,9 @@ def analyze(
     gamma: Gamma = "auto",
     eps: Eps = "auto",
     min_samples: MinSamples = "auto",
-    method: Annotated[str, typer.Option(metavar="dbscan|hdbscan", help="What finds the clusters.")] = "dbscan",
+    method: Annotated[
+        str | None, typer.Option(metavar="dbscan|hdbscan", help="What finds the clusters; default: dbscan.")
+    ] = None,
     window: Annotated[
         float | None,
         typer.Option(metavar="S", help="Match only instants that are so far apart at most, in s; default: any."),
@@ -63,7 +65,7 @@ def analyze(
         gamma=parsing.number_or_auto(gamma, "--gamma"),
         eps=parsing.number_or_auto(eps, "--eps"),
         min_samples=parsing.count_or_auto(min_samples, "--min-samples"),
-        method=parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
+        method=None if method is None else parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
         window=window,
         keep=keep,
         progress=True,
@@ -78,7 +80,7 @@ def analyze(
             str(len(one.sizes)),
             sizes,
             noise,
-            "-" if found.stability is None else f"{found.stability:.2f}",
+            "–" if found.stability is None else f"{found.stability:.2f}",
             f"{found.gamma:.4g}",
             f"{found.eps:.4g}",
             str(found.min_samples),
@@ -259,5 +261,5 @@ def _show(key: str, value: Any, indent: str = "") -> None:
             _show(inner, one, indent + "  ")
     else:
         text = ", ".join(map(str, value)) if isinstance(value, list) else value
-        text = f"{text:.6g}" if isinstance(text, float) else text
+        text = f"{text:.6g}" if isinstance(text, float) else "–" if text is None else text
         out.print(f"{indent}{key}: {text}")

@@ -161,10 +161,14 @@ def read_analysis(study: Study, by: str) -> Analysis:
         window = None if info["window"] is None else float(info["window"])
         tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
         found, fitted, profiles = _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
-        described = sorted(one.cluster for one in profiles)
-        require(described in ([], np.unique(labels).tolist()), "profiles of other clusters")
+        kinds, sizes = np.unique(labels, return_counts=True)
+        described = sorted((one.cluster, one.size) for one in profiles)
+        require(
+            described in ([], list(zip(kinds.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters"
+        )
         require({one.example for one in profiles} <= {None, *ids.tolist()}, "an example of no scenario")
-        return Analysis(by, str(info["unit"]), window, ids, found, fitted, profiles, tells)
+        require(isinstance(info["unit"], str), "a unit that is no text")
+        return Analysis(by, info["unit"], window, ids, found, fitted, profiles, tells)
 
 
 def _numbers(plain: list[int]) -> IntArray:
@@ -186,20 +190,14 @@ def _clustering(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clusterin
 
 
 def _profiles(info: Mapping[str, Any]) -> tuple[Profile, ...]:
-    return tuple(
-        Profile(
-            cluster=int(one["cluster"]),
-            size=int(one["size"]),
-            scores={name: (float(low), float(mid), float(high)) for name, (low, mid, high) in one["scores"].items()},
-            outcomes={str(outcome): int(count) for outcome, count in one["outcomes"].items()},
-            rules=tuple(made(Rule, rule) for rule in one["rules"]),
-            name=str(one["name"]),
-            true_of=float(one["true_of"]),
-            true_elsewhere=float(one["true_elsewhere"]),
-            example=None if one["example"] is None else int(one["example"]),
-        )
-        for one in info["profiles"]
-    )
+    found = []
+    for one in info["profiles"]:
+        scores = {name: (float(low), float(mid), float(high)) for name, (low, mid, high) in one["scores"].items()}
+        outcomes = {outcome: int(count) for outcome, count in one["outcomes"].items()}
+        require(min(outcomes.values(), default=0) >= 0, "fewer than no scenarios")
+        rules = tuple(made(Rule, rule) for rule in one["rules"])
+        found.append(made(Profile, {**one, "scores": scores, "outcomes": outcomes, "rules": rules}))
+    return tuple(found)
 
 
 def read_analyses(study: Study) -> dict[str, Analysis]:

@@ -42,7 +42,7 @@ def analyze(
     gamma: float | Literal["auto"] = "auto",
     eps: float | Literal["auto"] = "auto",
     min_samples: int | Literal["auto"] = "auto",
-    method: ClusteringMethod = "dbscan",
+    method: ClusteringMethod | None = None,
     window: float | None = None,
     keep: bool = False,
     progress: bool = False,
@@ -63,8 +63,8 @@ def analyze(
         Kernel width and radius of the neighbourhood, without unit.
     min_samples : int or "auto", default "auto"
         Least number of scenarios in a dense neighbourhood.
-    method : {"dbscan", "hdbscan"}, default "dbscan"
-        Algorithm that finds the clusters.
+    method : {"dbscan", "hdbscan"}, optional
+        Algorithm that finds the clusters; by default DBSCAN.
     window : float, optional
         s; how far apart in time two instants may be that are matched, beyond the difference of the recordings'
         lengths. By default any, as in the paper: then waiting costs nothing by itself.
@@ -95,7 +95,7 @@ def analyze(
     B. Schütt, S. Otten, E. Sax, "Clustering-based criticality analysis for testing of automated driving systems",
     2023, section "Scenario Clustering".
     """
-    model = ScenarioClustering(gamma, eps, min_samples, method=method)
+    model = ScenarioClustering(gamma, eps, min_samples, method="dbscan" if method is None else method)
     model.require_settings()
     chosen = None if by is None else tuple(dict.fromkeys(texts("by", by)))
     with open_study(study) as opened:
@@ -103,7 +103,7 @@ def analyze(
         for one in aspects:
             require_aspect(opened, one)
         known = set(aspects) & set(opened.analyses())
-        if keep and known and ({gamma, eps, min_samples} != {"auto"} or method != "dbscan" or window is not None):
+        if keep and known and ({gamma, eps, min_samples} != {"auto"} or method is not None or window is not None):
             raise InputError(
                 "`keep`: kept clusters keep their settings;"
                 " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."

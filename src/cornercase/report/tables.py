@@ -167,6 +167,11 @@ def tell_choices(found: Clustering) -> str:
         # One cluster is not apart from others.
         return _UNKNOWN if math.isnan(value) else f"{value:.2f}"
 
+    def stability(one: Candidate) -> str:
+        # Where all are one group, or noise, so are those of every part.
+        divides = one.clusters > 1 or (one.clusters == 1 and one.noise > 0.0)
+        return figure(one.stability) if divides else _UNKNOWN
+
     def chosen(one: Candidate) -> bool:
         return (one.gamma, one.eps) == (found.gamma, found.eps)
 
@@ -183,7 +188,7 @@ def tell_choices(found: Clustering) -> str:
         [
             [
                 f"{number}{' (chosen)' if chosen(one) else ''}", f"{one.gamma:.4g}", f"{one.eps:.4g}",
-                f"{one.noise:.1%}", figure(one.dbcv), figure(one.silhouette), figure(one.stability), figure(one.score),
+                f"{one.noise:.1%}", figure(one.dbcv), figure(one.silhouette), stability(one), figure(one.score),
             ]
             for number, one in sorted(best.items())
         ],

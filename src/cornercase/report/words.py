@@ -118,6 +118,22 @@ def judge_clusters(analysis: Analysis) -> str:
     return f"The kinds by {by} say little of how scenarios end: they share at most {best:.2f} with it."
 
 
+def name_joining(analysis: Analysis) -> str:
+    """Name the command by which scenarios that were run since join the clusters.
+
+    Parameters
+    ----------
+    analysis : Analysis
+        The clusters.
+
+    Returns
+    -------
+    str
+        ``"cornercase analyze STUDY.db --by wttc --keep"``.
+    """
+    return f"cornercase analyze STUDY.db --by {analysis.by} --keep"
+
+
 def name_criterion(known: CriticalKnowledge, searched: str) -> str:
     """Say when a scenario is critical.
 
@@ -181,7 +197,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "pending": summary.pending,
         "collisions": summary.collisions,
         "metrics": {name: _metric(one, meta.repeats) for name, one in summary.metrics.items()},
-        "clusters": {name: _clusters(one) for name, one in summary.analyses.items()},
+        "clusters": {name: _clusters(one, summary.run) for name, one in summary.analyses.items()},
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
         "searched": summary.searched,
     }
@@ -214,8 +230,14 @@ def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
     return plain
 
 
-def _clusters(one: Analysis) -> dict[str, Any]:
-    plain: dict[str, Any] = {"sizes": one.sizes, "noise": int((one.labels < 0).sum())}
+def _clusters(one: Analysis, run: int) -> dict[str, Any]:
+    plain: dict[str, Any] = {
+        "sizes": one.sizes,
+        "noise": int((one.labels < 0).sum()),
+        "stability": one.clustering.stability,
+    }
+    if later := run - len(one.ids):
+        plain |= {"run since, in no cluster yet": later, "they join with": name_joining(one)}
     if judged := judge_clusters(one):
         plain["in words"] = judged
     if one.tells:

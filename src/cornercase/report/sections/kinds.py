@@ -16,7 +16,7 @@ from cornercase.report.data import ReportData
 from cornercase.report.figures.examples import MOST_EXAMPLES, draw_examples
 from cornercase.report.figures.parameter_space import draw_clusters
 from cornercase.report.figures.scores import draw_courses
-from cornercase.report.words import judge_clusters, name_cluster, name_kind
+from cornercase.report.words import judge_clusters, name_cluster, name_joining, name_kind
 
 _MOST_NAMED: Final = 12
 _METHODS: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
@@ -89,6 +89,11 @@ def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterat
     yield f"<h2>Kinds of scenario, by {escape(what)}</h2>"
     if judged := judge_clusters(analysis):
         yield f"<p>{escape(judged)}</p>"
+    if later := data.summary.run - len(ids):
+        yield (
+            f"<p>{later} of {data.summary.run} scenarios were run since and are in no cluster yet: they join with"
+            f" <code>{escape(name_joining(analysis))}</code>; without <code>--keep</code> all are clustered anew.</p>"
+        )
     if found.n_clusters < 2:
         return
     if names:
