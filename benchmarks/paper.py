@@ -55,7 +55,9 @@ class Experiment:
         with Study.open(path) as study:
             self.found = analyze(study)
             self.distances = {name: read_distances(study, name) for name in self.found}
-            self.by_hand = {name: cluster(one, gamma=BY_HAND[0], eps=BY_HAND[1]).labels for name, one in self.distances.items()}
+            self.by_hand = {
+                name: cluster(one, gamma=BY_HAND[0], eps=BY_HAND[1]).labels for name, one in self.distances.items()
+            }
             scenario = asked.logical.scenario
             by_hull = reduce(
                 study, folder / f"{path.stem}-paper", archetypes=15, archetypes_by="hull", scenario=scenario
@@ -143,7 +145,7 @@ def diagonal(x: Experiment) -> tuple[float, npt.NDArray[np.bool_]]:
 
 
 def border(x: Experiment, labels: npt.NDArray[np.int64]) -> float:
-    """Median trajectory distance of scenarios whose nearest neighbour is of another cluster, over that of all others."""
+    """Median trajectory distance of scenarios next to one of another cluster, over that of all others."""
     used = x.points[:, [x.names.index(n) for n in ("ego_start", "pedestrian_wait")]]
     apart = np.linalg.norm(used[:, None] - used, axis=-1)
     np.fill_diagonal(apart, np.inf)

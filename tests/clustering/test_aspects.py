@@ -254,15 +254,21 @@ class WithoutSeries(Aspect):
     name, unit = "odd", "m"
 
 
-class NumberForUnit(Fails):
-    unit = 3
+class NumberForUnit(Aspect):
+    name, unit = "odd", 3  # type: ignore[assignment]
+
+    def series(self, recording, ego, other):
+        return recording.x.T
 
 
 @pytest.mark.parametrize(
     ("aspect", "words"),
     [
         (Fails, r"^The aspect 'odd' fails for scenario \d+ of .*s\.db: KeyError: 'no such\\nthing'\.$"),
-        (Widens, r"^The aspect 'odd' gives [12] numbers for each instant of scenario \d+ of .*, and [12] for scenario 1;"),
+        (
+            Widens,
+            r"^The aspect 'odd' gives [12] numbers for each instant of scenario \d+ of .*, and [12] for scenario 1;",
+        ),
         (Refuses, r"^The aspect 'odd' cannot be made: RuntimeError: not today\.$"),
         (WithoutUnit, r"^The aspect 'odd' cannot be made: AttributeError: .*unit"),
         (WithoutSeries, r"^The aspect 'odd' cannot be made: TypeError: .*series"),

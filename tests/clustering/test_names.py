@@ -267,7 +267,9 @@ NAMED = [
 def test_no_name_of_an_entity_is_read_as_something_else(ego, other):
     kinds = ("before", "stops", "after", "low", "apart")
     further = {"Ego": ego, "P": other}
-    recordings = [replace(one, names=tuple(further[name] for name in one.names)) for kind in kinds for one in KINDS[kind]]
+    recordings = [
+        replace(one, names=tuple(further[name] for name in one.names)) for kind in kinds for one in KINDS[kind]
+    ]
     recordings = [
         replace(one, collisions=tuple(replace(hit, entities=(ego, other)) for hit in one.collisions))
         for one in recordings

@@ -163,9 +163,7 @@ def read_analysis(study: Study, by: str) -> Analysis:
         found, fitted, profiles = _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
         kinds, sizes = np.unique(labels, return_counts=True)
         described = sorted((one.cluster, one.size) for one in profiles)
-        require(
-            described in ([], list(zip(kinds.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters"
-        )
+        require(described in ([], list(zip(kinds.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters")
         require({one.example for one in profiles} <= {None, *ids.tolist()}, "an example of no scenario")
         require(isinstance(info["unit"], str), "a unit that is no text")
         return Analysis(by, info["unit"], window, ids, found, fitted, profiles, tells)

@@ -73,7 +73,9 @@ def load_driver(name: str) -> Driver:
             " install it or start in its folder."
         ) from error
     except Exception as error:
-        raise InputError(f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}.") from error
+        raise InputError(
+            f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}."
+        ) from error
     finally:
         if here in sys.path:
             sys.path.remove(here)
