@@ -5,13 +5,20 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from html import unescape
+from io import BytesIO
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from matplotlib.text import Text
 
 from cornercase._common.errors import InputError
 from cornercase.clustering import Profile, analyze
 from cornercase.evidence import Estimate
 from cornercase.report import put_in_words, summarize, write_report
+from cornercase.report.album import draw_png
+from cornercase.report.figures.parameter_space import draw_clusters
 from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
 from cornercase.report.tables import tell_choices
 from cornercase.report.words import judge_clusters, name_cluster, name_criterion, name_kind, name_range
@@ -190,3 +197,32 @@ def test_a_name_never_hides_collisions():
     assert name_kind(kind) == f"cluster 0: {kind.label}"
     crash = replace(kind, size=3, outcomes={"Ego and Pedestrian collide": 3}, name="Ego collides with Pedestrian")
     assert crash.label == crash.name
+
+
+LONG = (
+    "Ego runs into the rear of Pedestrian or is hit from behind by Pedestrian or stops for Pedestrian, comes within 2 m"
+    " of Pedestrian, faster than 12.5 m/s on average; 17 of 120 collide"
+)
+
+
+def test_no_name_of_a_kind_is_cut_in_figures():
+    figure = draw_clusters(
+        np.eye(4), np.array([0, 0, 1, 1]), np.eye(4)[:, :2], [Parameter("a", 0, 1), Parameter("b " * 40, 0, 1)], (0, 1),
+        {0: f"cluster 0: {LONG}", 1: "cluster 1: Ego stands"},
+    )  # fmt: skip
+    draw_png(figure)
+    shown = [text.get_text() for text in figure.findobj(Text)]
+    assert f"cluster 0: {LONG} (2)" in [" ".join(text.split()) for text in shown]
+    assert max(len(line) for text in shown for line in text.split("\n")) <= 60
+    assert "b " * 39 + "b" in [" ".join(text.split()) for text in shown]
+
+
+def test_no_name_makes_a_huge_figure():
+    sizes = []
+    for times in (1, 10_000):
+        figure = Figure(figsize=(4.0, 3.0))
+        figure.add_subplot().set_title("Ego yields to nobody" * times)
+        image = imread(BytesIO(draw_png(figure)))
+        sizes.append(image.shape)
+    assert sizes[1][0] < 2 * sizes[0][0]
+    assert sizes[1][1] < 2 * sizes[0][1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import textwrap
 from typing import Final
 
 # Control characters but for tab and newline, marks that turn the direction of writing, and halves of characters.
@@ -57,6 +58,35 @@ def shorten(text: str, longest: int) -> str:
     'pede…'
     """
     return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+def wrapped(text: str, width: int, lines: int) -> str:
+    """Break a text that is too wide for its place into lines.
+
+    Parameters
+    ----------
+    text : str
+        Lines in it that are not too wide stay.
+    width : int
+        Characters of a line.
+    lines : int
+        What is longer is cut.
+
+    Returns
+    -------
+    str
+        With an ellipsis where it was cut.
+
+    Examples
+    --------
+    >>> print(wrapped("Ego yields to Pedestrian", 14, 3))
+    Ego yields to
+    Pedestrian
+    """
+    found = text.split("\n")
+    if len(found) <= lines and max(map(len, found)) <= width:
+        return text
+    return textwrap.fill(text, width, max_lines=lines, placeholder=" …")
 
 
 def quoted_name(name: str) -> str:

@@ -5,22 +5,22 @@ from __future__ import annotations
 import base64
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from cornercase._common.files import portable_name, written_whole
-from cornercase._common.texts import plain_text, shorten
+from cornercase._common.texts import plain_text, wrapped
 from cornercase.report.template import fill_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Characters of a text in a figure.
-_LONGEST: Final = 100
+# Characters of a line in a figure, and lines of a text: what is longer is no reason for a huge figure.
+_LINE, _LINES = 60, 10
 
 
 class Album:
@@ -79,9 +79,9 @@ def draw_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
     for text in figure.findobj(Text):
-        # Names come from files: a dollar sign in them begins no formula, and a long one is no reason for a huge figure.
+        # Names come from files: a dollar sign in them begins no formula.
         text.set_parse_math(False)
-        text.set_text(shorten(plain_text(text.get_text()), _LONGEST))
+        text.set_text(wrapped(plain_text(text.get_text()), _LINE, _LINES))
     with rc_context({"text.parse_math": False}):
         figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25)
     return buffer.getvalue()

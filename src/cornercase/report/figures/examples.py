@@ -27,6 +27,8 @@ _COLUMNS: Final = (1, 2, 3, 2, 3, 3)
 _AROUND: Final = 4.0
 _MARGIN: Final = 6.0
 _REACH: Final = (12.0, 25.0)
+# Two times are no closer than that, as a share of what is drawn around.
+_LEGIBLE: Final = 0.08
 # Two marks are no closer than that, in s.
 _STEP: Final = 1.0
 
@@ -56,7 +58,7 @@ def draw_examples(recordings: Mapping[str, Recording], ego: str, other: str) -> 
         nearest = _nearest(recording, ego, other)
         _draw_ways(above, recording, ego, other, nearest)
         _draw_speeds(below, recording, ego, other, nearest)
-        above.set_title(wrap(title))
+        above.set_title(wrap(title), fontsize="medium")
     found: dict[str, Artist] = {str(line.get_label()): line for axis in figure.axes for line in axis.lines}
     labels = [label for label in found if not label.startswith("_")]
     handles = [found[label] for label in labels]
@@ -90,9 +92,9 @@ def _draw_ways(axis: Axes, recording: Recording, ego: str, other: str, nearest: 
             shown.append(center[around])
             _draw_box(axis, recording, i, nearest if nearest is not None else int(np.flatnonzero(around)[0]), colour)
             axis.plot(*center[marked].T, "o", color=colour, markersize=3.5)
-            _write_times(axis, center[marked], time[marked], colour, above=name == ego)
     places = np.concatenate(shown)
     places = places[np.isfinite(places).all(axis=1)]
+    half = _REACH[1]
     if len(places):
         # As wide as high, so that a metre is as long across as along.
         half = float(np.clip(np.ptp(places, axis=0).max() / 2.0 + _MARGIN, *_REACH))
@@ -100,6 +102,9 @@ def _draw_ways(axis: Axes, recording: Recording, ego: str, other: str, nearest: 
         x, y = np.mean([one[nearest] for one in at], axis=0) if at else (places.min(axis=0) + places.max(axis=0)) / 2.0
         axis.set_xlim(x - half, x + half)
         axis.set_ylim(y - half, y + half)
+    for name in (ego, other):
+        colour, _, _ = _look(name, ego, other)
+        _write_times(axis, recording.center(name)[marked], time[marked], colour, name == ego, _LEGIBLE * half)
     axis.set_aspect("equal")
     axis.set_xlabel("x [m]")
     axis.set_ylabel("y [m]")
@@ -121,11 +126,11 @@ def _draw_box(axis: Axes, recording: Recording, i: int, at: int, colour: str) ->
         axis.fill(*corners.T, facecolor=colour, edgecolor=colour, alpha=0.35, linewidth=1.0)
 
 
-def _write_times(axis: Axes, places: FloatArray, times: FloatArray, colour: str, above: bool) -> None:
-    """Write a time beside each mark that is not where the last one was."""
+def _write_times(axis: Axes, places: FloatArray, times: FloatArray, colour: str, above: bool, least: float) -> None:
+    """Write a time beside each mark that is not as near as `least` m to the last one that has one."""
     last = np.full(2, np.nan)
     for place, time in zip(places, times, strict=True):
-        if np.isfinite(place).all() and not np.hypot(*(place - last)) < 1.0:
+        if np.isfinite(place).all() and not np.hypot(*(place - last)) < least:
             offset = (0, 6) if above else (6, -10)
             axis.annotate(
                 f"{time:.0f}", place, xytext=offset, textcoords="offset points", color=colour, fontsize=7,

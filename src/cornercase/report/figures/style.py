@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
@@ -19,7 +18,7 @@ COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E
 GREY: Final = "#999999"
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "*", "X")
 _LONGEST: Final = 16
-_LINE: Final = 32
+_LINE, _LINES = 32, 8
 
 
 def look_of(cluster: int, names: Mapping[int, str] | None = None) -> tuple[str, str, str]:
@@ -54,9 +53,9 @@ def wrap(text: str) -> str:
     Returns
     -------
     str
-        Four lines at most, so that what stands behind a name is rarely cut.
+        Eight lines at most: enough for all names of kinds but those of entities with very long names.
     """
-    return textwrap.fill(text, _LINE, max_lines=4, placeholder=" …")
+    return texts.wrapped(text, _LINE, _LINES)
 
 
 def name_axis(parameter: Parameter) -> str:
