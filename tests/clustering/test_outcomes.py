@@ -11,6 +11,7 @@ import pytest
 from cornercase.clustering import find_outcome
 from cornercase.clustering.clauses import endings
 from cornercase.clustering.traits import measure_traits
+from cornercase.metrics._parts.conflict_area import visits
 from cornercase.recordings import Collision
 from meetings import CROSSES, NORTH, PASSES, TIMES, entity, recording, walker
 
@@ -80,6 +81,28 @@ def test_ways_that_do_not_meet():
     outcome = find_outcome(recording(Ego=PASSES, P=aside), "Ego", "P")
     assert (outcome.text, outcome.first, outcome.encounter.relation) == ("ways do not cross", None, "apart")
     assert endings(outcome) == ("does not meet P",)
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.4, 1.2])
+@pytest.mark.parametrize(
+    ("angle", "speeds"),
+    [
+        (NORTH, ((0, 10), (20, 10))),
+        (NORTH, ((0, 12), (4, 3), (20, 9))),
+        (1.2, ((0, 8), (6, 8), (7, 0), (9, 0), (11, 6))),
+        (2.4, ((0, 14), (3, 5), (20, 5))),
+    ],
+)
+def test_times_at_a_crossing_are_those_of_the_conflict_area_of_metrics(angle, speeds, aside):
+    """Post-encroachment time finds the area in a way of its own, exactly."""
+    way = 40.0 + aside
+    other = entity(50.0 - way * math.cos(angle), -way * math.sin(angle), angle, *speeds, length=4.4, width=1.8)
+    told = recording(Ego=entity(0.0, 0.3, 0.05, (0, 9), (5, 7), (20, 9)), P=other)
+    ((ego, their),) = visits(told, "Ego", "P", None)
+    met = find_outcome(told, "Ego", "P").encounter
+    assert (met.first == "Ego") == (ego.enters < their.enters)
+    between = their.enters - ego.leaves if met.first == "Ego" else ego.enters - their.leaves
+    assert (met.enters, met.leaves, met.gap) == pytest.approx((ego.enters, their.leaves, between), abs=0.01)
 
 
 @pytest.mark.parametrize(
