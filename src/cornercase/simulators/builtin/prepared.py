@@ -14,11 +14,11 @@ from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
 from cornercase.scenario import Declaration, Scenario, Scope, Value, read_declarations, unusable_values, value_text
 
-# What the samples of one trajectory take, its vertices, a curve of a kilometre, and what of it a driver gets, in bytes
+# What a trajectory takes, its vertices, the samples of its curves of a kilometre, and what of it a driver gets, in bytes
 # for each scenario.
-_TRAJECTORY: Final = 64_000
+_TRAJECTORY: Final = 1_000
 _VERTEX: Final = 250
-_NURBS: Final = 2_000_000
+_CURVES: Final = {"Clothoid": 64_000, "ClothoidSpline": 64_000, "Nurbs": 2_000_000}
 _DRIVEN_TRAJECTORY: Final = 250_000
 # What elements of a storyboard take.
 _ELEMENTS: Final = {"Condition": 60, "Action": 150, "Event": 150}
@@ -140,10 +140,11 @@ class PreparedScenario:
         roots = [self.scenario.root]
         referred = any(element.tag == "CatalogReference" for element in roots[0].iter())
         roots += [self.scenario.xml(file) for file in self.scenario.catalog_files()] if referred else []
-        named = max((_bytes_of(e) for root in roots[1:] for e in root.iter() if e.tag == "Trajectory"), default=0)
-        # Of a trajectory that a catalog holds the file does not say here how long it is.
+        named: dict[str | None, int] = {}
+        for element in (one for root in roots[1:] for one in root.iter() if one.tag == "Trajectory"):
+            named[element.get("name")] = max(_bytes_of(element), named.get(element.get("name"), 0))
         followed = tuple(
-            max(_bytes_of(element), named if any(one.tag == "CatalogReference" for one in element.iter()) else 0)
+            max(_bytes_of(element), _referred(element, named))
             for root in roots
             for element in root.iter()
             if element.tag == "FollowTrajectoryAction"
@@ -172,4 +173,12 @@ class PreparedScenario:
 def _bytes_of(trajectory: etree._Element) -> int:
     """About how much memory a trajectory takes in one scenario."""
     tags = Counter(element.tag for element in trajectory.iter())
-    return _TRAJECTORY + _VERTEX * (tags["Vertex"] + tags["ControlPoint"]) + _NURBS * tags["Nurbs"]
+    curves = sum(each * tags[tag] for tag, each in _CURVES.items())
+    return _TRAJECTORY + _VERTEX * (tags["Vertex"] + tags["ControlPoint"]) + curves
+
+
+def _referred(following: etree._Element, named: Mapping[str | None, int]) -> int:
+    """About how much memory a trajectory of a catalog takes that is followed, if one is; the largest may be meant."""
+    entries = [one.get("entryName", "") for one in following.iter() if one.tag == "CatalogReference"]
+    largest = max(named.values(), default=0)
+    return max((named.get(entry, largest) for entry in entries), default=0)

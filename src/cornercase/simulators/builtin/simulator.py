@@ -16,8 +16,9 @@ from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.effect import notices
 from cornercase.simulators.builtin.prepared import PreparedScenario
 
-# A batch keeps the whole motion of its scenarios; so many bytes at most, and so many scenarios.
-_MOST_BYTES = 400_000_000
+# A batch keeps the whole motion of its scenarios; so many bytes at most, which it takes only if all of them run as long
+# as they may, and so many scenarios. What a batch costs besides its scenarios is worth several hundred of them.
+_MOST_BYTES = 800_000_000
 _LARGEST_BATCH = 4096
 # Recordings are made so many bytes at once.
 _MOST_RECORDED = 4_000_000
