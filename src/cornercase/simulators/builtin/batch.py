@@ -130,30 +130,30 @@ class Batch:
         world, scene = self._world, self._stepper.scene
         motion, placed = motion_of(scene, np.array(chosen, dtype=np.int64))
         names, kinds = tuple(world.names), tuple(entity.kind for entity in world.entities)
-        boxes = scene.boxes[:, [LENGTH, WIDTH, CENTER_X]].T
+        boxes = [scene.boxes[:, column].copy() for column in (LENGTH, WIDTH, CENTER_X)]
         time = np.arange(scene.frames.max(initial=0)) * self._time_step
         result: list[Recording | SimulationError] = []
-        for i, (x, y, heading, speed, acceleration), there in zip(chosen, motion, placed.tolist(), strict=True):
+        for i, moved, there in zip(chosen, motion, placed.tolist(), strict=True):
             if i in world.errors:
                 result.append(SimulationError(world.errors[i]))
                 continue
             if not there:
                 result.append(SimulationError("no entity is ever placed on the map"))
                 continue
-            length, width, center_x = boxes.copy()
             result.append(
                 Recording(
-                    time=time[: x.shape[1]].copy(),
+                    time=time[: moved.shape[2]].copy(),
                     names=names,
                     kinds=kinds,
-                    x=x,
-                    y=y,
-                    heading=heading,
-                    speed=speed,
-                    acceleration=acceleration,
-                    length=length,
-                    width=width,
-                    center_x=center_x,
+                    # Iterating over an array takes twice as long.
+                    x=moved[0],
+                    y=moved[1],
+                    heading=moved[2],
+                    speed=moved[3],
+                    acceleration=moved[4],
+                    length=boxes[0].copy(),
+                    width=boxes[1].copy(),
+                    center_x=boxes[2].copy(),
                     collisions=self._collisions.get(i, ()),
                 )
             )
