@@ -14,7 +14,7 @@ from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.frames.motion import advance, set_speed, settle
 from cornercase.simulators.builtin.frames.scene import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
-from cornercase.simulators.builtin.frames.synchronising import keep_distance, synchronise
+from cornercase.simulators.builtin.frames.synchronising import CHANGING, keep_distance, synchronise
 from cornercase.simulators.builtin.frames.table import (
     DISTANCE_ACTION,
     LANE_CHANGE,
@@ -60,8 +60,10 @@ _SHORT: Final = 1e-4
 # rad; who moves only sideways is turned by a little less than a quarter.
 _SIDEWAYS: Final = 0.5 * math.pi - 1e-3
 
-# All that actions change of their own entity.
-_FLOATS: Final = (X, Y, HEADING, SPEED, DISTANCE, OFFSET, TURN, PACE, LAST_S, AT_END_SINCE, TARGET_SPEED)
+# All that actions change of their own entity: first what those do that decide its speed, last what those do that move it.
+_FLOATS: Final = (TARGET_SPEED, LAST_S, SPEED, X, Y, HEADING, DISTANCE, TURN, OFFSET, PACE, AT_END_SINCE)
+_OF_SPEED: Final = 3
+_OF_PLACE: Final = 2
 _FLAGS: Final = (MOVED, DECIDED)
 
 _kernel = kernel(error_model="numpy", _nrt=False)
@@ -172,31 +174,52 @@ def act(scene, tracks, roads, actions, kept, n, dt):
 @_part
 def _keep(scene, actions, kept, n, j):
     f, b, e, master = scene.floats[n], scene.flags[n], actions.options[j, 1], actions.options[j, 2]
-    if actions.options[j, 0] == UNKNOWN:
+    kind = actions.options[j, 0]
+    if kind == UNKNOWN:
         return
-    for k in range(len(_FLOATS)):
-        kept.floats[j, k] = f[_FLOATS[k], e]
-    if actions.options[j, 0] == SYNCHRONISATION:
+    if _decides_speed(kind):
+        for k in range(_OF_SPEED):
+            kept.floats[j, k] = f[_FLOATS[k], e]
+    else:
+        for k in range(_OF_PLACE, len(_FLOATS)):
+            kept.floats[j, k] = f[_FLOATS[k], e]
+    if kind == SYNCHRONISATION:
         # It looks its master up on the road, too.
         kept.floats[j, len(_FLOATS)] = f[LAST_S, master]
     for k in range(len(_FLAGS)):
         kept.flags[j, k] = b[_FLAGS[k], e]
-    for k in range(actions.options[j, REMEMBERED]):
+    for k in range(_changing(actions, j)):
         kept.memory[j, k] = actions.memory[n, j, k]
+
+
+@_part
+def _decides_speed(kind):
+    return kind == SPEED_ACTION or kind == SYNCHRONISATION or kind == DISTANCE_ACTION
+
+
+@_part
+def _changing(actions, j):
+    """How many of the numbers that an action remembers can change as it acts: the first ones."""
+    return CHANGING if actions.options[j, 0] == SYNCHRONISATION else actions.options[j, REMEMBERED]
 
 
 @_kernel
 def _take_back(scene, actions, kept, n, j):
     f, b, e, master = scene.floats[n], scene.flags[n], actions.options[j, 1], actions.options[j, 2]
-    if actions.options[j, 0] == UNKNOWN:
+    kind = actions.options[j, 0]
+    if kind == UNKNOWN:
         return
-    if actions.options[j, 0] == SYNCHRONISATION:
+    if kind == SYNCHRONISATION:
         f[LAST_S, master] = kept.floats[j, len(_FLOATS)]
-    for k in range(len(_FLOATS)):
-        f[_FLOATS[k], e] = kept.floats[j, k]
+    if _decides_speed(kind):
+        for k in range(_OF_SPEED):
+            f[_FLOATS[k], e] = kept.floats[j, k]
+    else:
+        for k in range(_OF_PLACE, len(_FLOATS)):
+            f[_FLOATS[k], e] = kept.floats[j, k]
     for k in range(len(_FLAGS)):
         b[_FLAGS[k], e] = kept.flags[j, k]
-    for k in range(actions.options[j, REMEMBERED]):
+    for k in range(_changing(actions, j)):
         actions.memory[n, j, k] = kept.memory[j, k]
 
 

@@ -14,7 +14,7 @@ from cornercase.simulators.builtin.world.layout import HEADING, PRESENT, X, Y
 _kernel = kernel(error_model="numpy", _nrt=False)
 
 
-@_kernel
+@kernel(error_model="numpy", _nrt=False, forceinline=True)
 def overlap(scene, n, a, b):
     """Whether the boxes of two entities share a point; never that of one who is not there.
 
@@ -35,8 +35,11 @@ def overlap(scene, n, a, b):
         return False
     # Whose reference points are this far apart has no box near the other's.
     dx, dy, far = state[X, a] - state[X, b], state[Y, a] - state[Y, b], boxes[a, REACH] + boxes[b, REACH]
-    if not dx * dx + dy * dy <= far * far:
-        return False
+    return dx * dx + dy * dy <= far * far and _boxes_overlap(state, boxes, a, b)
+
+
+@_kernel
+def _boxes_overlap(state, boxes, a, b):
     cos_a, sin_a = math.cos(state[HEADING, a]), math.sin(state[HEADING, a])
     cos_b, sin_b = math.cos(state[HEADING, b]), math.sin(state[HEADING, b])
     x_a, y_a = state[X, a] + boxes[a, CENTER_X] * cos_a, state[Y, a] + boxes[a, CENTER_X] * sin_a

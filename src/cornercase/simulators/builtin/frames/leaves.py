@@ -177,14 +177,85 @@ def gather_leaves(found: list[list[list[Asked]]], delays: list[FloatArray], scen
     )
 
 
+class Watched(NamedTuple):
+    """What of the triggers can come to pass in a scenario before its storyboard looks.
+
+    Attributes
+    ----------
+    groups : ndarray of int64, shape (G + 1,)
+        Groups of which none may be met, and then -1.
+    leaves : ndarray of int64, shape (L + 1,)
+        Leaves of which none may change, and then -1.
+    """
+
+    groups: IntArray
+    leaves: IntArray
+
+
+@kernel(error_model="numpy")
+def room_to_watch(leaves):
+    """Make room for what is watched in a scenario.
+
+    Parameters
+    ----------
+    leaves : Leaves
+
+    Returns
+    -------
+    Watched
+    """
+    groups, changing = leaves.groups.shape[0] + 1, leaves.codes.shape[0] + 1
+    return Watched(np.empty(groups, dtype=np.int64), np.empty(changing, dtype=np.int64))
+
+
+@_kernel
+def pick(leaves, watched, n):
+    """Pick what can come to pass in a scenario: what is constant is what it is until the storyboard looks.
+
+    Parameters
+    ----------
+    leaves : Leaves
+    watched : Watched
+    n : int
+        Scenario.
+    """
+    groups = changing = 0
+    for t in range(leaves.triggers.shape[0]):
+        if not leaves.watched[n, t]:
+            continue
+        first, last, plain = leaves.triggers[t]
+        for g in range(first, last):
+            if not plain:
+                for c in range(leaves.groups[g, 0], leaves.groups[g, 1]):
+                    for k in range(leaves.conditions[c, 0], leaves.conditions[c, 1]):
+                        if leaves.codes[k, 0] != CONSTANT or (leaves.values[n, k, 0] > 0.0) != leaves.truth[n, k]:
+                            watched.leaves[changing] = k
+                            changing += 1
+            elif not _never_met(leaves, n, g):
+                watched.groups[groups] = g
+                groups += 1
+    watched.groups[groups] = watched.leaves[changing] = -1
+
+
+@_kernel
+def _never_met(leaves, n, g):
+    for c in range(leaves.groups[g, 0], leaves.groups[g, 1]):
+        k = leaves.conditions[c, 0]
+        # There is one of what is constant.
+        if k < leaves.conditions[c, 1] and leaves.codes[k, 0] == CONSTANT and not leaves.values[n, k, 0] > 0.0:
+            return True
+    return False
+
+
 @_part
-def stays(scene, leaves, n):
+def stays(scene, leaves, watched, n):
     """Whether no trigger fires, and nothing has changed for those to which matters what was before.
 
     Parameters
     ----------
     scene : Scene
     leaves : Leaves
+    watched : Watched
     n : int
         Scenario.
 
@@ -195,48 +266,33 @@ def stays(scene, leaves, n):
     for d in range(leaves.pending.shape[1]):
         if leaves.pending[n, d] <= scene.time[n] - leaves.delay[n, d] + TOLERANCE:
             return False
-    for t in range(leaves.triggers.shape[0]):
-        if not leaves.watched[n, t]:
-            continue
-        first, last, plain = leaves.triggers[t]
-        for g in range(first, last):
-            if _fires(scene, leaves, n, g) if plain else _changes(scene, leaves, n, g):
-                return False
+    i = 0
+    while watched.leaves[i] >= 0:
+        if holds(scene, leaves, n, watched.leaves[i]) != leaves.truth[n, watched.leaves[i]]:
+            return False
+        i += 1
+    i = 0
+    while watched.groups[i] >= 0:
+        if _met(scene, leaves, n, watched.groups[i]):
+            return False
+        i += 1
     return True
 
 
-@_kernel
-def _fires(scene, leaves, n, g):
-    met, last = True, leaves.groups[g, 1]
-    c = leaves.groups[g, 0]
-    while met and c < last:
-        met = _met(scene, leaves, n, c)
-        c += 1
-    return met
-
-
-@_kernel
-def _met(scene, leaves, n, c):
-    """Whether a condition holds of any, or of every, of its entities."""
-    first, last, every = leaves.conditions[c]
-    k = first
-    while k < last:
-        e, met = leaves.codes[k, 1], False
-        while k < last and leaves.codes[k, 1] == e:
-            met = met or holds(scene, leaves, n, k)
-            k += 1
-        if met != (every > 0):
-            return met
-    return every > 0
-
-
-@_kernel
-def _changes(scene, leaves, n, g):
+@_part
+def _met(scene, leaves, n, g):
+    """Whether all conditions of a group hold, each of any, or of every, of its entities."""
     for c in range(leaves.groups[g, 0], leaves.groups[g, 1]):
-        for k in range(leaves.conditions[c, 0], leaves.conditions[c, 1]):
-            if holds(scene, leaves, n, k) != leaves.truth[n, k]:
-                return True
-    return False
+        first, last, every = leaves.conditions[c]
+        k, holding = first, every > 0
+        while k < last and holding == (every > 0):
+            e, holding = leaves.codes[k, 1], False
+            while k < last and leaves.codes[k, 1] == e:
+                holding = holding or holds(scene, leaves, n, k)
+                k += 1
+        if not holding:
+            return False
+    return True
 
 
 @_kernel
@@ -254,7 +310,7 @@ def take_down(scene, leaves, n):
         leaves.truth[n, k] = holds(scene, leaves, n, k)
 
 
-@_kernel
+@_part
 def holds(scene, leaves, n, k):
     """Whether a leaf holds of its entity in a scenario now.
 
@@ -269,8 +325,7 @@ def holds(scene, leaves, n, k):
     -------
     bool
     """
-    kind, e, other = leaves.codes[k, 0], leaves.codes[k, 1], leaves.codes[k, 2]
-    rule, option, v = leaves.codes[k, 3], leaves.codes[k, 4], leaves.values[n, k]
+    kind, e, rule, v = leaves.codes[k, 0], leaves.codes[k, 1], leaves.codes[k, 3], leaves.values[n, k]
     time = scene.time[n]
     if kind == CONSTANT:
         return v[0] > 0.0
@@ -281,6 +336,21 @@ def holds(scene, leaves, n, k):
         return False
     if kind == TRAVELED:
         return f[ODOMETER, e] >= v[0]
+    if kind == STANDS:
+        return time - f[STANDING_SINCE, e] > v[0]
+    if kind == AT_END:
+        return time - f[AT_END_SINCE, e] > v[0] - TOLERANCE
+    if kind == COLLIDES:
+        return overlap(scene, n, e, leaves.codes[k, 2])
+    return _holds_besides(scene, leaves, n, k)
+
+
+@_kernel
+def _holds_besides(scene, leaves, n, k):
+    """Whether a leaf of another kind holds of its entity, which is there."""
+    kind, e, other = leaves.codes[k, 0], leaves.codes[k, 1], leaves.codes[k, 2]
+    rule, option, v = leaves.codes[k, 3], leaves.codes[k, 4], leaves.values[n, k]
+    f = scene.floats[n]
     if kind == SPEED_IS:
         asked = f[SPEED, e] if option == ALL_WAYS else component(f, GONE_X, GONE_Y, e, e, option)
         return _compares(rule, asked, v[0])
@@ -290,22 +360,15 @@ def holds(scene, leaves, n, k):
         size = math.hypot(f[PULL_X, e], f[PULL_Y, e])
         # Against the heading it is negative.
         return _compares(rule, -size if component(f, PULL_X, PULL_Y, e, e, ALONG) < 0.0 else size, v[0])
-    if kind == STANDS:
-        return time - f[STANDING_SINCE, e] > v[0]
-    if kind == AT_END:
-        return time - f[AT_END_SINCE, e] > v[0] - TOLERANCE
     if kind == REACHES:
         near = math.hypot(v[0] - f[X, e], v[1] - f[Y, e]) < v[3]
-        turn = (v[2] - f[HEADING, e] + math.pi) % (2.0 * math.pi) - math.pi
-        return near and (option == 0 or abs(turn) < ALIGNED)
+        return near and (option == 0 or abs(_within_half_turn(v[2] - f[HEADING, e])) < ALIGNED)
     if kind == TURNED:
         heading = f[HEADING, e] if option > 0 else 0.0
         turn = heading - f[HEADING, other] if other >= 0 else heading
-        return abs((turn - v[0] + math.pi) % (2.0 * math.pi) - math.pi) < v[1] + TOLERANCE
+        return abs(_within_half_turn(turn - v[0])) < v[1] + TOLERANCE
     if kind == APART_FROM_PLACE:
         return _compares(rule, abs(gap_to_place(scene, n, e, v[0], v[1], option)), v[2])
-    if kind == COLLIDES:
-        return overlap(scene, n, e, other)
     if kind == RELATIVE_SPEED:
         apart = f[SPEED, e] - f[SPEED, other]
         if option != ALL_WAYS:
@@ -322,6 +385,13 @@ def holds(scene, leaves, n, k):
     if abs(gap) < TOLERANCE or abs(closing) < TOLERANCE or not scene.flags[n, PRESENT, other]:
         return False
     return gap / closing >= 0.0 and _compares(rule, gap / closing, v[0])
+
+
+@_part
+def _within_half_turn(angle):
+    turn = angle + math.pi
+    # Division costs most of it, and as a rule changes nothing.
+    return (turn if turn >= 0.0 and turn < 2.0 * math.pi else turn % (2.0 * math.pi)) - math.pi
 
 
 @_kernel

@@ -15,7 +15,7 @@ from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers import Driven, Workspace, accelerate, route_row, workspace
 from cornercase.simulators.builtin.frames.acting import Kept, act, room_to_keep, take_up
-from cornercase.simulators.builtin.frames.leaves import stays, take_down
+from cornercase.simulators.builtin.frames.leaves import Watched, pick, room_to_watch, stays, take_down
 from cornercase.simulators.builtin.frames.motion import AWAKE, MOVED_BY_OTHERS, move, record
 from cornercase.simulators.builtin.frames.scene import MAX_SPEED
 from cornercase.simulators.builtin.frames.table import UNKNOWN
@@ -87,6 +87,7 @@ class Desk(NamedTuple):
     Attributes
     ----------
     kept : Kept
+    watched : Watched
     rest : ndarray of int8, shape (E,)
         `AWAKE` and so on.
     others : ndarray of float64, shape (4, E - 1)
@@ -96,6 +97,7 @@ class Desk(NamedTuple):
     """
 
     kept: Kept
+    watched: Watched
     rest: npt.NDArray[np.int8]
     others: FloatArray
     work: Workspace
@@ -122,19 +124,20 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
     """
     entities = scene.floats.shape[2]
     kept, rest = room_to_keep(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
-    desk = Desk(kept, rest, np.empty((4, entities - 1)), workspace(entities - 1))
+    desk = Desk(kept, room_to_watch(leaves), rest, np.empty((4, entities - 1)), workspace(entities - 1))
     for n in range(first, last):
         status = course.status[n]
         if status == RESTS:
             continue
         _wake(scene, actions, course, n, desk)
+        pick(leaves, desk.watched, n)
         while status in (GOES, ACTS, BEGUN):
             begun, dt = status != GOES, rules.time_step if scene.frames[n] > 0 else 0.0
             if status == GOES:
                 if scene.frames[n] >= rules.most:
                     status = OVER
                     break
-                if not stays(scene, leaves, n):
+                if not stays(scene, leaves, desk.watched, n):
                     status = WAITS
                     break
                 _note_speeds(scene, n)
