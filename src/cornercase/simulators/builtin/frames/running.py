@@ -125,6 +125,12 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
     entities = scene.floats.shape[2]
     kept, rest = room_to_keep(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
     desk = Desk(kept, room_to_watch(leaves), rest, np.empty((4, entities - 1)), workspace(entities - 1))
+    _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk, first, last)
+
+
+# Where memory is reserved, numba counts who refers to each array, with atomic operations: a fifth of the time of frames.
+@_kernel
+def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk, first, last):
     for n in range(first, last):
         status = course.status[n]
         if status == RESTS:
