@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import road_networks as rn
-from cornercase.roads import RoadNetwork, stays_on_road
+from cornercase.roads import RoadNetwork, road_direction, road_heading, stays_on_road
 from cornercase.roads.edges import road_margins
 from cornercase.roads.locating import SLACK, Locator
 
@@ -57,3 +58,26 @@ def test_who_stays_on_its_road_is_the_same_compiled(tmp_path: Path) -> None:
                 assert not stays or at == pytest.approx(found[i], rel=1e-13, abs=1e-12)
             stayed += int(inside.sum())
     assert stayed > 100
+
+
+def test_a_place_between_the_inner_edges_is_on_the_road_wherever_along_it(tmp_path: Path) -> None:
+    known = 0
+    for network in _networks(tmp_path):
+        edges = network.tables.edges
+        for k, road in enumerate(network.roads):
+            right, left = road.margins(np.linspace(0.0, road.length, 200))
+            assert edges.inner[k, 0] >= right.max()
+            assert edges.inner[k, 1] <= left.min()
+            if np.isfinite(edges.inner[k, 0]):
+                known += 1
+                assert edges.inner[k] == pytest.approx((right.max(), left.min()), abs=1e-6)
+    assert known > 3
+
+
+def test_directions_are_those_of_headings(tmp_path: Path) -> None:
+    for network in _networks(tmp_path):
+        for k, road in enumerate(network.roads):
+            if network.tables.known[k]:
+                for s in np.linspace(0.0, road.length, 7):
+                    heading = road_heading(network.tables, k, s)
+                    assert road_direction(network.tables, k, s) == (math.cos(heading), math.sin(heading))

@@ -1,4 +1,5 @@
 from .direction import RoadTables as RoadTables
+from .direction import road_direction as road_direction
 from .direction import road_heading as road_heading
 from .direction import road_tables as road_tables
 from .direction import stays_on_road as stays_on_road

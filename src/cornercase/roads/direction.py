@@ -38,6 +38,8 @@ class RoadTables(NamedTuple):
         First piece of each road, and the number of pieces.
     s, x, y, heading : ndarray of float64, shape (P,)
         Where pieces begin, in m and rad.
+    cos, sin : ndarray of float64, shape (P,)
+        Of that heading.
     shape : ndarray of int64, shape (P,)
         What kind of piece it is.
     numbers : ndarray of float64, shape (P, 8)
@@ -55,6 +57,8 @@ class RoadTables(NamedTuple):
     x: FloatArray
     y: FloatArray
     heading: FloatArray
+    cos: FloatArray
+    sin: FloatArray
     shape: IntArray
     numbers: FloatArray
     edges: RoadEdges
@@ -86,6 +90,7 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
         x,
         y,
         heading,
+        *_components(heading),
         np.array([_CURVE if piece.kind == "paramPoly3" else _TURNS for piece in pieces], dtype=np.int64),
         numbers,
         road_edges(roads),
@@ -110,6 +115,15 @@ def _numbers(piece: Geometry) -> tuple[float, ...]:
         top, _, u1, u2, u3, _, v1, v2, v3 = piece.numbers
         return piece.length, top, 3 * u3, 2 * u2, u1, 3 * v3, 2 * v2, v1
     return ()
+
+
+@kernel(error_model="numpy")
+def _components(heading):
+    """Cosines and sines, to the last digit as kernels compute them, which NumPy's are not."""
+    cos, sin = np.empty(heading.size), np.empty(heading.size)
+    for k in range(heading.size):
+        cos[k], sin[k] = math.cos(heading[k]), math.sin(heading[k])
+    return cos, sin
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
@@ -139,6 +153,29 @@ def road_heading(roads, road, s):
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
+def road_direction(roads, road, s):
+    """Cosine and sine of `road_heading`.
+
+    Parameters
+    ----------
+    roads : RoadTables
+    road : int
+        Index of the road.
+    s : float
+        m.
+
+    Returns
+    -------
+    cos, sin : float
+    """
+    piece = _piece(roads, road, s)
+    if roads.shape[piece] == _TURNS and roads.numbers[piece, 0] == 0.0 and roads.numbers[piece, 1] == 0.0:
+        return roads.cos[piece], roads.sin[piece]
+    heading = road_heading(roads, road, s)
+    return math.cos(heading), math.sin(heading)
+
+
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
 def stays_on_road(roads, road, s, x, y):
     """Whether a point that moves is still on the plain road that it was on, or not far beside it.
 
@@ -160,26 +197,30 @@ def stays_on_road(roads, road, s, x, y):
     """
     length = roads.length[road]
     s = min(max(s, 0.0), length)
-    at_x, at_y, heading = _plain_place(roads, _piece(roads, road, s), s)
-    dx, dy, cos, sin = x - at_x, y - at_y, math.cos(heading), math.sin(heading)
+    at_x, at_y, cos, sin = _plain_place(roads, _piece(roads, road, s), s)
+    dx, dy = x - at_x, y - at_y
     along, t = s + dx * cos + dy * sin, dy * cos - dx * sin
     if not (along >= 0.0 and along <= length):
         return False, s
+    if t >= roads.edges.inner[road, 0] - SLACK and t <= roads.edges.inner[road, 1] + SLACK:
+        return True, along
     right, left = road_margins(roads.edges, road, along)
     return t >= right - SLACK and t <= left + SLACK, along
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _plain_place(roads, piece, s):
-    """Place on a straight piece or an arc, and its direction there."""
+    """Place on a straight piece or an arc, and cosine and sine of its direction there."""
     along, curvature = s - roads.s[piece], roads.numbers[piece, 0]
-    turn = curvature * along
+    turn, cos, sin = curvature * along, roads.cos[piece], roads.sin[piece]
+    if turn == 0.0:
+        return roads.x[piece] + cos * along, roads.y[piece] + sin * along, cos, sin
     half = 0.5 * turn / math.pi
-    chord = along if turn == 0.0 else along * (math.sin(math.pi * half) / (math.pi * half))
+    chord = along * (math.sin(math.pi * half) / (math.pi * half))
     u, v = chord * math.cos(0.5 * turn), chord * math.sin(0.5 * turn)
-    heading = roads.heading[piece]
-    cos, sin = math.cos(heading), math.sin(heading)
-    return roads.x[piece] + cos * u - sin * v, roads.y[piece] + sin * u + cos * v, heading + turn
+    heading = roads.heading[piece] + turn
+    x, y = roads.x[piece] + cos * u - sin * v, roads.y[piece] + sin * u + cos * v
+    return x, y, math.cos(heading), math.sin(heading)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from cornercase.roads.lane import Polynomial
 from cornercase.roads.road import Road
 
 _RIGHT, _LEFT = 0, 1
+# m; what rounding may make of an edge.
+_ROUNDING: Final = 1e-9
 
 
 class RoadEdges(NamedTuple):
@@ -35,6 +37,9 @@ class RoadEdges(NamedTuple):
         Whether the cubics of a lane are its border.
     coefficients : ndarray of float64, shape (Q, 5)
         Where each begins in m, and its coefficients, the lowest first.
+    inner : ndarray of float64, shape (R, 2)
+        What lies between these two lateral coordinates is between the edges of the road, wherever along it, in m;
+        infinite and minus infinite where that is not known.
     """
 
     sections: IntArray
@@ -43,6 +48,7 @@ class RoadEdges(NamedTuple):
     cubics: IntArray
     bordered: BoolArray
     coefficients: FloatArray
+    inner: FloatArray
 
 
 def road_edges(roads: Sequence[Road]) -> RoadEdges:
@@ -73,7 +79,22 @@ def road_edges(roads: Sequence[Road]) -> RoadEdges:
         np.cumsum([0, *map(len, lines)], dtype=np.int64),
         np.array(bordered, dtype=np.bool_),
         np.array([cubic for line in lines for cubic in line], dtype=np.float64).reshape(-1, 5),
+        np.array([_inner(road) for road in roads]).reshape(-1, 2),
     )
+
+
+def _inner(road: Road) -> tuple[float, float]:
+    places = [*road.seams[:-1].tolist(), *(begin for begin, *_ in road.offsets)]
+    lines = [road.offsets]
+    for start, lanes in road.sections:
+        for lane in lanes.values():
+            lines.append(lane.borders or lane.widths)
+            places += [start + begin for begin, *_ in lines[-1]]
+    if any(change != 0.0 for line in lines for cubic in line for change in cubic[2:]):
+        return np.inf, -np.inf
+    # The edges are the same all the way from one such place to the next.
+    right, left = road.margins(np.clip(places, 0.0, road.length))
+    return float(right.max()) + _ROUNDING, float(left.min()) - _ROUNDING
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)

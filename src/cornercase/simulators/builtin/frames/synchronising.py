@@ -10,7 +10,7 @@ from typing import Final
 
 from cornercase._common.compiling import kernel
 from cornercase._common.geometry import ACROSS
-from cornercase.roads import road_heading, stays_on_road
+from cornercase.roads import road_direction, road_heading, stays_on_road
 from cornercase.simulators.builtin.frames.gaps import FREE, LONGITUDINAL, gap_to
 from cornercase.simulators.builtin.frames.motion import set_speed
 from cornercase.simulators.builtin.frames.scene import MAX_SPEED
@@ -219,24 +219,25 @@ def _way(scene, tracks, roads, m, place, n, e):
 def _speed_along(scene, tracks, roads, n, e):
     """Whether an entity's speed along its road is known, and that speed in m/s: twin of `speed_along_road`."""
     f, numbers = scene.floats[n], scene.numbers[n]
-    direction, track = f[HEADING, e], numbers[TRACK, e]
+    track = numbers[TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
-    if roads.length.size > 0:
-        if row >= 0 and tracks.kind[row] == LANE:
-            road, s = _lane_of(scene, tracks, n, e, row)
-            if road < 0 or not roads.known[road]:
-                return False, math.nan
-            direction = road_heading(roads, road, s)
-        elif scene.flags[n, PRESENT, e]:
-            road = numbers[LAST_ROAD, e]
-            if road < 0 or not roads.plain[road]:
-                return False, math.nan
-            stays, s = stays_on_road(roads, road, f[LAST_S, e], f[X, e], f[Y, e])
-            if not stays:
-                return False, math.nan
-            f[LAST_S, e] = s
-            direction = road_heading(roads, road, s)
-    return True, abs(f[GONE_X, e] * math.cos(direction) + f[GONE_Y, e] * math.sin(direction))
+    if roads.length.size > 0 and row >= 0 and tracks.kind[row] == LANE:
+        road, s = _lane_of(scene, tracks, n, e, row)
+        if road < 0 or not roads.known[road]:
+            return False, math.nan
+        cos, sin = road_direction(roads, road, s)
+    elif roads.length.size > 0 and scene.flags[n, PRESENT, e]:
+        road = numbers[LAST_ROAD, e]
+        if road < 0 or not roads.plain[road]:
+            return False, math.nan
+        stays, s = stays_on_road(roads, road, f[LAST_S, e], f[X, e], f[Y, e])
+        if not stays:
+            return False, math.nan
+        f[LAST_S, e] = s
+        cos, sin = road_direction(roads, road, s)
+    else:
+        cos, sin = math.cos(f[HEADING, e]), math.sin(f[HEADING, e])
+    return True, abs(f[GONE_X, e] * cos + f[GONE_Y, e] * sin)
 
 
 @_kernel
