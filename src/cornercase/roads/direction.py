@@ -80,6 +80,7 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
     for k, piece in enumerate(pieces):
         found = _numbers(piece)
         numbers[k, : len(found)] = found
+    cos, sin = _components(np.array([one.heading for one in pieces]))
     s, x, y, heading = np.array([(one.s, one.x, one.y, one.heading) for one in pieces]).reshape(-1, 4).T.copy()
     return RoadTables(
         np.array([all(piece.kind != "poly3" for piece in road.geometries) for road in roads], dtype=np.bool_),
@@ -90,7 +91,8 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
         x,
         y,
         heading,
-        *_components(heading),
+        cos,
+        sin,
         np.array([_CURVE if piece.kind == "paramPoly3" else _TURNS for piece in pieces], dtype=np.int64),
         numbers,
         road_edges(roads),

@@ -14,8 +14,8 @@ from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
 from cornercase.scenario import Declaration, Scenario, Scope, Value, read_declarations, unusable_values, value_text
 
-# What a trajectory takes, its vertices, the samples of its curves of a kilometre, and what of it a driver gets, in bytes
-# for each scenario.
+# What a trajectory takes, its vertices, the samples of its curves of a kilometre, and what of it a driver gets, in
+# bytes for each scenario.
 _TRAJECTORY: Final = 1_000
 _VERTEX: Final = 250
 _CURVES: Final = {"Clothoid": 64_000, "ClothoidSpline": 64_000, "Nurbs": 2_000_000}

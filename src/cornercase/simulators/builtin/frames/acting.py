@@ -60,7 +60,8 @@ _SHORT: Final = 1e-4
 # rad; who moves only sideways is turned by a little less than a quarter.
 _SIDEWAYS: Final = 0.5 * math.pi - 1e-3
 
-# All that actions change of their own entity: first what those do that decide its speed, last what those do that move it.
+# All that actions change of their own entity: first what those do that decide its speed, then what those do that move
+# it, with one of the former.
 _FLOATS: Final = (TARGET_SPEED, LAST_S, SPEED, X, Y, HEADING, DISTANCE, TURN, OFFSET, PACE, AT_END_SINCE)
 _OF_SPEED: Final = 3
 _OF_PLACE: Final = 2
@@ -194,7 +195,7 @@ def _keep(scene, actions, kept, n, j):
 
 @_part
 def _decides_speed(kind):
-    return kind == SPEED_ACTION or kind == SYNCHRONISATION or kind == DISTANCE_ACTION
+    return kind in (SPEED_ACTION, SYNCHRONISATION, DISTANCE_ACTION)
 
 
 @_part

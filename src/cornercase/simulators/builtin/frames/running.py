@@ -86,6 +86,8 @@ class Desk(NamedTuple):
 
     Attributes
     ----------
+    first, last : int
+        The scenarios, the last one not included.
     kept : Kept
     watched : Watched
     rest : ndarray of int8, shape (E,)
@@ -96,6 +98,8 @@ class Desk(NamedTuple):
         Of a driver.
     """
 
+    first: int
+    last: int
     kept: Kept
     watched: Watched
     rest: npt.NDArray[np.int8]
@@ -124,14 +128,15 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
     """
     entities = scene.floats.shape[2]
     kept, rest = room_to_keep(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
-    desk = Desk(kept, room_to_watch(leaves), rest, np.empty((4, entities - 1)), workspace(entities - 1))
-    _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk, first, last)
+    others, watched = np.empty((4, entities - 1)), room_to_watch(leaves)
+    desk = Desk(first, last, kept, watched, rest, others, workspace(entities - 1))
+    _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk)
 
 
-# Where memory is reserved, numba counts who refers to each array, with atomic operations: a fifth of the time of frames.
+# Where memory is reserved, numba counts who refers to each array, in each frame, with atomic operations.
 @_kernel
-def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk, first, last):
-    for n in range(first, last):
+def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk):
+    for n in range(desk.first, desk.last):
         status = course.status[n]
         if status == RESTS:
             continue
@@ -150,7 +155,7 @@ def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk, 
             if status != BEGUN and not act(scene, tracks, roads, actions, desk.kept, n, dt):
                 status = ENDS if status == ACTS else WAITS
                 break
-            status = _finish(scene, tracks, fleet, course, rules, n, first, dt, desk)
+            status = _finish(scene, tracks, fleet, course, rules, n, dt, desk)
             if begun and course.looks[n] and status == GOES:
                 status = WAITS
         if status == WAITS and scene.frames[n] >= rules.most:
@@ -185,13 +190,13 @@ def _note_speeds(scene, n):
 
 
 @_part
-def _finish(scene, tracks, fleet, course, rules, n, first, dt, desk):
+def _finish(scene, tracks, fleet, course, rules, n, dt, desk):
     """Do the part of a frame that comes after the storyboard; what becomes of the scenario then."""
     if rules.drives and dt > 0.0:
         for d in range(course.driven.shape[0]):
             _drive(scene, tracks, fleet, n, d, course.driven[d], dt, desk)
     elsewhere = move(scene, tracks, n, dt, desk.rest)
-    collides = record(scene, n, first, dt, desk.rest)
+    collides = record(scene, n, desk.first, dt, desk.rest)
     if collides and rules.stop_at_collision:
         return OVER
     return ELSEWHERE if elsewhere else GOES
