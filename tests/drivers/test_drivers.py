@@ -21,7 +21,7 @@ from cornercase.drivers import (
     BehaviourDriver,
     DrivenPath,
 )
-from cornercase.drivers.contact import first_contact, meeting, meets_within
+from cornercase.drivers.contact import begins_before, first_contact, last_contact, meeting
 from cornercase.drivers.route import plan_route
 
 
@@ -111,9 +111,10 @@ def test_times_of_contact_agree_with_boxes_at_many_instants(own, heading, speed,
     speed=st.floats(-3, 12),
     arrives=st.floats(0, 9),
     gaps=st.tuples(st.floats(0, 3), st.floats(0, 3)),
+    sooner=st.floats(0, 9),
 )
 @settings(max_examples=400, deadline=None)
-def test_who_is_met_within_gaps_is_met_at_these_times(other, turn, legs, speed, arrives, gaps):
+def test_who_is_met_within_gaps_is_met_at_these_times(other, turn, legs, speed, arrives, gaps, sooner):
     place = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
     a, b, towards = other
     rows = np.empty((legs, 6))
@@ -123,9 +124,15 @@ def test_who_is_met_within_gaps_is_met_at_these_times(other, turn, legs, speed, 
         a, b, towards = a + duration * speed * cos, b + duration * speed * sin, towards + turn
     them = (rows, 2.0, 0.8, speed)
     first, last, _ = meeting(place, 0, (2.3, 0.9), 0.35, them, 6.0)
-    expected = first - gaps[0] < arrives < last + gaps[1]
-    found = meets_within(place, 0, (2.3, 0.9), 0.35, them, 6.0, (arrives, -gaps[0]), (arrives, gaps[1]))
-    assert found == expected
+    who = (place, 0, (2.3, 0.9), 0.35, them, 6.0)
+    # What an earlier instant rules out, the later one does, too.
+    found = last_contact(*who, min(sooner, arrives), gaps[1])
+    if found[0] >= 0:
+        assert rows[found[0], 4] + found[2] == last
+    ends_late = found[0] >= 0 and rows[found[0], 4] + found[2] + gaps[1] > arrives
+    assert ends_late == (first < math.inf and arrives < last + gaps[1])
+    if found[0] >= 0:
+        assert begins_before(*who, found, arrives, -gaps[0]) == (first - gaps[0] < arrives)
 
 
 @given(

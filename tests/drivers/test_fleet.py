@@ -30,7 +30,7 @@ from cornercase.drivers import (
 )
 from cornercase.drivers.contact import first_contact, meeting
 from cornercase.drivers.route import plan_route
-from cornercase.drivers.way import MOST_PLACES, Way
+from cornercase.drivers.way import MOST_PLACES, Way, arrive, soonest
 
 KINDS = ("car", "truck", "pedestrian", "car")
 LENGTH, WIDTH, CENTER_X = np.array([BOXES[kind] for kind in KINDS]).T
@@ -266,3 +266,26 @@ def test_straight_stretches_that_are_passed_over_hold_no_contact(bends, other, t
             ]
             found = first_contact(places, most, (2.3, 0.9), 0.35, them, horizon, way)
             assert found == (touched[0] if touched else -1)
+
+
+@given(
+    curves=st.lists(st.sampled_from([400.0, 400.0, 64.0, 9.0]), min_size=2, max_size=40),
+    speed=st.floats(0, 20),
+    wanted=st.floats(0, 20),
+    distance=st.floats(0, 0.4),
+)
+@settings(max_examples=200, deadline=None)
+def test_no_place_is_reached_before_the_soonest_instant(curves, speed, wanted, distance):
+    points = np.zeros((len(curves), 6))
+    points[:, 4] = curves
+    way = Way(
+        np.zeros((MOST_PLACES, 6)), np.array([0.0, speed * speed, math.sqrt(speed * speed)]), np.zeros((1, 6)),
+        len(curves), 0.5, points, 0, 0, 0.5, distance, 0.0, 1.4, (2.3, 0.9), speed, wanted,
+    )  # fmt: skip
+    # Each as long as no later place is known.
+    earliest = [soonest(NORMAL, way, k) for k in range(1, len(curves))]
+    arrivals = [arrive(NORMAL, way, k) for k in range(1, len(curves))]
+    assert all(one <= two for one, two in zip(earliest, arrivals, strict=True))
+    if min(curves) == 400.0 and speed > 0.1:
+        steady = way._replace(arrivals=np.array([0.0, speed * speed, speed]), wanted=speed)
+        assert soonest(NORMAL, steady, 1) == pytest.approx(arrive(NORMAL, steady, 1))

@@ -68,42 +68,64 @@ def meeting(places, row, ego, margin, other, horizon):
     return enters, leaves, at
 
 
-@_kernel
-def meets_within(places, row, ego, margin, other, horizon, before, after):
-    """Whether the other would touch the driven entity before one instant and after another, if that were at a place.
+@_part
+def last_contact(places, row, ego, margin, other, horizon, instant, after):
+    """Last contact of the other with the driven entity, if that were at a place, and if it ends late enough.
 
-    As `meeting` says it: what is over too early, or comes too late, is not asked for.
+    As `meeting` says it: what is over too early is not asked for.
+
+    Parameters
+    ----------
+    places, row, ego, margin, other, horizon
+        As in `meeting`; the horizon is above 0.
+    instant, after : float
+        Instant in s, and what is added to that of `meeting` before it has to be above this.
+
+    Returns
+    -------
+    tuple of (int, float, float)
+        Leg, first and last instant of contact on it, counted from its begin in s; -1 for the leg where there is none.
+    """
+    legs = other[0]
+    own_length, own_width = ego[0], ego[1] + margin
+    leg = legs.shape[0]
+    while leg > 0:
+        leg -= 1
+        if leg > 0 and legs[leg, 4] >= horizon:
+            continue
+        if not _duration(legs, leg, horizon) + legs[leg, 4] + after > instant:
+            return -1, math.inf, -math.inf
+        first, last = _on_leg(places, row, own_length, own_width, other, leg, horizon)
+        if first <= last:
+            return (leg if legs[leg, 4] + last + after > instant else -1), first, last
+    return -1, math.inf, -math.inf
+
+
+@_part
+def begins_before(places, row, ego, margin, other, horizon, found, instant, before):
+    """Whether the first contact of the other with the driven entity, if that were at a place, begins early enough.
 
     Parameters
     ----------
     places, row, ego, margin, other, horizon
         As in `meeting`.
-    before, after : tuple of (float, float)
-        Instant in s, and what is added to those of `meeting` before they are compared with it.
+    found : tuple of (int, float, float)
+        As of `last_contact`, with a leg.
+    instant, before : float
+        Instant in s, and what is added to that of `meeting` before it has to be below this.
 
     Returns
     -------
     bool
     """
     legs = other[0]
-    own_length, own_width = ego[0], ego[1] + margin
-    leg, first, last = legs.shape[0], math.inf, -math.inf
-    while leg > 0 and not first <= last:
-        leg -= 1
-        if leg > 0 and legs[leg, 4] >= horizon:
-            continue
-        if not _duration(legs, leg, horizon) + legs[leg, 4] + after[1] > after[0]:
+    for early in range(found[0]):
+        if not legs[early, 4] + before < instant:
             return False
-        first, last = _on_leg(places, row, own_length, own_width, other, leg, horizon)
-    if not (first <= last and legs[leg, 4] + last + after[1] > after[0]):
-        return False
-    for early in range(leg):
-        if not legs[early, 4] + before[1] < before[0]:
-            return False
-        found = _on_leg(places, row, own_length, own_width, other, early, horizon)
-        if found[0] <= found[1]:
-            return legs[early, 4] + found[0] + before[1] < before[0]
-    return legs[leg, 4] + first + before[1] < before[0]
+        first, last = _on_leg(places, row, ego[0], ego[1] + margin, other, early, horizon)
+        if first <= last:
+            return legs[early, 4] + first + before < instant
+    return legs[found[0], 4] + found[1] + before < instant
 
 
 @_part
@@ -200,7 +222,7 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
                 k += rows_apart(places, most, k, ego, margin, other, horizon)
             if k >= count:
                 break
-        if way is not None:
+        elif way is not None:
             lay(way, k)
         if meeting(places, k, ego, margin, other, horizon)[0] <= horizon:
             return k
@@ -209,7 +231,7 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
 
 @_part
 def next_rows(way, k, margin, other, horizon):
-    """The next places ahead at which the driven entity may touch the other.
+    """Find the next places ahead at which the driven entity may touch the other, and lay out the first of them.
 
     Parameters
     ----------
@@ -228,12 +250,15 @@ def next_rows(way, k, margin, other, horizon):
     straight = int(way.points[way.first + k, 5])
     lay(way, k)
     if straight < 2:
-        k += rows_apart(way.places, way.most, k, way.ego, margin, other, horizon)
-        return k, k
-    begin, end = _stretch(way.places, k, way.ego, margin, other, horizon, straight * way.step)
-    if not begin < math.inf:
-        return k + straight + 1, k + straight + 1
-    return k + int(begin / way.step), k + min(int(end / way.step) + 1, straight)
+        first = until = k + rows_apart(way.places, way.most, k, way.ego, margin, other, horizon)
+    else:
+        begin, end = _stretch(way.places, k, way.ego, margin, other, horizon, straight * way.step)
+        first = until = k + straight + 1
+        if begin < math.inf:
+            first, until = k + int(begin / way.step), k + min(int(end / way.step) + 1, straight)
+    if k < first < way.rows:
+        lay(way, first)
+    return first, until
 
 
 @_part
@@ -312,16 +337,18 @@ def rows_apart(places, most, k, ego, margin, other, horizon):
     """
     legs, half_length, half_width, speed = other
     width = ego[1] + margin
-    own, least = math.sqrt(ego[0] * ego[0] + width * width), math.inf
-    for leg in range(legs.shape[0]):
+    own, least, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]
+    # The last leg is the longest, and the likeliest to be near.
+    while leg > 0:
+        leg -= 1
         if leg > 0 and legs[leg, 4] >= horizon:
-            break
+            continue
         dx, dy = legs[leg, 0] - places[k, 1], legs[leg, 1] - places[k, 2]
         across = abs(dy * legs[leg, 2] - dx * legs[leg, 3]) - half_width
         begin = dx * legs[leg, 2] + dy * legs[leg, 3]
         end = begin + speed * max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
         along = max(min(begin, end), -max(begin, end)) - half_length
         least = min(least, max(across, along) - own)
-    if not least > 1e-6:
-        return 0
+        if not least > 1e-6:
+            return 0
     return 1 + int(min((least - 1e-6) / most, float(len(places))))

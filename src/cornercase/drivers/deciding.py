@@ -106,7 +106,7 @@ def workspace(others):
     Workspace
     """
     return Workspace(
-        np.empty((others, 4)),
+        np.full((others, 5), np.nan),
         np.empty(others, dtype=np.bool_),
         np.empty((MOST_PLACES, 6)),
         np.empty((TURN_LEGS + 1, 6)),

@@ -142,12 +142,13 @@ class Scene(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Where a decision notes what it is about; what stood there before does not matter.
+    """Where a decision notes what it is about; what stood there before changes no decision.
 
     Attributes
     ----------
-    boxes : ndarray of float64, shape (A, 4)
-        Centre in m, cosine and sine of the heading of the others' boxes as they are.
+    boxes : ndarray of float64, shape (A, 5)
+        Centre in m, cosine and sine of the heading of the others' boxes as they are, and the heading; cosine and sine
+        are found anew only where that differs.
     seen : ndarray of bool, shape (A,)
     places : ndarray of float64, shape (K, 6)
         Where the driven entity will be: distance in m, centre of the box in m, cosine and sine of its heading, time of

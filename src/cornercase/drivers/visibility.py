@@ -75,7 +75,7 @@ def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) 
 @kernel(error_model="numpy")
 def _look_each(field_of_view, sight_range, own, boxes, pose, others):
     scenarios, count = len(pose), others.shape[2]
-    seen, now = np.empty((scenarios, count), dtype=np.bool_), np.empty((count, 4))
+    seen, now = np.empty((scenarios, count), dtype=np.bool_), np.full((count, 5), np.nan)
     for n in range(scenarios):
         eye = eye_of(own, pose[n, 0], pose[n, 1], math.cos(pose[n, 2]), math.sin(pose[n, 2]))
         look(field_of_view, sight_range, eye, boxes, others[n], now, seen[n])
@@ -116,8 +116,9 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
         As in `Fleet.boxes`.
     others : ndarray of float64, shape (4, A)
         As in `Scene`.
-    now : ndarray of float64, shape (A, 4)
-        Filled, as in `Workspace.boxes`; NaN where none is within range.
+    now : ndarray of float64, shape (A, 5)
+        Filled, as in `Workspace.boxes`; the centre is NaN where none is within range. The headings are those of
+        before, NaN at first.
     seen : ndarray of bool, shape (A,)
         Filled.
     """
@@ -127,7 +128,10 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
         reach = sight_range + abs(boxes[CENTER_X, a]) + boxes[HALF_LENGTH, a] + boxes[HALF_WIDTH, a]
         away_x, away_y = others[X, a] - eye_x, others[Y, a] - eye_y
         if away_x * away_x + away_y * away_y <= reach * reach * (1.0 + _CLOSE):
-            now[a, 2], now[a, 3] = math.cos(others[HEADING, a]), math.sin(others[HEADING, a])
+            # Most go on as they went.
+            if others[HEADING, a] != now[a, 4]:
+                now[a, 4] = others[HEADING, a]
+                now[a, 2], now[a, 3] = math.cos(others[HEADING, a]), math.sin(others[HEADING, a])
             now[a, 0] = others[X, a] + boxes[CENTER_X, a] * now[a, 2]
             now[a, 1] = others[Y, a] + boxes[CENTER_X, a] * now[a, 3]
         else:

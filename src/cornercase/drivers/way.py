@@ -19,6 +19,9 @@ LOOKAHEAD: Final = 150.0
 MOST_PLACES: Final = int(2.0 * LOOKAHEAD / STEP) + 4
 """Rows of a table of places; the samples of a route are at least half as far apart as they should be."""
 
+# By which instants that are found in different ways may differ, in parts and in s.
+_HAIR: Final = 1e-9
+
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 _kernel = kernel(error_model="numpy", _nrt=False)
 
@@ -188,16 +191,47 @@ def arrive(behaviour, way, k):
     known = int(way.arrivals[0])
     if k > known:
         squared, root, when, here = way.arrivals[1], way.arrivals[2], way.places[known, 5], distance_to(way, known)
+        fastest = way.wanted * way.wanted
         for i in range(known + 1, k + 1):
             there = distance_to(way, i)
             leg, here = there - here, there
-            limit = min(way.wanted * way.wanted, way.points[way.first + i, 4])
-            slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
-            then = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
-            there_root = math.sqrt(then)
-            both = root + there_root
+            limit = min(fastest, way.points[way.first + i, 4])
+            both = root + root
+            # At the limit it stays, and so does its root, which takes long to be found.
+            if limit != squared:
+                slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
+                squared = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
+                there_root = math.sqrt(squared)
+                both, root = root + there_root, there_root
             when += 2.0 * leg / both if both > 0.0 else math.inf
             way.places[i, 5] = when
-            squared, root = then, there_root
         way.arrivals[0], way.arrivals[1], way.arrivals[2] = k, squared, root
     return way.places[k, 5]
+
+
+@_part
+def soonest(behaviour, way, k):
+    """When the driven entity comes to a place ahead at the soonest, whatever the curves on the way to it.
+
+    Parameters
+    ----------
+    behaviour : Behaviour
+    way : Way
+    k : int
+        Row of the place.
+
+    Returns
+    -------
+    float
+        s from now, less a hair for rounding: never more than `arrive` says.
+    """
+    v, wanted, a, there = way.speed, way.wanted, behaviour.acceleration, distance_to(way, k)
+    if k <= way.arrivals[0]:
+        return way.places[k, 5]
+    if v >= wanted:
+        return (1.0 - _HAIR) * there / v if v > 0.0 else 0.0
+    root = math.sqrt(v * v + 2.0 * a * there)
+    if root <= wanted:
+        return (1.0 - _HAIR) * (root - v) / a - _HAIR
+    until = (wanted * wanted - v * v) / (2.0 * a)
+    return (1.0 - _HAIR) * ((wanted - v) / a + (there - until) / wanted) - _HAIR

@@ -14,7 +14,7 @@ import math
 from typing import Final
 
 from cornercase._common.compiling import kernel
-from cornercase.drivers.contact import first_contact, meeting, meets_within, next_rows
+from cornercase.drivers.contact import begins_before, first_contact, last_contact, meeting, next_rows
 from cornercase.drivers.foreseeing import STANDING, foresee
 from cornercase.drivers.traffic import (
     CENTER_X,
@@ -28,7 +28,7 @@ from cornercase.drivers.traffic import (
     VULNERABLE,
     YIELDING,
 )
-from cornercase.drivers.way import arrive, distance_to, lay, look_ahead
+from cornercase.drivers.way import arrive, distance_to, lay, look_ahead, soonest
 
 ALIGNED: Final = 0.7
 """Cosine of the angle to the route up to which an entity moves along it (45°)."""
@@ -57,6 +57,9 @@ NARROW: Final = 0.25
 
 RELEASE: Final = 1.25
 """Multiple of the safety time that ends giving way, so that the decision does not flutter."""
+
+# Comparisons closer than this, relative to what is compared, are made again by the exact way.
+_CLOSE = 1e-9
 
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 _kernel = kernel(error_model="numpy", _nrt=False)
@@ -103,7 +106,9 @@ def decide(behaviour, routes, route, scene, work):
         count = foresee(memory, o, towards[0], towards[1], boxes[CENTER_X, o], behaviour.horizon, work.legs)
         other = (work.legs[:count], boxes[HALF_LENGTH, o], boxes[HALF_WIDTH, o], memory[SPEED, o])
         vulnerable, yielding = boxes[VULNERABLE, o] > 0.0, awareness[YIELDING, o]
-        limit, conflict = _react(behaviour, scene.time_step, way, other, vulnerable, yielding)
+        # Of one that it does not know yet, only whether there is a conflict matters.
+        least = a if awareness[KNOWN, o] else -math.inf
+        limit, conflict = _react(behaviour, scene.time_step, way, other, vulnerable, yielding, least)
         if conflict:
             memory[SINCE, o] = min(memory[SINCE, o], scene.time)
             # The tolerance absorbs rounding errors in the sums of time steps.
@@ -132,35 +137,49 @@ def _keep_speed(behaviour, routes, route, scene, v, wanted):
 
 
 @_part
-def _react(behaviour, time_step, way, other, vulnerable, yielding):
+def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
     """Acceleration that one other entity leaves to the driver, and whether their ways conflict.
 
-    Returns ``(inf, False)`` where the other does not matter.
+    Returns ``(inf, False)`` where the other does not matter; where there is no conflict, any limit that is not below
+    `least` stands for the others.
     """
     legs, half_length, half_width, speed = other
     places, ego = way.places, way.ego
     dx, dy = legs[0, 0] - places[0, 1], legs[0, 1] - places[0, 2]
     both = distance_to(way, way.rows - 1) + abs(speed) * behaviour.horizon
-    if math.hypot(dx, dy) > both + ego[0] + ego[1] + half_length + half_width + LANE:
+    if _further(dx, dy, both + ego[0] + ego[1] + half_length + half_width + LANE):
         return math.inf, False
-    if meeting(places, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
-        in_front = dx * places[0, 3] + dy * places[0, 4] > 0.0
-        return (-behaviour.max_deceleration if in_front else math.inf), False
-    # The margin is dropped where the other is already within it.
     margin = behaviour.lateral_margin
     if meeting(places, 0, ego, margin, other, 0.0)[0] <= 0.0:
+        if meeting(places, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
+            in_front = dx * places[0, 3] + dy * places[0, 4] > 0.0
+            return (-behaviour.max_deceleration if in_front else math.inf), False
+        # The margin is dropped where the other is already within it.
         margin = 0.0
 
     standing = abs(speed) < STANDING
     k = first_contact(places, way.most, ego, margin, other, 0.0, way)
     if k > 0 and (standing or _along(places, k, other, 0) >= ALIGNED):
-        gap = _refine(way, k, margin, other, 0.0)
-        return _follow(behaviour, way.speed, gap, 0.0 if standing else _speed_along(places, k, other)), False
+        its_speed = 0.0 if standing else _speed_along(places, k, other)
+        # The place before is nearer than where contact begins.
+        limit = _follow(behaviour, way.speed, distance_to(way, k - 1), its_speed)
+        if not limit >= least:
+            limit = _follow(behaviour, way.speed, _refine(way, k, margin, other, 0.0), its_speed)
+        return limit, False
     if standing:
         if vulnerable and behaviour.standing_caution < 1.0:
             return _pass_with_caution(behaviour, time_step, way, other), False
         return math.inf, False
     return _give_way(behaviour, time_step, way, margin, other, k > 0, yielding)
+
+
+@_part
+def _further(dx, dy, far):
+    """Whether a way is longer than a distance; only where that is close is the root asked for."""
+    squared, square = dx * dx + dy * dy, far * far
+    if squared > square * (1.0 + _CLOSE):
+        return True
+    return squared > square * (1.0 - _CLOSE) and math.hypot(dx, dy) > far
 
 
 @_kernel
@@ -222,13 +241,22 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
             k, until = next_rows(way, k, margin, other, horizon)
             if k >= way.rows:
                 break
-        lay(way, k)
-        arrives = arrive(behaviour, way, k)
+        else:
+            lay(way, k)
+        # Most places are passed long before, or long after, the other comes, which needs no exact time of arrival.
+        earliest = soonest(behaviour, way, k)
         # Later places are reached later; a hair more, as instants are sums.
+        if earliest >= horizon + gap_after + 1e-6:
+            break
+        found = last_contact(places, k, ego, margin, other, horizon, earliest, gap_after)
+        if found[0] < 0:
+            continue
+        arrives = arrive(behaviour, way, k)
         if arrives >= horizon + gap_after + 1e-6:
             break
-        # Most places are passed long before, or long after, the other comes.
-        if not meets_within(places, k, ego, margin, other, horizon, (arrives, -gap_first), (arrives, gap_after)):
+        if not (other[0][found[0], 4] + found[2] + gap_after > arrives):
+            continue
+        if not begins_before(places, k, ego, margin, other, horizon, found, arrives, -gap_first):
             continue
         enters, leaves, leg = meeting(places, k, ego, margin, other, horizon)
         if enters == math.inf or (past_choice and arrives < enters and _along(places, k, other, leg) >= ALIGNED):
