@@ -99,6 +99,11 @@ def test_locate_inverts_world():
             assert (place.lane == lane).all()
             np.testing.assert_allclose(place.s, s, atol=1e-6)
             np.testing.assert_allclose(place.offset, offset, atol=1e-6)
+            # A place that was asked for before is the same, whatever became of what was found.
+            for _ in range(2):
+                alone = network.locate(x[:1], y[:1])
+                assert [one[0] for one in alone] == [one[0] for one in place]
+                alone.s[:], alone.lane[:] = 0.0, 7
 
 
 # Lanes of files of others that do not meet end to end, as (road, lane, linked lane).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 
 import numpy as np
@@ -159,6 +160,41 @@ def test_a_value_that_cannot_be_used_costs_its_scenario_alone(tmp_path, kind, va
     assert words(path, {"p": bad}) == [wrong]
     with pytest.raises(InputError, match=r"scenario\.xosc"):
         simulate(path, {"p": bad})
+
+
+def test_batches_beside_each_other_give_the_same_and_each_its_errors(tmp_path, monkeypatch):
+    init = private(teleport("$s").replace('roadId="1"', 'roadId="$road"'), speed_action("$v"))
+    declarations = declared("s", "5") + declared("v", "10") + declared("road", "1", "string")
+    path = scenario_file(tmp_path, init=init, parameters=declarations)
+    # All of the last third name a road that is not there; others begin where the road does not lead.
+    values = [{"s": 5000.0 if k == 4 else 5.0, "v": float(k), "road": "1" if k < 8 else "9"} for k in range(12)]
+    one_batch = [outcome(one) for one in results(path, *values)]
+    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    monkeypatch.setattr(builtin_simulator, "_WORTH_A_BATCH", 4)
+    assert [outcome(one) for one in results(path, *values)] == one_batch
+    assert [one == "" for one in words(path, *values)] == [k != 4 and k < 8 for k in range(12)]
+
+
+def test_a_trajectory_is_read_anew_only_where_a_parameter_changes_it(tmp_path):
+    line = "".join(
+        f'<Vertex time="0"><Position><WorldPosition x="{x}" y="{y}"/></Position></Vertex>'
+        for x, y in (("0", "0"), ("$far", "0"), ("80", "40"))
+    )
+    for folder, text in (("varied", line), ("fixed", line.replace("$far", "40"))):
+        (tmp_path / folder).mkdir()
+        path = scenario_file(
+            tmp_path / folder,
+            init=private(teleport("0"), speed_action("$v"), following(f"<Polyline>{text}</Polyline>")),
+            parameters=declared("far", "40") + declared("v", "10"),
+        )
+        scenario = Scenario.read(path)
+        simulator = BuiltinSimulator(duration=8.0)
+        values = [{"far": 40.0, "v": 10.0}, {"far": 60.0, "v": 10.0}, {"far": 40.0, "v": 12.0}]
+        at_once = [outcome(one) for one in ran(simulator, [ConcreteScenario(path, one, scenario) for one in values])]
+        for one, expected in zip(values, at_once, strict=True):
+            assert outcome(ran(simulator, [ConcreteScenario(path, one, scenario)])[0]) == expected
+        assert (at_once[0] == at_once[1]) == (folder == "fixed")
+        assert at_once[0] != at_once[2]
 
 
 def test_what_is_wrong_whatever_is_varied_is_said_once(tmp_path):

@@ -14,7 +14,7 @@ from cornercase.optimizers import RandomOptimizer
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
-from cornercase.simulators.builtin import stepping
+from cornercase.simulators.builtin import simulator, stepping
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
 from storyboards import storyboard, write_roads
 
@@ -74,9 +74,10 @@ def test_random_storyboards_are_the_same_with_a_look_in_each_frame(seed, tmp_pat
 def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
     concretes = drawn("x_intersection", 70)
     found = []
-    for threads in (1, 2, 5):
+    for threads, batch in ((1, 512), (2, 512), (5, 512), (2, 20), (3, 9)):
         monkeypatch.setattr(os, "cpu_count", lambda threads=threads: threads)
         monkeypatch.setattr(stepping, "_WORTH_A_THREAD", 2)
+        monkeypatch.setattr(simulator, "_WORTH_A_BATCH", batch)
         found.append(recordings(concretes))
     for other in found[1:]:
         assert_same(other, found[0], 0.0)

@@ -61,9 +61,9 @@ def recordings(path, values, monkeypatch=None):
         return ran(simulator, [ConcreteScenario(path, one) for one in values])
     run = Stepper.run
 
-    def by_hand(stepper):
+    def by_hand(stepper, threads):
         stepper._by_hand = True
-        run(stepper)
+        run(stepper, threads)
 
     with monkeypatch.context() as patched:
         patched.setattr(Stepper, "run", by_hand)

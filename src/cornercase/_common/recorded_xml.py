@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
 
 from lxml import etree
+
+T = TypeVar("T")
 
 # Those of the class itself, which record nothing.
 _get = etree.ElementBase.get
@@ -26,11 +28,14 @@ class RecordedElement(etree.ElementBase):
     found : bool
     asked : set of str or None
         Names of attributes, whether or not the element has them; None as long as none was asked for.
+    made : dict or None
+        What was made of it, for `made_once`.
     """
 
     # Of the class as long as nothing was read, so that an element costs nothing to make.
     found: bool = False
     asked: set[str] | None = None
+    made: dict[str, Any] | None = None
 
     def get(self, key: Any, default: Any = None) -> Any:
         """Value of an attribute."""
@@ -110,6 +115,31 @@ def was_read(element: etree._Element) -> bool:
 def asked_attributes(element: etree._Element) -> frozenset[str] | None:
     """Names of the attributes that were asked for; None where nothing is recorded."""
     return frozenset(element.asked or ()) if isinstance(element, RecordedElement) else None
+
+
+def made_once(element: etree._Element, what: str, make: Callable[[], T]) -> T:
+    """Make something of an element when it is first asked for, and give the same after that.
+
+    Parameters
+    ----------
+    element : lxml element
+        As long as it lasts, what was made of it is kept; of one that records nothing it is made each time.
+    what : str
+        Name of what is made, each time of the element alone.
+    make : callable
+
+    Returns
+    -------
+    object
+    """
+    if not isinstance(element, RecordedElement):
+        return make()
+    if element.made is None:
+        element.made = {}
+    if what not in element.made:
+        element.made[what] = make()
+    found: T = element.made[what]
+    return found
 
 
 def recording_parser(**options: Any) -> etree.XMLParser:

@@ -7,6 +7,7 @@ from .deciding import route_row as route_row
 from .deciding import workspace as workspace
 from .fleet import form_fleet as form_fleet
 from .fleet import with_route as with_route
+from .loading import decides_compiled as decides_compiled
 from .loading import is_driver as is_driver
 from .loading import load_driver as load_driver
 from .loading import named_driver as named_driver

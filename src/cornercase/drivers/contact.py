@@ -217,9 +217,9 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
         k += 1
         if k > until:
             if way is not None:
-                k, until = next_rows(way, k, margin, other, horizon)
+                k, until = next_rows(way, k, margin, other, 0.0, horizon)
             else:
-                k += rows_apart(places, most, k, ego, margin, other, horizon)
+                k += rows_apart(places, most, k, ego, margin, other, 0.0, horizon)
             if k >= count:
                 break
         elif way is not None:
@@ -230,7 +230,7 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
 
 
 @_part
-def next_rows(way, k, margin, other, horizon):
+def next_rows(way, k, margin, other, since, horizon):
     """Find the next places ahead at which the driven entity may touch the other, and lay out the first of them.
 
     Parameters
@@ -240,6 +240,8 @@ def next_rows(way, k, margin, other, horizon):
         Row of the first that is asked for.
     margin, other, horizon
         As in `meeting`.
+    since : float
+        s; what is over before does not matter.
 
     Returns
     -------
@@ -250,9 +252,9 @@ def next_rows(way, k, margin, other, horizon):
     straight = int(way.points[way.first + k, 5])
     lay(way, k)
     if straight < 2:
-        first = until = k + rows_apart(way.places, way.most, k, way.ego, margin, other, horizon)
+        first = until = k + rows_apart(way.places, way.most, k, way.ego, margin, other, since, horizon)
     else:
-        begin, end = _stretch(way.places, k, way.ego, margin, other, horizon, straight * way.step)
+        begin, end = _stretch(way.places, k, way.ego, margin, other, since, horizon, straight * way.step)
         first = until = k + straight + 1
         if begin < math.inf:
             first, until = k + int(begin / way.step), k + min(int(end / way.step) + 1, straight)
@@ -262,7 +264,7 @@ def next_rows(way, k, margin, other, horizon):
 
 
 @_part
-def _stretch(places, k, ego, margin, other, horizon, length):
+def _stretch(places, k, ego, margin, other, since, horizon, length):
     """First stretch of a straight line on which the driven entity may touch the other's swept box.
 
     Separating axes: on each of the four, the projections overlap during one stretch.
@@ -274,9 +276,12 @@ def _stretch(places, k, ego, margin, other, horizon, length):
     for leg in range(legs.shape[0]):
         if leg > 0 and legs[leg, 4] >= horizon:
             break
-        half = 0.5 * speed * max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
-        dx = legs[leg, 0] + half * legs[leg, 2] - places[k, 1]
-        dy = legs[leg, 1] + half * legs[leg, 3] - places[k, 2]
+        over = min(legs[leg, 5], horizon)
+        if over < since:
+            continue
+        gone, half = _swept(legs, leg, speed, since, over)
+        dx = legs[leg, 0] + (gone + half) * legs[leg, 2] - places[k, 1]
+        dy = legs[leg, 1] + (gone + half) * legs[leg, 3] - places[k, 2]
         cos = places[k, 3] * legs[leg, 2] + places[k, 4] * legs[leg, 3]
         sin = places[k, 3] * legs[leg, 3] - places[k, 4] * legs[leg, 2]
         swept = half_length + abs(half)
@@ -308,6 +313,13 @@ def _stretch(places, k, ego, margin, other, horizon, length):
 
 
 @_part
+def _swept(legs, leg, speed, since, over):
+    """How far the other has gone on a leg at an instant, and half of what it goes on it from then on, in m."""
+    from_then = max(legs[leg, 4], since)
+    return speed * (from_then - legs[leg, 4]), 0.5 * speed * max(over - from_then, 0.0)
+
+
+@_part
 def _clip(first, last, rate, middle, radius):
     """Part of a stretch on which a way of `rate` m a metre is within a radius of a middle."""
     if abs(rate) < 1e-9:
@@ -318,7 +330,7 @@ def _clip(first, last, rate, middle, radius):
 
 
 @_part
-def rows_apart(places, most, k, ego, margin, other, horizon):
+def rows_apart(places, most, k, ego, margin, other, since, horizon):
     """How many places, from one on, are too far from the other to be touched.
 
     Parameters
@@ -329,6 +341,8 @@ def rows_apart(places, most, k, ego, margin, other, horizon):
         m between the centres at two places that follow each other, at most.
     k : int
         Row of the first of them.
+    since : float
+        As in `next_rows`.
 
     Returns
     -------
@@ -343,10 +357,14 @@ def rows_apart(places, most, k, ego, margin, other, horizon):
         leg -= 1
         if leg > 0 and legs[leg, 4] >= horizon:
             continue
+        over = min(legs[leg, 5], horizon)
+        if over < since:
+            break
+        gone, half = _swept(legs, leg, speed, since, over)
         dx, dy = legs[leg, 0] - places[k, 1], legs[leg, 1] - places[k, 2]
         across = abs(dy * legs[leg, 2] - dx * legs[leg, 3]) - half_width
-        begin = dx * legs[leg, 2] + dy * legs[leg, 3]
-        end = begin + speed * max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
+        begin = dx * legs[leg, 2] + dy * legs[leg, 3] + gone
+        end = begin + 2.0 * half
         along = max(min(begin, end), -max(begin, end)) - half_length
         least = min(least, max(across, along) - own)
         if not least > 1e-6:

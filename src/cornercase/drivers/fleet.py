@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers.base import DrivenPath, Driver, Situation
 from cornercase.drivers.deciding import accelerate_each
 from cornercase.drivers.parameters import Behaviour
@@ -29,6 +30,9 @@ from cornercase.drivers.traffic import (
 )
 
 _VULNERABLE_KINDS = ("pedestrian", "bicycle")
+
+# By path that is the same in all scenarios, and what of a behaviour it hangs on.
+_PLANNED: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArray, FloatArray]]] = WeakKeyDictionary()
 
 
 class CompiledDriver(Driver):
@@ -166,14 +170,21 @@ def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: B
         routes = _with_room(routes, driver, track, rows, samples)
     if len(chosen):
         behaviour = Behaviour(*fleet.parameters[driver])
-        lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
-        plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=chosen)
         places = routes.begin[first + chosen][:, None] + np.arange(samples)
-        routes.points[places] = np.stack(
-            (plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed, plan.straight), axis=-1
-        )
-        routes.measures[first + chosen] = np.stack((plan.step, plan.longest, plan.sharpest), axis=-1)
+        routes.points[places], routes.measures[first + chosen] = _plan(path, behaviour, chosen)
     return fleet._replace(routes=routes)
+
+
+def _plan(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Points and measures of rows of a path, as in `Routes`; those of a lane are made once for all batches."""
+    lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
+    known = _PLANNED.setdefault(path, {}) if path.distance.ndim == 1 else {}
+    if (lateral, braking) not in known:
+        plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=rows)
+        columns = plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed, plan.straight
+        measures = plan.step, plan.longest, plan.sharpest
+        known[lateral, braking] = np.stack(columns, axis=-1), np.stack(measures, axis=-1)
+    return known[lateral, braking]
 
 
 def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:

@@ -40,6 +40,23 @@ def is_driver(made: object) -> TypeGuard[Driver]:
     return not isinstance(made, type) and isinstance(made, _Drives) and isinstance(made.settings, dict)
 
 
+def decides_compiled(name: str) -> bool:
+    """Whether the decisions of a registered driver are compiled.
+
+    Parameters
+    ----------
+    name : str
+        One of `DRIVERS`; there is none of another name.
+
+    Returns
+    -------
+    bool
+    """
+    from cornercase.drivers.fleet import CompiledDriver
+
+    return name in DRIVERS and isinstance(DRIVERS.create(name), CompiledDriver)
+
+
 def load_driver(name: str) -> Driver:
     """Build a user's own driver.
 

@@ -234,11 +234,13 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
     Past the point of choice, the driver expects those behind it in the same direction to brake.
     Returns the row where the stretch that holds the place begins, and its own row (-1: there is none).
     """
-    k, until, places, ego, horizon = 0, -1, way.places, way.ego, behaviour.horizon
+    k, until, places, ego, horizon, earliest = 0, -1, way.places, way.ego, behaviour.horizon, 0.0
     while k + 1 < way.rows:
         k += 1
         if k > until:
-            k, until = next_rows(way, k, margin, other, horizon)
+            # What is over long before it comes to a place does not matter there, nor behind.
+            since = max(earliest - gap_after - 1e-6, 0.0)
+            k, until = next_rows(way, k, margin, other, since, horizon)
             if k >= way.rows:
                 break
         else:

@@ -90,10 +90,10 @@ class Attributes:
         if text is None:
             if default is None:
                 raise self._error(element, attribute, "is missing")
-            return np.full(self.scenarios, float(default))
+            return self._same(float(default))
         literal = _literal(text)
         if literal is not None:
-            return np.full(self.scenarios, literal)
+            return self._same(literal)
         value = self._value(text, element, attribute)
         if isinstance(value, str):
             value = self._float(value, element, attribute, endless=default is not None and np.isinf(default))
@@ -108,6 +108,12 @@ class Attributes:
         if numbers.shape == (self.scenarios,):
             return numbers.copy()
         return np.full(self.scenarios, numbers)
+
+    def _same(self, number: float) -> FloatArray:
+        # Twice as fast as `np.full`, and there are hundreds in a file.
+        result = np.empty(self.scenarios)
+        result.fill(number)
+        return result
 
     def refuse(self, element: _Placed, attribute: str, why: str, where: BoolArray) -> None:
         """Note that an attribute has a value that cannot be used in some scenarios.
@@ -154,7 +160,11 @@ class Attributes:
         VariesError
             It is not the same for all scenarios.
         """
-        values, text = self.number(element, attribute, default), element.get(attribute, "")
+        text = element.get(attribute, "")
+        literal = _literal(text)
+        if literal is not None:
+            return literal
+        values = self.number(element, attribute, default)
         origins = self.origins(text)
         if (values != values[0]).any() and not np.isnan(values).all():
             raise VariesError(origins)

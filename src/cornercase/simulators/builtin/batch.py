@@ -109,11 +109,11 @@ class Batch:
         for why, where in scope.refused():
             self._world.fail(where, why)
 
-    def run(self) -> None:
-        """Step until every scenario has ended."""
+    def run(self, threads: int = 1) -> None:
+        """Step until every scenario has ended, by so many threads at most."""
         # What has failed goes on to be computed, and is not looked at.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            self._stepper.run()
+            self._stepper.run(threads)
 
     def results(self, chosen: Sequence[int]) -> list[Recording | SimulationError]:
         """Give what came out of some scenarios, once the batch has run.

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.ledger import Notice
 from cornercase._common.version import __version__
-from cornercase.drivers import Driver
+from cornercase.drivers import Driver, decides_compiled
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value, VariesError
 from cornercase.simulators.base import Availability, Simulator, checked_settings
@@ -20,6 +23,8 @@ from cornercase.simulators.builtin.prepared import PreparedScenario
 # as they may, and so many scenarios. What a batch costs besides its scenarios is worth several hundred of them.
 _MOST_BYTES = 800_000_000
 _LARGEST_BATCH = 4096
+# So many scenarios are worth a batch of their own: while the storyboard of one looks, which is Python, another runs.
+_WORTH_A_BATCH = 512
 # Recordings are made so many bytes at once.
 _MOST_RECORDED = 4_000_000
 
@@ -184,8 +189,10 @@ class BuiltinSimulator(Simulator):
         chosen: list[int],
         ran: dict[int, _Ran],
     ) -> None:
+        formed: list[tuple[Batch, list[int]]] = []
         try:
-            batch = self._batch(prepared, [concretes[i] for i in chosen])
+            for part in self._parts(prepared, chosen):
+                formed += self._form(prepared, concretes, part, ran)
         except VariesError as varies:
             differing = {tuple(concretes[i].values.get(name) for name in sorted(varies.names)) for i in chosen}
             if len(differing) < 2:
@@ -195,15 +202,46 @@ class BuiltinSimulator(Simulator):
             for group in _groups(prepared, concretes, chosen):
                 self._run_group(prepared, concretes, group, ran)
             return
+        _run_at_once([batch for batch, _ in formed])
+        for batch, part in formed:
+            ran.update((i, (batch, place)) for place, i in enumerate(part))
+
+    def _parts(self, prepared: PreparedScenario, chosen: list[int]) -> list[list[int]]:
+        """Scenarios that go into one batch each, of those that could go into one."""
+        drivers = {**prepared.scenario.drivers, **self._drivers}.values()
+        # A driver object can be at the wheel in one batch at a time, and one in Python leaves other threads no time.
+        compiled = all(isinstance(one, str) and decides_compiled(one) for one in drivers)
+        count = max(min(os.cpu_count() or 1, len(chosen) // _WORTH_A_BATCH), 1) if compiled else 1
+        return [chosen[begin:end] for begin, end in pairwise(len(chosen) * k // count for k in range(count + 1))]
+
+    def _form(
+        self,
+        prepared: PreparedScenario,
+        concretes: Sequence[ConcreteScenario],
+        chosen: list[int],
+        ran: dict[int, _Ran],
+    ) -> list[tuple[Batch, list[int]]]:
+        """Form a batch, with the scenarios of which it is; none where the file cannot be used with their values."""
+        try:
+            return [(self._batch(prepared, [concretes[i] for i in chosen]), chosen)]
         except InputError as error:
             # Whatever it is because of is the same for the whole group.
             first = concretes[chosen[0]]
             own = ConcreteScenario(first.path, {}, prepared.scenario)
             words = prepared.what_is_wrong(error, first.values, lambda: self._batch(prepared, [own]))
             ran.update((i, SimulationError(words)) for i in chosen)
-            return
-        batch.run()
-        ran.update((i, (batch, place)) for place, i in enumerate(chosen))
+            return []
+
+
+def _run_at_once(batches: list[Batch]) -> None:
+    """Run batches beside each other, all cores busy."""
+    threads = os.cpu_count() or 1
+    if len(batches) < 2:
+        for batch in batches:
+            batch.run(threads)
+        return
+    with ThreadPoolExecutor(len(batches)) as pool:
+        list(pool.map(lambda batch: batch.run(max(threads // len(batches), 1)), batches))
 
 
 _Ran = tuple[Batch, int] | SimulationError

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -106,9 +105,7 @@ class Stepper:
         self._pool, self._planned = TrackPool(), dict[tuple[int, int], int]()
         driven = np.array([one.entity for one in self._drivings], dtype=np.int64)
         status = np.full(world.scenarios, RESTS, dtype=np.int8)
-        self._threads = max(min(os.cpu_count() or 1, world.scenarios // _WORTH_A_THREAD), 1)
-        parts = 4 * self._threads if self._threads > 1 else 1
-        self._bounds: list[int] = np.linspace(0, world.scenarios, parts + 1).astype(int).tolist()
+        self._bounds = [0, world.scenarios]
         self._share: _Share = map
         self._course = Course(status, np.zeros(world.scenarios, dtype=np.bool_), driven)
 
@@ -131,12 +128,14 @@ class Stepper:
             asked.append([[found for _, found in group] for group in groups])
         self._leaves = gather_leaves(asked, [past.delay for past in self._pasts], self._world.scenarios)
 
-    def run(self) -> None:
-        """Step until every scenario has ended."""
-        if self._threads == 1:
+    def run(self, threads: int) -> None:
+        """Step until every scenario has ended, by so many threads at most."""
+        threads = min(threads, self._world.scenarios // _WORTH_A_THREAD)
+        if threads < 2:
             self._run(map)
             return
-        with ThreadPoolExecutor(self._threads) as pool:
+        self._bounds = np.linspace(0, self._world.scenarios, 4 * threads + 1).astype(int).tolist()
+        with ThreadPoolExecutor(threads) as pool:
             self._run(pool.map)
 
     def _run(self, share: _Share) -> None:

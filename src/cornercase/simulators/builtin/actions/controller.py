@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from lxml import etree
 
@@ -9,6 +11,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.recorded_xml import named, unrecorded
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import DRIVERS, DrivenPath, Driver, Situation
+from cornercase.roads import LanePath
 from cornercase.scenario import DRIVER_PROPERTY, Scope
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
@@ -18,6 +21,8 @@ from cornercase.simulators.builtin.world.state import World
 # A driver is given trajectories as samples, in m: their spacing, how far they go straight on beyond the end, and how
 # much of a closed trajectory is given.
 _SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
+
+_DRIVEN: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 
 
 class Driving:
@@ -95,12 +100,18 @@ class Driving:
         """What a driver is given of one of its entity's tracks, by its number."""
         if isinstance(track, LaneTrack):
             if k not in self._paths:
-                line = track.path
-                self._paths[k] = DrivenPath(line.distance, line.x, line.y, line.heading, line.curvature)
+                self._paths[k] = _along_lane(track.path)
         elif isinstance(track, Trajectory) and self._begun.get(k) != track.version:
             # A trajectory that is begun again may run elsewhere.
             self._paths[k], self._begun[k] = _sampled(track), track.version
         return self._paths[k]
+
+
+def _along_lane(line: LanePath) -> DrivenPath:
+    """The same object for the same line, so that what is planned along it serves all batches."""
+    if line not in _DRIVEN:
+        _DRIVEN[line] = DrivenPath(line.distance, line.x, line.y, line.heading, line.curvature)
+    return _DRIVEN[line]
 
 
 def _sampled(track: Trajectory) -> DrivenPath:

@@ -10,6 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import made_once
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
@@ -153,12 +154,7 @@ def _polyline(element: etree._Element, scope: Scope, world: World, read: Positio
     vertices = list(element.iterfind("Vertex"))
     if len(vertices) < 2:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <Polyline> needs at least two vertices.")
-    positions = [read(_position(one, scope), scope, world) for one in vertices]
-    oriented = [
-        one.find("Position//Orientation[@h]") is not None or next(one.iterfind("Position/*")).get("h") is not None
-        for one in vertices
-    ]
-    times = np.stack([scope.number(one, "time", 0.0) for one in vertices], axis=1)
+    corners = _corners(element, vertices, scope, world, read)
 
     def lay_out(
         world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
@@ -168,22 +164,64 @@ def _polyline(element: etree._Element, scope: Scope, world: World, read: Positio
             turning = world.entities[entity].turning or turning
         if smooth:
             begin_speed = np.zeros(world.scenarios) if entity is None else world.speed[entity].copy()
+        x, y, heading, times = corners(world)
+        reached = None if clock is None else clock.times(times)
+        return Polyline(x, y, heading, reached, closed, turning, begin_speed)
+
+    return lay_out
+
+
+_Corners = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""x, y, heading (NaN where the file says none) and time of all vertices, each (N, V)."""
+
+
+def _corners(
+    element: etree._Element, vertices: list[etree._Element], scope: Scope, world: World, read: PositionReader
+) -> Callable[[World], _Corners]:
+    """Read the vertices of a polyline; what is found is asked where they are now."""
+    fixed = made_once(element, "corners", lambda: _fixed_corners(vertices, scope, world, read))
+    if fixed is not None:
+        x, y, heading, times = (np.tile(one, (scope.scenarios, 1)) for one in fixed)
+        return lambda world: (x, y, heading, times)
+    positions = [read(_position(one, scope), scope, world) for one in vertices]
+    oriented = _oriented(vertices)
+    times = np.stack([scope.number(one, "time", 0.0) for one in vertices], axis=1)
+
+    def corners(world: World) -> _Corners:
         poses = [_coordinates(position, world) for position in positions]
         headings = [
             pose.heading if said else np.full_like(pose.heading, np.nan)
             for pose, said in zip(poses, oriented, strict=True)
         ]
-        return Polyline(
-            np.stack([pose.x for pose in poses], axis=1),
-            np.stack([pose.y for pose in poses], axis=1),
-            np.stack(headings, axis=1),
-            None if clock is None else clock.times(times),
-            closed,
-            turning,
-            begin_speed,
-        )
+        x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
+        return x, y, np.stack(headings, axis=1), times
 
-    return lay_out
+    return corners
+
+
+def _fixed_corners(
+    vertices: list[etree._Element], scope: Scope, world: World, read: PositionReader
+) -> tuple[FloatArray, ...] | None:
+    """Rows of `_Corners` that no parameter changes, each (V,); None where one may, or a place is given otherwise."""
+    held = [_position(one, scope) for one in vertices]
+    if any(len(one) != 1 or one[0].tag != "WorldPosition" or len(one[0]) for one in held):
+        return None
+    if any("$" in text for one in vertices for below in one.iter() for text in below.attrib.values()):
+        return None
+    places = [read(one, scope, world) for one in held]
+    times = np.array([scope.one_number(one, "time", 0.0) for one in vertices])
+    x, y, heading = np.array(
+        [(one.pose.x[0], one.pose.y[0], one.pose.heading[0]) for one in places if isinstance(one, WorldPlace)]
+    ).T
+    return x, y, np.where(_oriented(vertices), heading, np.nan), times
+
+
+def _oriented(vertices: list[etree._Element]) -> list[bool]:
+    """Whether the file says the heading of each vertex."""
+    return [
+        one.find("Position//Orientation[@h]") is not None or next(one.iterfind("Position/*")).get("h") is not None
+        for one in vertices
+    ]
 
 
 def _clothoids(element: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -75,11 +76,10 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
     assert pose.offset is not None
     road, section, along = _direction(world, pose, where)
     route = world.route[entity]
-    keys = np.stack([road, section, pose.lane, along, route])[:, where]
-    for one in np.unique(keys, axis=1).T:
-        rows = where & (np.stack([road, section, pose.lane, along, route]) == one[:, None]).all(axis=0)
-        first = int(np.flatnonzero(rows)[0])
-        track = lane_track(world, int(one[0]), int(one[2]), float(pose.s[first]), bool(one[3]), int(one[4]))
+    keys = np.stack([road, section, pose.lane, along, route])
+    for one, rows in _alike(keys, where):
+        first = int(rows.argmax())
+        track = lane_track(world, one[0], one[2], float(pose.s[first]), bool(one[3]), one[4])
         if track is None:
             continue
         distance = np.zeros(world.scenarios)
@@ -90,6 +90,12 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         turn = within_half_turn(pose.heading[rows] - ahead)
         # Lanes are sampled, so their headings are not exact: so small a difference is none.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
+
+
+def _alike(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
+    """Columns of keys that occur in the scenarios of a mask, in order, and where each does, shape (N,)."""
+    for one in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
+        yield one, where & (keys == np.array(one)[:, None]).all(axis=0)
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
@@ -116,10 +122,8 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
     route = _route_ahead(world, entity, where)
     done = np.zeros_like(where)
     keys = np.stack([road, section, lane, along, route])
-    for one in np.unique(keys[:, where], axis=1).T:
-        rows = where & (keys == one[:, None]).all(axis=0)
-        s = float(pose.s[int(np.flatnonzero(rows)[0])])
-        track = lane_track(world, int(one[0]), int(one[2]), s, bool(one[3]), int(one[4]))
+    for one, rows in _alike(keys, where):
+        track = lane_track(world, one[0], one[2], float(pose.s[int(rows.argmax())]), bool(one[3]), one[4])
         if track is None:
             continue
         at = np.flatnonzero(rows)
