@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
 
-from cornercase._common.errors import InputError
-from cornercase.clustering import Candidate, analyze, read_analyses, read_analysis, read_distances
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.clustering import Candidate, analyze, compare_clusterings, read_analyses, read_analysis, read_distances
 from cornercase.study import Study
-from synthetic import explorer, opened
+from synthetic import Synthetic, explorer, opened
 
 
 @pytest.fixture
@@ -161,3 +161,33 @@ def test_one_group_and_noise_alone_have_no_stability(path, eps):
     assert replace(found, candidates=(tried,)).stability is None
     labels = np.arange(len(found.labels)) % 2 - 1
     assert replace(found, candidates=(tried,), labels=labels).stability == 1.0
+
+
+@pytest.mark.parametrize(
+    ("budget", "survives", "words"),
+    [
+        (0, 0, "no scenario was run; at least 2"),
+        (1, 1, "1 scenario was run; at least 2"),
+        (9, 1, "1 scenario was run, 8 failed, the first one as too slow; at least 2"),
+        (9, 0, "no scenario was run, 9 failed, the first one as too slow; at least 2"),
+    ],
+)
+def test_too_few_scenarios_are_refused_with_the_reason(tmp_path, budget, survives, words):
+    class Slow(Synthetic):
+        def run(self, concretes):
+            for outcome in super().run(concretes):
+                yield outcome if self.ran <= survives else SimulationError("too slow")
+
+    with opened(tmp_path / "s.db") as study:
+        if budget:
+            explorer(study, Slow(), metrics=("distance", "wttc"), optimizer="sobol", budget=budget).run()
+        with pytest.raises(InputError, match=words):
+            analyze(study)
+
+
+def test_what_divides_nothing_agrees_with_nothing_else_that_divides_nothing(path):
+    analyze(path, "distance", gamma=4.0, eps=0.2, min_samples=3)
+    analyze(path, ["wttc", "ego-speed"], gamma=0.25, eps=10.0, min_samples=3)
+    with Study.open(path, readonly=True) as study:
+        assert [len(one.sizes) > 1 for one in read_analyses(study).values()] == [False, True, False]
+        assert set(compare_clusterings(study)) == {("ego-speed", "distance"), ("distance", "wttc")}

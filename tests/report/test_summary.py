@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from html import unescape
 from io import BytesIO
@@ -226,3 +227,11 @@ def test_no_name_makes_a_huge_figure():
         sizes.append(image.shape)
     assert sizes[1][0] < 2 * sizes[0][0]
     assert sizes[1][1] < 2 * sizes[0][1]
+
+
+def test_signs_that_the_font_lacks_are_no_reason_to_warn():
+    figure = Figure(figsize=(4.0, 3.0))
+    figure.add_subplot().set_title("自车 stops for 行人")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert draw_png(figure).startswith(b"\x89PNG")

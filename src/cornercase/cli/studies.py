@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.table import Column, Table
 
 from cornercase.cli import parsing
 from cornercase.cli.options import (
@@ -70,7 +70,9 @@ def analyze(
         keep=keep,
         progress=True,
     )
-    table = Table("by", "clusters", "sizes", "noise", "stability", "gamma", "eps", "min samples", box=None)
+    table = Table(
+        Column("by", no_wrap=True), "clusters", "sizes", "noise", "stability", "gamma", "eps", "min samples", box=None
+    )
     for name, one in results.items():
         found = one.clustering
         sizes = " ".join(map(str, one.sizes))

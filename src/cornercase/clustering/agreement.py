@@ -62,7 +62,7 @@ def compare_labels(ids: IntArray, one: IntArray, two: IntArray) -> Agreement:
 
 
 def compare_clusterings(study: Study) -> dict[tuple[str, str], Agreement]:
-    """Compare all pairs of a study's clusterings that hold the same scenarios.
+    """Compare all pairs of a study's clusterings that hold the same scenarios, and that divide them.
 
     Parameters
     ----------
@@ -72,13 +72,15 @@ def compare_clusterings(study: Study) -> dict[tuple[str, str], Agreement]:
     Returns
     -------
     dict of (str, str) to Agreement
-        By the two aspects.
+        By the two aspects; without those by both of which all scenarios are one group, or noise: these are the same
+        by construction.
     """
     found = {name: study.analysis(name, "ids", "labels")[0] for name in study.analyses()}
     return {
         (a, b): compare_labels(found[a]["ids"], found[a]["labels"], found[b]["labels"])
         for a, b in combinations(found, 2)
         if np.array_equal(found[a]["ids"], found[b]["ids"])
+        and max(len(np.unique(found[one]["labels"])) for one in (a, b)) > 1
     }
 
 

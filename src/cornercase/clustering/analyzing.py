@@ -121,7 +121,9 @@ def _analyzed(
 ) -> dict[str, Analysis]:
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
     if len(ids) < 2:
-        raise InputError(f"{study.path}: holds {len(ids)} scenarios that were run; at least 2 can be clustered.")
+        ran, failed = "1 scenario was" if len(ids) else "no scenario was", study.failed()
+        why = f", {len(failed)} failed, the first one as {failed[0].error}" if failed else ""
+        raise InputError(f"{study.path}: {ran} run{why}; at least 2 can be clustered.")
     begun = time.monotonic()
     outcomes, traits, times = [], [], []
     compared = {one: make_aspect(one) for one in aspects if one not in study.meta.metrics}

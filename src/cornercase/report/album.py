@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,6 +83,8 @@ def draw_png(figure: Figure) -> bytes:
         # Names come from files: a dollar sign in them begins no formula.
         text.set_parse_math(False)
         text.set_text(wrapped(plain_text(text.get_text()), _LINE, _LINES))
-    with rc_context({"text.parse_math": False}):
+    with rc_context({"text.parse_math": False}), warnings.catch_warnings():
+        # Signs that the font lacks are drawn as boxes; the page has the names as they are.
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
         figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25)
     return buffer.getvalue()
