@@ -19,6 +19,7 @@ from cornercase._common.rows import row_keys
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.gaussian_process import boundary_process, encoded, enough
+from cornercase.evidence.products import lower_times
 from cornercase.scenario import ParameterSpace
 
 # Points that stand for the space, those of them for which critical sets are drawn, and the number of draws.
@@ -126,22 +127,32 @@ class CriticalSet:
         """Draw critical sets on some of the places, and the critical share on all."""
         part = slice(None, min(_JOINT, len(self._at)))
         factor, deviation = self._process.joint(self._at[part])
-        normal = factor @ self._rng.standard_normal((len(factor), _DRAWS)) / deviation[:, None]
+        normal = lower_times(factor, self._rng.standard_normal((len(factor), _DRAWS)))
+        normal /= deviation[:, None]
         limit = self._limit(part)
         self._drawn: BoolArray = normal <= limit
         # The joint draws on few places give the spread, the probabilities on all places the mean.
         shares = self._drawn.mean(axis=0) + self._level() - ndtr(limit).mean(axis=0)
         self._shares = np.clip(shares, 0.0, 1.0)
 
+    @cached_property
+    def _groups(self) -> tuple[IntArray, FloatArray]:
+        """Places of nearly the same probability: group of each place, and that probability by group and draw."""
+        order = np.argsort(self._t[self._certain == 0.0], kind="stable")
+        groups = [one for one in np.array_split(np.flatnonzero(self._certain == 0.0)[order], _GROUPS) if len(one)]
+        # The last two are for what was run: first what is not critical.
+        group = np.where(self._certain > 0.0, len(groups) + 1, len(groups))
+        for k, one in enumerate(groups):
+            group[one] = k
+        a, log_b = self._correction.T.copy()
+        middle = np.array([self._t[one].mean() for one in groups])
+        likely = ndtr(-(a + np.exp(log_b) * middle[:, None]))
+        return group, np.concatenate([likely, np.zeros((1, _DRAWS)), np.ones((1, _DRAWS))])
+
     def _level(self) -> FloatArray:
         """Mean probability in each draw that a place is critical, shape (draws,)."""
-        a, log_b = self._correction.T.copy()
-        # Places of nearly the same t are taken together.
-        groups = np.array_split(np.sort(self._t[self._certain == 0.0]), _GROUPS)
-        middle = np.array([group.mean() for group in groups if len(group)])
-        count = np.array([len(group) for group in groups if len(group)])
-        critical = count @ ndtr(-(a + np.exp(log_b) * middle[:, None])) + (self._certain > 0.0).sum()
-        return np.asarray(critical / len(self._at))
+        group, likely = self._groups
+        return np.asarray(np.bincount(group, minlength=len(likely)) @ likely / len(self._at))
 
     def _limit(self, part: slice) -> FloatArray:
         """Normal deviate up to which a place is critical in each draw; infinite where it was run."""
@@ -193,13 +204,13 @@ class CriticalSet:
         -------
         Estimate
         """
-        count = len(self._drawn)
         both = (self._drawn & other._drawn).mean(axis=0)
         # As for the share of the space: few places give the spread, all places the mean.
-        for first in range(0, len(self._at), count):
-            part = slice(first, first + count)
-            likely = ndtr(self._limit(part)) * ndtr(other._limit(part))
-            both += likely.sum(axis=0) / len(self._at) - (likely.mean(axis=0) if first == 0 else 0.0)
+        weights = np.full(len(self._at), 1.0 / len(self._at))
+        weights[: len(self._drawn)] -= 1.0 / len(self._drawn)
+        (mine, likely), (others, likely_too) = self._groups, other._groups
+        places = coo_array((weights, (mine, others)), shape=(len(likely), len(likely_too)))
+        both += (likely * (places.tocsr() @ likely_too)).sum(axis=0)
         shares = np.clip(both / np.maximum(self._shares, 1e-12), 0.0, 1.0)
         return _estimate(shares)
 

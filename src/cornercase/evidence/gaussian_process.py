@@ -15,6 +15,7 @@ from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
 from cornercase.evidence.kernel import Floats, Kernel, evenly, learned_kernel
 from cornercase.evidence.posterior import MOST_EXACT, Posterior, posterior
+from cornercase.evidence.products import products_of_rows, times_lower_transposed
 from cornercase.scenario import ParameterSpace
 
 _CHUNK, _FEWEST = 1024, 10
@@ -313,8 +314,10 @@ class GaussianProcess:
             Lower Cholesky factor.
         deviation : ndarray of float64, shape (m,)
         """
-        rows = self.kernel.covariance(points, self._known.points) @ self._known.inverse.T
-        covariance = self.kernel.covariance(points, points) - rows @ rows.T
+        cross = self.kernel.covariance(points, self._known.points)
+        covariance = self.kernel.covariance(points, points)
+        # Of both halves, which are the same, one is enough for the factor.
+        covariance -= products_of_rows(times_lower_transposed(cross, self._known.inverse))
         covariance[np.diag_indices(len(points))] += self.kernel.noise**2 + 1e-6 * self.kernel.signal**2
         deviation = np.sqrt(np.diag(covariance))
         return cholesky(covariance, lower=True, overwrite_a=True, check_finite=False), deviation

@@ -13,6 +13,7 @@ from scipy.linalg.lapack import dpotri, dtrtri
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.kernel import Kernel, evenly
+from cornercase.evidence.products import lower_times, products_of_rows, times_lower_transposed, times_transposed
 
 MOST_EXACT = 512
 """Number of values up to which all of them are taken exactly, and of the points that stand for more of them."""
@@ -134,21 +135,23 @@ class SparsePosterior:
             self._precision, self._moment = before._precision, before._moment
         rows, root = self._rows(points)
         rows /= root[:, None]
-        self._precision = self._precision + rows.T @ rows
+        # Its lower half, which is all that is looked at.
+        self._precision = self._precision + products_of_rows(rows.T)
         self._moment = self._moment + rows.T @ (values / root)
         lower = cholesky(self._precision, lower=True)
         self._mean = cho_solve((lower, True), self._moment)
-        self._covariance = dpotri(lower, lower=1)[0]
-        self._covariance += np.tril(self._covariance, -1).T
+        self._narrowed = np.asarray(dtrtri(lower, lower=1)[0])
+        covariance = dpotri(lower, lower=1)[0]
+        covariance += np.tril(covariance, -1).T
         self._known, self._values = points, values
         if before is not None:
             self._known = np.concatenate([before._known, points])
             self._values = np.concatenate([before._values, values])
         self.weights = self._whiten.T @ self._mean
         # Of the variance explained, 1 - covariance, the factor whose transpose stands first.
-        explained = (1.0 + _SLACK) * np.eye(len(lower)) - self._covariance
+        explained = (1.0 + _SLACK) * np.eye(len(lower)) - covariance
         factor = cholesky(np.ascontiguousarray(explained[::-1, ::-1]), lower=True, overwrite_a=True)
-        self.inverse = np.ascontiguousarray(factor[::-1, ::-1]).T @ self._whiten
+        self.inverse = lower_times(np.ascontiguousarray(factor[::-1, ::-1]).T, self._whiten)
 
     def extended(self, points: FloatArray, values: FloatArray) -> SparsePosterior:
         """Take further values in.
@@ -168,14 +171,15 @@ class SparsePosterior:
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value by the process of all others, both of shape (n,)."""
         rows, root = self._rows(self._known)
-        explained = np.einsum("ij,ij->i", rows @ self._covariance, rows)
+        left = times_lower_transposed(rows, self._narrowed)
+        explained = np.einsum("ij,ij->i", left, left)
         precision = (1.0 - explained / root**2) / root**2
         error = (self._values - rows @ self._mean) / root**2 / precision
         return self._values - error, 1.0 / np.sqrt(precision)
 
     def _rows(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Process at points in terms of independent variables, and the deviation of what they leave open."""
-        rows = self._kernel.covariance(points, self.points) @ self._whiten.T
+        rows = times_lower_transposed(self._kernel.covariance(points, self.points), self._whiten)
         variance = self._kernel.signal**2
         left = variance - np.einsum("ij,ij->i", rows, rows)
         return rows, np.sqrt(np.maximum(left, _JITTER * variance) + self._kernel.noise**2)
@@ -209,14 +213,15 @@ def _standing_for(kernel: Kernel, points: FloatArray, matters: FloatArray | None
     among = evenly(len(points), _AMONG)
     rng = np.random.default_rng(0)
     share = np.ones(len(among)) if matters is None else matters[among]
-    left, rows = np.ones(len(among)), np.zeros((len(among), 0))
+    left, rows = np.ones(len(among)), np.zeros((len(among), MOST_EXACT), order="F")
     chosen = np.zeros(0, dtype=np.int64)
-    for _ in range(0, MOST_EXACT, _AT_ONCE):
+    for done in range(0, MOST_EXACT, _AT_ONCE):
         left[chosen] = 0.0
         new = rng.choice(len(among), _AT_ONCE, replace=False, p=left * share / (left @ share))
-        cross = kernel.covariance(points[among], points[among[new]]) / kernel.signal**2 - rows @ rows[new].T
+        cross = kernel.covariance(points[among], points[among[new]]) / kernel.signal**2
+        cross -= times_transposed(rows[:, :done], rows[new, :done])
         more = cross @ _inverse(cross[new] + _JITTER * np.eye(len(new))).T
-        rows = np.concatenate([rows, more], axis=1)
+        rows[:, done : done + _AT_ONCE] = more
         left = np.maximum(left - (more**2).sum(axis=1), 1e-12)
         chosen = np.concatenate([chosen, new])
     return np.sort(among[chosen])
