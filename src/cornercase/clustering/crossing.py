@@ -139,15 +139,20 @@ def find_crossing(one: Way, other: Way) -> Crossing | None:
     rows, columns = np.flatnonzero(meets.any(axis=1)), np.flatnonzero(meets.any(axis=0))
     if not len(rows):
         return None
-    part = meets[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    places, count = label(part, structure=np.ones((3, 3)))
+    mine, its = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    places, count = label(meets[mine, its], structure=np.ones((3, 3)))
     found = []
     for k in range(1, count + 1):
-        i, j = np.nonzero(places == k)
-        mine = np.zeros_like(meets)
-        mine[i + rows[0], j + columns[0]] = True
+        meet = places == k
         # Compiled code is made for each layout of arrays.
-        found.append(Crossing(*_stay(one, other, mine), *_stay(other, one, np.ascontiguousarray(mine.T))))
+        found.append(
+            Crossing(
+                *_stay(one, rows[0], meet, np.ascontiguousarray(other.poses[:, its]), other.size),
+                *_stay(
+                    other, columns[0], np.ascontiguousarray(meet.T), np.ascontiguousarray(one.poses[:, mine]), one.size
+                ),
+            )
+        )
     return min(found, key=lambda place: min(place.enters, place.other_enters))
 
 
@@ -171,17 +176,15 @@ def _filled(time: FloatArray, poses: FloatArray, close: float) -> tuple[FloatArr
     return np.interp(place, known, time), np.stack([x, y, cos / norm, sin / norm])
 
 
-def _stay(way: Way, other: Way, meets: BoolArray) -> tuple[float, float]:
+def _stay(way: Way, begin: int, meets: BoolArray, others: FloatArray, size: FloatArray) -> tuple[float, float]:
+    """When a way is at a place: of its boxes from `begin` on, each with a row in `meets`, those that meet others."""
     at = np.flatnonzero(meets.any(axis=1))
-    first, last = int(at[0]), int(at[-1])
-    enters, leaves = float(way.time[first]), float(way.time[last])
-    if first > 0:
-        enters = _touch(way, other, first - 1, first, meets)
-    if last + 1 < len(way.time):
-        leaves = _touch(way, other, last + 1, last, meets)
+
+    def touch(before: int, after: int) -> float:
+        share = touching_share(way.poses, way.size, before, after, others, size, meets[after - begin])
+        return float(way.time[before] + share * (way.time[after] - way.time[before]))
+
+    first, last = begin + int(at[0]), begin + int(at[-1])
+    enters = touch(first - 1, first) if first > 0 else float(way.time[first])
+    leaves = touch(last + 1, last) if last + 1 < len(way.time) else float(way.time[last])
     return enters, leaves
-
-
-def _touch(way: Way, other: Way, before: int, after: int, meets: BoolArray) -> float:
-    share = touching_share(way.poses, way.size, before, after, other.poses, other.size, meets[after])
-    return float(way.time[before] + share * (way.time[after] - way.time[before]))

@@ -21,11 +21,14 @@ def find_overlaps(a, size_a, b, size_b, out):
     """
     reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
     for i in range(a.shape[1]):
+        # By itself, as the processor does it for several boxes at once.
         for j in range(b.shape[1]):
             x, y = b[0, j] - a[0, i], b[1, j] - a[1, i]
-            out[i, j] = x * x + y * y <= reach * reach and _overlap(
-                x, y, a[2, i], a[3, i], size_a, b[2, j], b[3, j], size_b
-            )
+            out[i, j] = x * x + y * y <= reach * reach
+        for j in range(b.shape[1]):
+            if out[i, j]:
+                x, y = b[0, j] - a[0, i], b[1, j] - a[1, i]
+                out[i, j] = _overlap(x, y, a[2, i], a[3, i], size_a, b[2, j], b[3, j], size_b)
 
 
 @kernel(error_model="numpy", _nrt=False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.texts import quoted_name
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.crossing import Way, find_crossing
 from cornercase.recordings import Collision, Recording
 
@@ -275,18 +275,20 @@ def _go_together(recording: Recording, ego: str, other: str) -> tuple[bool, bool
     at = both[[0, -1]]
     headings = recording.heading[:, at]
     turned = np.abs(within_half_turn(headings[recording.index(other)] - headings[recording.index(ego)]))
-    along, across = _seen_from(recording, ego, other)
-    begins, ends = (other if away > 0.0 else ego for away in along[at].tolist())
+    along, across = _seen_from(recording, ego, other, at)
+    begins, ends = (other if away > 0.0 else ego for away in along.tolist())
     in_lane = Encounter(other, "lane", first=ends, ahead=begins)
-    return bool((turned < _ALIKE).all()), bool((np.abs(across[at]) <= _ACROSS).all()), in_lane
+    return bool((turned < _ALIKE).all()), bool((np.abs(across) <= _ACROSS).all()), in_lane
 
 
-def _seen_from(recording: Recording, ego: str, other: str) -> tuple[FloatArray, FloatArray]:
-    """How far the other's centre is ahead of the ego's and to its left in m, (T,) each."""
-    away = recording.center(other) - recording.center(ego)
-    heading = recording.heading[recording.index(ego)]
-    cos, sin = np.cos(heading), np.sin(heading)
-    return cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+def _seen_from(recording: Recording, ego: str, other: str, at: IntArray) -> tuple[FloatArray, FloatArray]:
+    """How far the other's centre is ahead of the ego's and to its left at some instants in m, (k,) each."""
+    i, j = recording.index(ego), recording.index(other)
+    heading = recording.heading[:, at]
+    cos, sin, ahead = np.cos(heading), np.sin(heading), recording.center_x[:, None]
+    x, y = recording.x[:, at] + ahead * cos, recording.y[:, at] + ahead * sin
+    x, y = x[j] - x[i], y[j] - y[i]
+    return cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x
 
 
 def _gives_way(time: FloatArray, speed: FloatArray, went: BoolArray, ego: str, met: Encounter) -> tuple[bool, bool]:
@@ -316,6 +318,6 @@ def _impact(recording: Recording, ego: str, collision: Collision) -> Impact:
     if abs(recording.speed[i, at]) < STANDING:
         manner = "while it stands"
     elif abs(within_half_turn(recording.heading[j, at] - recording.heading[i, at])) < _ALIKE:
-        along, _ = _seen_from(recording, ego, entity)
-        manner = "from behind" if along[at] > 0.0 else "its rear"
+        along, _ = _seen_from(recording, ego, entity, np.array([at]))
+        manner = "from behind" if along[0] > 0.0 else "its rear"
     return Impact(entity, collision.time, float(np.hypot(*(velocities[1] - velocities[0]))), manner)

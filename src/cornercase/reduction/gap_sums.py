@@ -13,6 +13,8 @@ from cornercase.reduction.kept import ALIKE, Selection
 
 # Most scenarios for which all costs are in memory.
 _MOST_WHOLE: Final = 2000
+# Costs that the processor's cache holds.
+_AT_ONCE: Final = 2**15
 ROUNDS: Final = 3
 BLOCK: Final = 256
 
@@ -103,9 +105,12 @@ class GapSums:
             By candidate.
         """
         gains = np.zeros(len(candidates))
-        for first in range(0, len(candidates), BLOCK):
-            for now, costs in zip(left, self._rows(candidates[first : first + BLOCK]), strict=True):
-                gains[first : first + BLOCK] += np.maximum(now - costs, 0.0).sum(axis=1)
+        block = max(1, _AT_ONCE // len(self._weights))
+        for first in range(0, len(candidates), block):
+            for now, costs in zip(left, self._rows(candidates[first : first + block]), strict=True):
+                # The rows are copies, which need not be kept.
+                np.maximum(np.subtract(now, costs, out=costs), 0.0, out=costs)
+                gains[first : first + block] += costs.sum(axis=1)
         return gains
 
     def added(self, kept: list[int], size: int, selection: Selection) -> list[int]:
