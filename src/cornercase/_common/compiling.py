@@ -113,17 +113,20 @@ class _Watch(event.Listener):
 
     def __init__(self) -> None:
         self.listeners: list[Callable[[str], None]] = []
+        self.companions: list[Callable[[], None]] = []
         self.said = multiprocessing.parent_process() is not None
 
     def on_start(self, event: Any) -> None:
         kernel = event.data["dispatcher"]
         if kernel not in _KERNELS:
             return
+        kept = isinstance(kernel._cache, _SharedCache)
+        while kept and self.companions:
+            self.companions.pop()()
         for listener in self.listeners:
             listener(f"{kernel.py_func.__module__.removeprefix('cornercase.')}.{kernel.py_func.__name__}")
         if not (self.listeners or self.said):
             self.said = True
-            kept = isinstance(kernel._cache, _SharedCache)
             _LOG.warning(_KEPT if kept else _NOT_KEPT)
 
     def on_end(self, event: Any) -> None:
@@ -154,6 +157,27 @@ def heard_compilation(listener: Callable[[str], None]) -> Iterator[None]:
         yield
     finally:
         _WATCH.listeners.remove(listener)
+
+
+@contextmanager
+def companion(start: Callable[[], None]) -> Iterator[None]:
+    """Call something once when numba begins to compile within the block, and keeps what it compiles.
+
+    Parameters
+    ----------
+    start : callable
+        Such as what has another process compile what this one needs later.
+
+    Yields
+    ------
+    None
+    """
+    _WATCH.companions.append(start)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            _WATCH.companions.remove(start)
 
 
 def count_kernels() -> tuple[int, int]:

@@ -25,6 +25,7 @@ from cornercase.cli.options import (
     tell_ending,
 )
 from cornercase.cli.profiling import Profile
+from cornercase.cli.warming import two_compile
 
 
 @app.command()
@@ -206,11 +207,12 @@ def demo(
     folder = output or Path("demo") / name
     configuration = demonstration(name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers)
     study = folder / "study.db"
-    tell_ending(explore_configuration(configuration, study, progress=True))
-    with Study.open(study) as opened:
-        clustering.analyze(opened, progress=True)
-        reduction.reduce(opened, folder / "reduced", scenario=configuration.logical.scenario)
-        write_report(opened, folder / "report.html")
+    with two_compile():
+        tell_ending(explore_configuration(configuration, study, progress=True))
+        with Study.open(study) as opened:
+            clustering.analyze(opened, progress=True)
+            reduction.reduce(opened, folder / "reduced", scenario=configuration.logical.scenario)
+            write_report(opened, folder / "report.html")
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -15,12 +18,14 @@ from typing import TYPE_CHECKING, Any, Final
 from cornercase.cli.options import app, out
 
 if TYPE_CHECKING:
+    from cornercase._common.typing import FloatArray
     from cornercase.recordings import Recording
 
 # What is compiled depends neither on how many scenarios there are nor on how long they take.
 _SCENARIOS, _SECONDS = 12, 3.0
 # Machine code is made of what these words stand in.
 _SIGNS: Final = ("compiling import kernel", "compiling.kernel")
+_LATER: Final = "from cornercase.cli.warming import compile_later; compile_later()"
 
 
 @app.command(name="warm-up")
@@ -63,6 +68,73 @@ def warm_up() -> None:
         out.print(f"{len(set(compiled))} kernels compiled in {seconds}, and kept.")
 
 
+@contextmanager
+def two_compile() -> Iterator[None]:
+    """Once this process compiles, let another one compile what comes after the simulations.
+
+    Both keep their machine code in the same place, so that what the other one has compiled is there when it is needed.
+
+    Yields
+    ------
+    None
+    """
+    from cornercase._common.compiling import companion
+    from cornercase._common.platform import available_cpus
+
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start() -> None:
+        silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        started.append(subprocess.Popen([sys.executable, "-c", _LATER], **silent))
+
+    if available_cpus() < 2:
+        yield
+        return
+    try:
+        with companion(start):
+            yield
+    finally:
+        # What is cut while it is written counts as missing.
+        for process in started:
+            process.terminate()
+            process.wait()
+
+
+def compile_later() -> None:
+    """Compile what the demonstrations need late: drivers, of which compiled frames come to last, and all after them."""
+    import numpy as np
+
+    from cornercase import clustering, dtw, metrics
+
+    _drive()
+    crossing = _crossing()
+    metrics.measure(crossing, "Ego", "Other", ["wttc"])
+    for dimensions in (2, 4, 1):
+        dtw.distance_matrix([np.zeros((2, dimensions)), np.ones((2, dimensions))], dtype="float32", n_jobs=1)
+    clustering.find_outcome(crossing, "Ego", "Other")
+    clustering.cluster(_two_groups())
+
+
+def _drive() -> None:
+    """Let a built-in driver decide once."""
+    import numpy as np
+
+    from cornercase import drivers
+
+    along, one = np.arange(0.0, 50.0, 0.5), np.ones(1)
+    driver = drivers.named_driver("normal")
+    driver.start(1, 1)
+    driver.acceleration(
+        drivers.Situation(
+            0.0, 0.05, drivers.DrivenPath(along, along, *np.zeros((3, len(along)))), one, one, 0.0 * one, 0.0 * one,
+            one, 0.0 * one, length=4.0, width=2.0, center_x=1.5, target_speed=10.0 * one,
+            others_x=np.full((1, 1), 30.0), others_y=np.zeros((1, 1)), others_heading=np.zeros((1, 1)),
+            others_speed=np.zeros((1, 1)), others_length=one, others_width=one, others_center_x=0.0 * one,
+            others_kind=("pedestrian",), active=np.ones(1, dtype=np.bool_),
+        )
+    )  # fmt: skip
+
+
 def _import_kernels() -> None:
     """Import all modules that hold kernels, so that they are counted before the first of them is compiled."""
     package = Path(__file__).parents[1]
@@ -73,8 +145,6 @@ def _import_kernels() -> None:
 
 def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     """Yield small runs of all that compiles, each with its room: what they compile is found out by running it."""
-    import numpy as np
-
     from cornercase import clustering, drivers, exploration, metrics, optimizers, reduction, report, simulators
     from cornercase._common.errors import InputError
 
@@ -86,9 +156,8 @@ def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "clustering", partial(clustering.analyze, study)
         yield "reduction", partial(reduction.reduce, study, reduced, scenario=scenario)
         yield "evidence", partial(report.summarize, study)
-    # Two groups, far apart: so few scenarios of an example need not have any that could be judged.
-    along = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
-    yield "clustering", partial(clustering.cluster, np.abs(np.subtract.outer(along, along)))
+    # So few scenarios of an example need not have any groups that could be judged.
+    yield "clustering", partial(clustering.cluster, _two_groups())
     # So short runs do not come to a crossing.
     yield "clustering", partial(clustering.find_outcome, _crossing(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_SECONDS)
@@ -106,6 +175,14 @@ def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
                 return
 
         yield "optimizers", explore
+
+
+def _two_groups() -> FloatArray:
+    """Distances of two groups, far apart."""
+    import numpy as np
+
+    along = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
+    return np.asarray(np.abs(np.subtract.outer(along, along)))
 
 
 def _crossing() -> Recording:

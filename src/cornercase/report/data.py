@@ -13,7 +13,7 @@ from cornercase.exploration import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
 from cornercase.reduction import Gaps, measure_gaps
-from cornercase.report.summary import Summary, summarize
+from cornercase.report.summary import Summary, summarize_with
 from cornercase.scenario import Parameter
 from cornercase.study import Row, Study
 
@@ -126,7 +126,7 @@ def read_report_data(study: Study) -> ReportData:
     ReportData
         Everything at once.
     """
-    summary, rows = summarize(study), study.done()
+    rows = study.done()
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
     scores = {metric.name: study.scores(metric.name) for metric in metrics}
     values = np.array([[_number(one, row) for one in study.space.parameters] for row in rows], dtype=np.float64)
@@ -136,6 +136,7 @@ def read_report_data(study: Study) -> ReportData:
         recordings[scenario] = recording
         for one in metrics:
             courses[one.name][scenario] = one.capped(each[one.name])
+    summary = summarize_with(study, recordings.values())
     return ReportData(
         study=study.path.name,
         summary=summary,

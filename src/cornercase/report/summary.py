@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
 from cornercase.exploration import Objective
 from cornercase.metrics import METRICS
+from cornercase.recordings import Recording
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.report.knowledge import Knowledge, find_knowledge
 from cornercase.scenario import Value
@@ -124,22 +125,40 @@ def summarize(study: Study | Path | str) -> Summary:
     cornercase.write_report : The same with figures, for a person.
     """
     with open_study(study, readonly=True) as opened:
-        rows = opened.rows()
-        states = [row.state for row in rows]
-        return Summary(
-            meta=opened.meta,
-            searched=Objective.of_study(opened.meta).text,
-            run=states.count("done"),
-            failed=states.count("failed"),
-            pending=states.count("pending"),
-            collisions=_count_collisions(opened),
-            metrics={name: _of_metric(opened, name) for name in opened.meta.metrics} if "done" in states else {},
-            analyses=read_analyses(opened),
-            agreements=compare_clusterings(opened),
-            seconds=opened.elapsed(),
-            knowledge=find_knowledge(opened),
-            reduced=read_reduction(opened),
-        )
+        return summarize_with(opened, (opened.recording(row.id) for row in opened.done()))
+
+
+def summarize_with(study: Study, recordings: Iterable[Recording]) -> Summary:
+    """Say what was run in a study whose recordings have been read; as `summarize`.
+
+    Parameters
+    ----------
+    study : Study
+        Open.
+    recordings : iterable of Recording
+        Of all scenarios that were run.
+
+    Returns
+    -------
+    Summary
+        Typed values.
+    """
+    states = [row.state for row in study.rows()]
+    pair = {study.meta.ego, study.meta.other}
+    return Summary(
+        meta=study.meta,
+        searched=Objective.of_study(study.meta).text,
+        run=states.count("done"),
+        failed=states.count("failed"),
+        pending=states.count("pending"),
+        collisions=sum(any(set(hit.entities) == pair for hit in one.collisions) for one in recordings),
+        metrics={name: _of_metric(study, name) for name in study.meta.metrics} if "done" in states else {},
+        analyses=read_analyses(study),
+        agreements=compare_clusterings(study),
+        seconds=study.elapsed(),
+        knowledge=find_knowledge(study),
+        reduced=read_reduction(study),
+    )
 
 
 def _of_metric(study: Study, name: str) -> MetricSummary:
@@ -157,11 +176,4 @@ def _of_metric(study: Study, name: str) -> MetricSummary:
         scenario=row.id,
         at=row.values,
         spread=None if width is None else (float(np.median(width)), float(width.max())),
-    )
-
-
-def _count_collisions(study: Study) -> int:
-    pair = {study.meta.ego, study.meta.other}
-    return sum(
-        any(set(collision.entities) == pair for collision in study.recording(row.id).collisions) for row in study.done()
     )
