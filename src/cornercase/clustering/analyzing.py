@@ -14,7 +14,7 @@ from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.agreement import agree_with_facts, find_facts
-from cornercase.clustering.analysis import Analysis, read_analysis, save_analysis
+from cornercase.clustering.analysis import Analysis, read_analysis, read_distances, save_analysis
 from cornercase.clustering.clauses import Account
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
 from cornercase.clustering.comparing import (
@@ -155,6 +155,9 @@ def _analyzed(
         ).astype(np.float64)
         measured = time.monotonic()
         if before is not None:
+            # What is kept was found from these, to the last digit.
+            kept, rows = np.flatnonzero(np.isin(ids, before.ids)), before.rows_of(ids.tolist())
+            distances[np.ix_(kept, kept)] = read_distances(study, by)[np.ix_(rows, rows)]
             found, fitted = _joined(before, ids, distances)
         else:
             found, fitted = model.fit(distances).result_, ids
