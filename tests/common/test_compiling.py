@@ -170,3 +170,30 @@ def test_who_listens_hears_what_is_compiled_and_the_user_does_not(caplog):
     assert heard == [f"{__name__}.double"]
     assert count_kernels() == (ready + 1, known)
     assert caplog.records == []
+
+
+COMPANION = """
+from cornercase._common.compiling import companion, kernel
+@kernel()
+def one(x):
+    return x + 1
+@kernel()
+def two(x):
+    return x + 2
+started = []
+with companion(lambda: started.append(1)):
+    one(1), two(1)
+two(1.0)
+print(len(started))
+"""
+
+
+def test_a_companion_is_started_once_and_only_where_something_is_compiled(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(COMPANION)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    said = [
+        subprocess.run([sys.executable, program], env=environment, check=True, capture_output=True, text=True).stdout
+        for _ in range(2)
+    ]
+    assert said == ["1\n", "0\n"]

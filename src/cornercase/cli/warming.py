@@ -84,8 +84,8 @@ def two_compile() -> Iterator[None]:
     started: list[subprocess.Popen[bytes]] = []
 
     def start() -> None:
-        silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-        started.append(subprocess.Popen([sys.executable, "-c", _LATER], **silent))
+        nothing = subprocess.DEVNULL
+        started.append(subprocess.Popen([sys.executable, "-c", _LATER], stdin=nothing, stdout=nothing, stderr=nothing))
 
     if available_cpus() < 2:
         yield

@@ -1,0 +1,20 @@
+"""Products of matrices, held against those of NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cornercase.evidence.products import lower_times, products_of_rows, times_lower_transposed, times_transposed
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_products_are_those_of_numpy_however_matrices_lie_in_memory(order):
+    rng = np.random.default_rng(0)
+    square, left, right = (np.asarray(rng.normal(size=size), order=order) for size in ((7, 7), (5, 7), (7, 3)))
+    lower = np.tril(square)
+    # What stands above the diagonal is not looked at.
+    np.testing.assert_allclose(lower_times(square, right), lower @ right, atol=1e-12)
+    np.testing.assert_allclose(times_lower_transposed(left, square), left @ lower.T, atol=1e-12)
+    np.testing.assert_allclose(times_transposed(left, square), left @ square.T, atol=1e-12)
+    np.testing.assert_allclose(products_of_rows(left), np.tril(left @ left.T), atol=1e-12)
