@@ -111,6 +111,43 @@ def test_a_delay_of_one_scenario_changes_no_other(tmp_path):
     assert differing(path, [{"delay": 0.0}, {"delay": 0.7}, {"delay": 0.0}], 3.0) == []
 
 
+TIMED = """<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="{closed}">
+<Shape><Polyline><Vertex time="0"><Position><WorldPosition x="0" y="0"/></Position></Vertex>
+<Vertex time="$end"><Position><WorldPosition x="40" y="0"/></Position></Vertex></Polyline></Shape></Trajectory>
+</TrajectoryRef><TimeReference><Timing domainAbsoluteRelative="relative" scale="1" offset="0"/></TimeReference>
+<TrajectoryFollowingMode followingMode="position"/></FollowTrajectoryAction></RoutingAction></PrivateAction>"""
+
+
+def timed(folder, closed="false"):
+    init = private(teleport("0"), speed_action("5"), TIMED.format(closed=closed))
+    return scenario_file(folder, init=init, parameters=declared("end", "0"))
+
+
+def test_times_that_pass_in_some_scenarios_only_make_none_of_the_others_keep_to_times(tmp_path):
+    path = timed(tmp_path)
+    values = [{"end": end} for end in (0.0, 4.0, 0.0, 8.0)]
+    assert [one.speed[0, 10] for one in results(path, *values)] == pytest.approx([5.0, 10.0, 5.0, 5.0])
+    assert [one.x[0, 10] for one in results(path, *values)] == pytest.approx([2.5, 5.0, 2.5, 2.5])
+    assert differing(path, values, 3.0) == []
+
+
+def test_a_closed_trajectory_with_times_in_one_scenario_costs_none_of_the_others(tmp_path):
+    found = words(timed(tmp_path, closed="true"), {"end": 0.0}, {"end": 4.0}, {"end": 0.0})
+    assert [bool(one) for one in found] == [False, True, False]
+    assert "no time says when a closed <Trajectory> is back" in found[1]
+
+
+def test_times_that_go_back_are_refused_in_their_own_scenario(tmp_path):
+    assert words(timed(tmp_path), {"end": 1.0}, {"end": -1.0}) == ["", "the times of a trajectory of Ego go back"]
+
+
+def test_a_scenario_without_entities_is_refused(tmp_path):
+    path = scenario_file(tmp_path, init="", entities="", parameters=declared("p", "0"))
+    for others in ((), ({"p": 1.0},)):
+        with pytest.raises(InputError, match="has no entities, so that there is nothing to simulate"):
+            results(path, {}, *others)
+
+
 def test_an_entity_that_is_not_there_yet_is_no_target(tmp_path):
     """Its place is not known, so nothing is measured along the road to it."""
     condition = """<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>

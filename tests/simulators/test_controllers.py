@@ -19,7 +19,8 @@ from conftest import (
     time_trigger,
     trajectory,
 )  # fmt: skip
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.drivers import Driver
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 
@@ -148,3 +149,69 @@ def test_a_trajectory_with_times_leaves_the_driver_nothing_to_decide(tmp_path):
         for drivers in ({}, {"Ego": "normal"})
     ]
     assert same_recording(*recordings)
+
+
+class Own(Driver):
+    """Somebody's own: what it gives is what a function makes of the situation."""
+
+    def __init__(self, decide):
+        self.decide = decide
+
+    def acceleration(self, situation):
+        return self.decide(situation)
+
+
+def driven_by(folder, decide):
+    init = "".join(
+        private(name, teleport(s), speed_action(v)) for name, s, v in (("Ego", "10", "$v"), ("B", "90", "10"))
+    )
+    speed = '<ParameterDeclaration name="v" parameterType="double" value="10"/>'
+    path = scenario_file(folder, init=init, entities=car("Ego") + car("B"), parameters=speed)
+    concretes = [ConcreteScenario(path, {"v": v}) for v in (8.0, 10.0, 12.0)]
+    return list(BuiltinSimulator(duration=2.0, drivers={"Ego": Own(decide)}).run(concretes))
+
+
+def test_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
+    def decide(situation):
+        return np.where(situation.speed == 10.0, np.nan, 1.0)
+
+    first, lost, last = driven_by(tmp_path, decide)
+    assert [first.speed[0, -1], last.speed[0, -1]] == pytest.approx([10.0, 14.0])
+    assert isinstance(lost, SimulationError)
+    assert str(lost) == "the driver of Ego gave an acceleration that is no finite number"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (np.ones(2), "gave no acceleration for each of 3 scenarios"),
+        (None, "but None"),
+        (1j * np.ones(3), "gave no acc"),
+    ],
+)
+def test_a_driver_that_gives_something_else_is_refused(tmp_path, given, said):
+    with pytest.raises(InputError, match=f"The driver of Ego .*{said}"):
+        driven_by(tmp_path, lambda situation: given)
+
+
+def test_a_driver_that_fails_is_named(tmp_path):
+    with pytest.raises(InputError, match="The driver of Ego failed: ZeroDivisionError: division by zero"):
+        driven_by(tmp_path, lambda situation: 1 / 0)
+
+
+def test_what_a_driver_was_told_stays_and_is_its_own(tmp_path):
+    kept = []
+
+    def decide(situation):
+        kept.append((situation.x, situation.x.copy()))
+        return np.zeros(3)
+
+    def scribble(situation):
+        for told in (situation.x, situation.speed, situation.active, situation.others_x):
+            told[:] = 0
+        return np.zeros(3)
+
+    held = driven_by(tmp_path, decide)
+    assert len(kept) > 30
+    assert all((told == then).all() for told, then in kept)
+    assert all(same_recording(*pair) for pair in zip(held, driven_by(tmp_path, scribble), strict=True))

@@ -90,3 +90,15 @@ def test_a_controller_or_phase_that_is_not_there_is_refused(tmp_path, condition,
     path.write_text(path.read_text().replace("</RoadNetwork>", SIGNALS.replace("$red", "2"), 1))
     with pytest.raises(InputError, match=why):
         run(path)
+
+
+def test_a_phase_that_cannot_be_costs_no_other_scenario(tmp_path):
+    path = scenario_file(
+        tmp_path, init=moving(), parameters='<ParameterDeclaration name="red" parameterType="double" value="1"/>'
+    )
+    path.write_text(path.read_text().replace("</RoadNetwork>", SIGNALS.replace('duration="1"', 'duration="${$red/2}"')))
+    concretes = [ConcreteScenario(path, {"red": red}) for red in (1.0, -1.0, 0.0)]
+    ran_, below, none = BuiltinSimulator(duration=1.0).run(concretes)
+    assert not isinstance(ran_, Exception)
+    assert "duration of <Phase> is below 0" in str(below)
+    assert "duration of <Phase> is 0, as are those of the other phases" in str(none)

@@ -7,9 +7,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from lxml import etree
 
+from cornercase._common.arguments import shown
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.recorded_xml import named, unrecorded
-from cornercase._common.typing import BoolArray
+from cornercase._common.texts import in_one_line
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import DRIVERS, DrivenPath, Driver, Situation
 from cornercase.roads import LanePath
 from cornercase.scenario import DRIVER_PROPERTY, Scope
@@ -63,28 +65,48 @@ class Driving:
             rows = active & (world.track[e] == k)
             timed = isinstance(track, Trajectory) and track.time is not None
             if rows.any() and not timed:
-                acceleration = self.driver.acceleration(self._situation(k, track, dt, rows))
+                acceleration = self._decided(self._situation(k, track, dt, rows))
+                lost = rows & ~np.isfinite(acceleration)
+                world.fail(lost, f"the driver of {world.names[e]} gave an acceleration that is no finite number")
                 speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
+
+    def _decided(self, situation: Situation) -> FloatArray:
+        """What the driver gives, which may be a class of anybody."""
+        place = f"The driver of {self._world.names[self.entity]}"
+        try:
+            given = self.driver.acceleration(situation)
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(f"{place} failed: {in_one_line(error)}.") from error
+        expected = self._world.scenarios
+        try:
+            return np.broadcast_to(np.asarray(given).astype(np.float64, casting="same_kind"), (expected,))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"{place} gave no acceleration for each of {expected} scenarios, but {shown(given)}."
+            ) from None
 
     def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, others = self._world, self.entity, self._others
         box, boxes = world.entities[e], [world.entities[a] for a in others]
         there = (world.present & world.visible)[others].T
+        # A driver may keep what it is told, or write into it.
         return Situation(
             time=float(world.time[rows].max()),
             time_step=dt,
             path=self.path(k, track),
-            distance=world.distance[e],
-            x=world.x[e],
-            y=world.y[e],
-            heading=world.heading[e],
-            speed=world.speed[e],
-            acceleration=world.acceleration[e],
+            distance=world.distance[e].copy(),
+            x=world.x[e].copy(),
+            y=world.y[e].copy(),
+            heading=world.heading[e].copy(),
+            speed=world.speed[e].copy(),
+            acceleration=world.acceleration[e].copy(),
             length=box.length,
             width=box.width,
             center_x=box.center_x,
-            target_speed=world.target_speed[e],
+            target_speed=world.target_speed[e].copy(),
             others_x=np.where(there, world.x[others].T, np.nan),
             others_y=np.where(there, world.y[others].T, np.nan),
             others_heading=np.where(there, world.heading[others].T, np.nan),
@@ -93,7 +115,7 @@ class Driving:
             others_width=np.array([one.width for one in boxes]),
             others_center_x=np.array([one.center_x for one in boxes]),
             others_kind=tuple(one.kind for one in boxes),
-            active=rows,
+            active=rows.copy(),
         )
 
     def path(self, k: int, track: Track) -> DrivenPath:

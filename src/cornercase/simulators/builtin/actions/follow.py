@@ -71,6 +71,9 @@ class FollowTrajectoryAction(Action):
         x, y, heading = track.at(self._skip, np.zeros(world.scenarios), every)
         line, oriented = track.direction(self._skip, every), track.oriented(self._skip, every)
         backwards = world.speed[e] < 0.0
+        if track.time is not None:
+            back = (np.diff(track.time) < -_TINY).any(axis=1)
+            world.fail(where & back, f"the times of a trajectory of {world.names[e]} go back")
         if self._clock is not None:
             clock, speed = track.clock_at(self._skip)
             ahead = np.zeros_like(clock) if self._absolute else clock - self._clock.shift - world.time

@@ -12,7 +12,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.recorded_xml import made_once
 from cornercase._common.typing import FloatArray
-from cornercase.scenario import Scope
+from cornercase.scenario import Scope, VariesError
 from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
 from cornercase.simulators.builtin.tracks.nurbs import nurbs_points
 from cornercase.simulators.builtin.tracks.polyline import Polyline
@@ -115,7 +115,7 @@ def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: Po
 
 
 def takes_time(holder: etree._Element, scope: Scope) -> bool:
-    """Whether the times of the ``Trajectory`` or ``CatalogReference`` in `holder` differ, in any scenario.
+    """Whether the times of the ``Trajectory`` or ``CatalogReference`` in `holder` differ.
 
     Parameters
     ----------
@@ -130,24 +130,33 @@ def takes_time(holder: etree._Element, scope: Scope) -> bool:
     ------
     InputError
         They do, and the trajectory is closed: no time says when its first vertex is reached again.
+    VariesError
+        They do in some scenarios only.
     """
     element, inner = scope.referred(holder, "Trajectory")
-    given = [
-        inner.number(one, name)
+    timed = [
+        (one, name)
         for one in element.iterfind("Shape//*")
         for name in ("time", "startTime", "stopTime", "timeStart", "timeEnd")
         if one.get(name) is not None
     ]
+    given = [inner.number(one, name) for one, name in timed]
+    origins = {origin for one, name in timed for origin in inner.origins(one.get(name, ""))}
     if element.find("Shape/Polyline") is None and element.find("Shape/Nurbs") is None:
         # The times of clothoids are 0 where they are left out.
         given.append(np.zeros(scope.scenarios))
-    differ = any(bool((np.abs(one - given[0]) > _SAME_TIME).any()) for one in given)
-    if differ and inner.flag(element, "closed", False):
+    differ = np.zeros(scope.scenarios, dtype=np.bool_)
+    for one in given:
+        differ |= np.abs(one - given[0]) > _SAME_TIME
+    if differ.any() != differ.all():
+        raise VariesError(origins)
+    inner.used |= origins
+    if differ.all() and inner.flag(element, "closed", False):
         raise InputError(
             f"{scope.source}, line {element.sourceline}: no time says when a closed <Trajectory> is back at its first"
             " vertex; give closed as false, and the first vertex once more at the end, with its time."
         )
-    return differ
+    return bool(differ.all())
 
 
 def _polyline(element: etree._Element, scope: Scope, world: World, read: PositionReader, closed: bool) -> Shape:

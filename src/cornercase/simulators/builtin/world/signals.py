@@ -90,8 +90,14 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
         name, where = scope.text(element, "name"), f"{scope.source}, line {element.sourceline}"
         phases = list(element.iterfind("Phase"))
         durations = np.array([scope.number(phase, "duration") for phase in phases])
-        if not phases or (durations < 0).any() or not (durations.sum(axis=0) > 0).all():
+        still = np.ones(scope.scenarios, dtype=np.bool_) if not phases else durations.sum(axis=0) <= 0
+        still |= (durations < 0).any(axis=0)
+        if still.any() and not any(scope.origins(phase.get("duration", "")) for phase in phases):
             raise InputError(f"{where}: the signal controller '{name}' needs phases that take some time.")
+        for phase, duration in zip(phases, durations, strict=True):
+            scope.refuse(phase, "duration", "is below 0", duration < 0)
+        if still.any():
+            scope.refuse(phases[0], "duration", "is 0, as are those of the other phases", still)
         delay, other = scope.number(element, "delay", 0.0), scope.text(element, "reference", "")
         if other:
             delay = delay + named_controller(found, other, where).delay
