@@ -19,12 +19,14 @@ from cornercase.clustering import Profile, analyze
 from cornercase.evidence import Estimate
 from cornercase.report import put_in_words, summarize, write_report
 from cornercase.report.album import draw_png
+from cornercase.report.figures.examples import draw_examples
 from cornercase.report.figures.parameter_space import draw_clusters
 from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
 from cornercase.report.tables import tell_choices
 from cornercase.report.words import judge_clusters, name_cluster, name_criterion, name_kind, name_range
 from cornercase.scenario import Parameter
 from cornercase.study import Study
+from meetings import PASSES, entity, recording
 from synthetic import SPACE, about, explorer, opened
 
 
@@ -235,3 +237,14 @@ def test_signs_that_the_font_lacks_are_no_reason_to_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert draw_png(figure).startswith(b"\x89PNG")
+
+
+def test_in_a_drawn_example_both_are_to_be_seen():
+    for aside in (6.0, 60.0, 300.0):
+        away = recording(Ego=PASSES, P=entity(40.0, aside, 0.0, (0, 1.5)))
+        axis = draw_examples({"apart": away}, "Ego", "P").axes[0]
+        for box in axis.patches:
+            x, y = box.get_xy()[:, 0], box.get_xy()[:, 1]
+            assert axis.get_xlim()[0] < x.min() < x.max() < axis.get_xlim()[1]
+            assert axis.get_ylim()[0] < y.min() < y.max() < axis.get_ylim()[1]
+        assert len(axis.patches) == 2

@@ -98,8 +98,12 @@ def _draw_ways(axis: Axes, recording: Recording, ego: str, other: str, nearest: 
     if len(places):
         # As wide as high, so that a metre is as long across as along.
         half = float(np.clip(np.ptp(places, axis=0).max() / 2.0 + _MARGIN, *_REACH))
-        at = [one for one in (recording.center(ego), recording.center(other)) if nearest is not None]
-        x, y = np.mean([one[nearest] for one in at], axis=0) if at else (places.min(axis=0) + places.max(axis=0)) / 2.0
+        x, y = (places.min(axis=0) + places.max(axis=0)) / 2.0
+        if nearest is not None:
+            both = np.array([recording.center(name)[nearest] for name in (ego, other)])
+            x, y = both.mean(axis=0)
+            # Who never come near each other are both to be seen all the same.
+            half = max(half, float(np.ptp(both, axis=0).max()) / 2.0 + _MARGIN)
         axis.set_xlim(x - half, x + half)
         axis.set_ylim(y - half, y + half)
     for name in (ego, other):
