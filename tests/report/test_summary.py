@@ -244,7 +244,7 @@ def test_in_a_drawn_example_both_are_to_be_seen():
         away = recording(Ego=PASSES, P=entity(40.0, aside, 0.0, (0, 1.5)))
         axis = draw_examples({"apart": away}, "Ego", "P").axes[0]
         for box in axis.patches:
-            x, y = box.get_xy()[:, 0], box.get_xy()[:, 1]
+            x, y = np.asarray(box.get_path().vertices).T
             assert axis.get_xlim()[0] < x.min() < x.max() < axis.get_xlim()[1]
             assert axis.get_ylim()[0] < y.min() < y.max() < axis.get_ylim()[1]
         assert len(axis.patches) == 2
