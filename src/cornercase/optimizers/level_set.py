@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence import GaussianProcess, boundary_process, encoded, near_threshold, nearness
@@ -14,9 +15,13 @@ from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
 
+Floats = npt.NDArray[np.floating[Any]]
+
 # Points before anything is learned; and candidates of greatest gain that are kept until more is learned.
 _INITIAL: Final = 24
 _KEPT: Final = 4096
+# Of those the ones that are looked at first.
+_LIKELY: Final = 512
 
 
 class LevelSetOptimizer(CandidateOptimizer):
@@ -94,29 +99,54 @@ def _gain(mean: FloatArray, deviation: FloatArray) -> FloatArray:
 
 def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArray, n: int) -> IntArray:
     """Choose `n` candidates, each with those before it and the `known` ones known."""
-    places = np.concatenate([candidates, known])
-    mean, deviation, rows = process.predict_with_projections(places)
-    variance = deviation**2
-    # The process is computed in single precision, which cannot tell a lower variance from 0.
-    lowest, noise = 1e-5 * process.kernel.signal**2, process.kernel.noise**2
-    learned: list[FloatArray] = []
-    chosen: list[int] = []
+    mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, known]))
+    variance, others = deviation**2, np.arange(len(candidates), len(mean))
+    gain = _gain(mean, np.sqrt(variance))[: len(candidates)]
+    falling, most = np.argsort(-gain, kind="stable"), max(_LIKELY, n)
+    while True:
+        some = np.sort(falling[:most])
+        these = np.concatenate([some, others])
+        round_ = _Round(process, np.concatenate([candidates[some], known]), mean[these], variance[these], rows[these])
+        for i in range(len(some), len(these)):
+            round_.learn(i)
+        chosen, least = round_.choose(n, len(some))
+        # What a candidate gains can only fall as others are known; so none of the rest can be better.
+        if most >= len(candidates) or least > gain[falling[most]]:
+            return some[chosen]
+        most *= 4
 
-    def learn(i: int) -> None:
-        shared = process.covariance(places, rows, i)
-        for earlier in learned:
+
+class _Round:
+    """Points of a process, of which one after the other becomes known."""
+
+    def __init__(
+        self, process: GaussianProcess, places: FloatArray, mean: FloatArray, variance: FloatArray, rows: Floats
+    ) -> None:
+        self._process, self._places, self._rows = process, places, rows
+        self._mean, self._variance = mean, variance
+        # The process is computed in single precision, which cannot tell a lower variance from 0.
+        self._lowest, self._noise = 1e-5 * process.kernel.signal**2, process.kernel.noise**2
+        self._learned: list[FloatArray] = []
+
+    def learn(self, i: int) -> None:
+        """Make a point known."""
+        shared = self._process.covariance(self._places, self._rows, i)
+        for earlier in self._learned:
             shared = shared - earlier * earlier[i]
-        step = shared / math.sqrt(max(variance[i], lowest) + noise)
+        step = shared / math.sqrt(max(self._variance[i], self._lowest) + self._noise)
         # A point cannot explain more than the variance that is left; rounding errors are cut off.
-        most = np.sqrt(variance)
-        learned.append(np.clip(step, -most, most))
-        np.maximum(variance - learned[-1] ** 2, 0.0, out=variance)
+        most = np.sqrt(self._variance)
+        self._learned.append(np.clip(step, -most, most))
+        np.maximum(self._variance - self._learned[-1] ** 2, 0.0, out=self._variance)
 
-    for i in range(len(candidates), len(places)):
-        learn(i)
-    while len(chosen) < n:
-        gain = _gain(mean, np.sqrt(variance))[: len(candidates)]
-        gain[chosen] = -np.inf
-        chosen.append(int(np.argmax(gain)))
-        learn(chosen[-1])
-    return np.array(chosen, dtype=np.int64)
+    def choose(self, n: int, among: int) -> tuple[IntArray, float]:
+        """Choose `n` of the first points, each of the largest gain with those before it known; and the least gain."""
+        chosen: list[int] = []
+        least = math.inf
+        while len(chosen) < n:
+            gain = _gain(self._mean, np.sqrt(self._variance))[:among]
+            gain[chosen] = -np.inf
+            chosen.append(int(np.argmax(gain)))
+            least = min(least, float(gain[chosen[-1]]))
+            self.learn(chosen[-1])
+        return np.array(chosen, dtype=np.int64), least
