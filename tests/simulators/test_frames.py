@@ -1,6 +1,8 @@
 """Compiled frames: the same as frames in which the storyboard looks each time, whoever shares the machine."""
 
 import os
+import signal
+import threading
 from pathlib import Path
 from random import Random
 
@@ -15,6 +17,7 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 from cornercase.simulators.builtin import simulator, stepping
+from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
 from storyboards import storyboard, write_roads
 
@@ -81,6 +84,34 @@ def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
         found.append(recordings(concretes))
     for other in found[1:]:
         assert_same(other, found[0], 0.0)
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signal can be sent to a thread here")
+def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(monkeypatch):
+    looks, halted, waits = [], threading.Event(), threading.main_thread().ident
+    assert waits is not None
+    plain_look, plain_halt = Storyboard.look, Batch.halt
+
+    def look(self, dt: float) -> None:
+        looks.append(dt)
+        if len(looks) == 10:
+            signal.pthread_kill(waits, signal.SIGINT)
+        if len(looks) >= 10:
+            halted.wait(10.0)
+        plain_look(self, dt)
+
+    def halt(self) -> None:
+        plain_halt(self)
+        halted.set()
+
+    look_in_each_frame(monkeypatch)
+    monkeypatch.setattr(Storyboard, "look", look)
+    monkeypatch.setattr(Batch, "halt", halt)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(simulator, "_WORTH_A_BATCH", 2)
+    with pytest.raises(KeyboardInterrupt):
+        recordings(drawn("t_intersection", 4))
+    assert len(looks) < 100
 
 
 def test_a_scenario_looks_only_where_something_happens(monkeypatch):

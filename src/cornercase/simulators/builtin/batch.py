@@ -117,6 +117,10 @@ class Batch:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             self._stepper.run(threads)
 
+    def halt(self) -> None:
+        """Let `run`, in another thread, come to an end soon; nothing that came out is of use then."""
+        self._stepper.halted = True
+
     def results(self, chosen: Sequence[int]) -> list[Recording | SimulationError]:
         """Give what came out of some scenarios, once the batch has run.
 

@@ -241,7 +241,14 @@ def _run_at_once(batches: list[Batch]) -> None:
             batch.run(threads)
         return
     with ThreadPoolExecutor(len(batches)) as pool:
-        list(pool.map(lambda batch: batch.run(max(threads // len(batches), 1)), batches))
+        try:
+            for running in [pool.submit(batch.run, max(threads // len(batches), 1)) for batch in batches]:
+                running.result()
+        except BaseException:
+            # The pool waits for its threads, whoever interrupts does not wait for the rest of the batches.
+            for batch in batches:
+                batch.halt()
+            raise
 
 
 _Ran = tuple[Batch, int] | SimulationError

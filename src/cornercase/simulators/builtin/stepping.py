@@ -75,6 +75,8 @@ class Stepper:
     ----------
     scene : Scene
         With what is recorded.
+    halted : bool
+        Whether nobody waits for the rest any more.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class Stepper:
         while most > 1 and (most - 1) * time_step >= duration + 1e-9:
             most -= 1
         self.scene: Scene = scene_of(world, most)
+        self.halted = False
         self._drivings = [one for one in world.drivers if isinstance(one, Driving)]
         self._fleet = _fleet_of(world, self._drivings)
         by_hand = bool((self._fleet.kind == FOREIGN).any()) or len(self._drivings) < len(world.drivers)
@@ -142,7 +145,7 @@ class Stepper:
         self._share = share
         world, course, first = self._world, self._course, True
         looking, dt = world.running.copy(), 0.0
-        while looking.any():
+        while looking.any() and not self.halted:
             world.running[:] = looking
             world.stirred[:] = False
             world.before[:, looking] = world.speed[:, looking]
