@@ -1,19 +1,12 @@
-"""Linear algebra by one thread, and several results side by side."""
+"""Linear algebra by one thread."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
-
-from cornercase._common.platform import available_cpus
-
-_Value = TypeVar("_Value")
-_Result = TypeVar("_Result")
 
 
 @contextmanager
@@ -25,27 +18,6 @@ def one_thread() -> Iterator[None]:
     """
     with _libraries().limit(limits=1):
         yield
-
-
-def side_by_side(function: Callable[[_Value], _Result], values: Iterable[_Value]) -> list[_Result]:
-    """Call a function with each of several values, on as many threads as there are CPUs.
-
-    Linear algebra has one thread in each of the calls, so that what comes out does not hang on how many there are.
-
-    Parameters
-    ----------
-    function : callable
-        Of one value; what it does must not hang on other calls.
-    values : iterable
-
-    Returns
-    -------
-    list
-        What the calls return, in the order of the values.
-    """
-    # Held until all have ended: a call that ended within another's would give that one its threads back.
-    with one_thread(), ThreadPoolExecutor(available_cpus()) as pool:
-        return list(pool.map(function, values))
 
 
 @cache

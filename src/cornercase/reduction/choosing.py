@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from cornercase._common.threads import side_by_side
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.reduction.cluster_selection import choose_by_cluster
 from cornercase.reduction.cluster_shapes import ArchetypeMethod, ShapedCluster, find_shapes
@@ -131,10 +130,9 @@ def try_choice(material: Material, wish: Wish) -> list[Trial]:
         By index; as many as `cornercase.reduction.held_out.divide` gives parts.
     """
     everyone = np.arange(len(material.labels))
-
-    def tried(judging: IntArray) -> Trial:
+    trials = []
+    for judging in divide(len(everyone)):
         rows = np.setdiff1d(everyone, judging)
         kept, _ = choose(material.part(rows), wish)
-        return Trial(rows, rows[[one.index for one in kept]], judging)
-
-    return side_by_side(tried, divide(len(everyone)))
+        trials.append(Trial(rows, rows[[one.index for one in kept]], judging))
+    return trials

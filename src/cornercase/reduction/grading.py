@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cornercase._common.threads import side_by_side
 from cornercase._common.typing import FloatArray
 from cornercase.clustering import Analysis, read_analyses, read_distances
 from cornercase.evidence import CriticalSet
@@ -91,15 +90,13 @@ def hold_out(ran: Ran, trials: Sequence[Trial]) -> dict[str, HeldOutGaps | None]
     dict of str to HeldOutGaps or None
         By aspect; by row of the analysis.
     """
-
-    def measured(name: str) -> HeldOutGaps | None:
-        rows_of = ran.analyses[name].rows_of
-        return measure_held_out_gaps(
+    return {
+        name: measure_held_out_gaps(
             ran.distances[name],
-            [Trial(*(rows_of(each) for each in (one.chosen_from, one.kept, one.judging))) for one in trials],
+            [Trial(*(one.rows_of(each) for each in (t.chosen_from, t.kept, t.judging))) for t in trials],
         )
-
-    return dict(zip(ran.analyses, side_by_side(measured, ran.analyses), strict=True))
+        for name, one in ran.analyses.items()
+    }
 
 
 def grade(ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | None]) -> dict[str, Coverage]:
@@ -155,33 +152,29 @@ def grade_critical(
         return {}
     oriented = dict(zip(ran.rows, objective.oriented_of(ran.study).tolist(), strict=True))
     threshold = objective.flip(meta.critical)
+    found: dict[str, CriticalCoverage] = {}
     known: dict[tuple[int, ...], CriticalSet] = {}
-    shown = [name for name, one in ran.analyses.items() if len(one.rows_of(list(kept)))]
-    for name in shown:
-        one = ran.analyses[name]
-        ids = tuple(one.ids.tolist())
+    for name, one in ran.analyses.items():
+        ids, distances = tuple(one.ids.tolist()), ran.distances[name]
+        index = one.rows_of(list(kept))
+        if not len(index):
+            continue
+        points, scores = ran.points(one), np.array([oriented[i] for i in ids])
         # Aspects of the same scenarios have one critical set.
         if ids not in known:
             with suppress(ValueError):
-                known[ids] = CriticalSet(space, ran.points(one), _scores(one, oriented), threshold, meta.seed)
-
-    def graded(name: str) -> CriticalCoverage:
-        one, distances = ran.analyses[name], ran.distances[name]
-        return measure_critical_coverage(
+                known[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
+        alike = distance_alike(distances, one.labels, within)
+        found[name] = measure_critical_coverage(
             space,
-            ran.points(one),
-            _scores(one, oriented),
+            points,
+            scores,
             threshold,
             distances,
-            one.rows_of(list(kept)),
-            distance_alike(distances, one.labels, within),
+            index,
+            alike,
             seed=meta.seed,
-            critical_set=known.get(tuple(one.ids.tolist())),
+            critical_set=known.get(ids),
             held_out=held_out[name],
         )
-
-    return dict(zip(shown, side_by_side(graded, shown), strict=True))
-
-
-def _scores(analysis: Analysis, oriented: Mapping[int, float]) -> FloatArray:
-    return np.array([oriented[i] for i in analysis.ids.tolist()])
+    return found
