@@ -124,19 +124,27 @@ class Locator:
         road, s = last.copy(), last_s.copy()
         lost = ~self._holds(last, x, y, s, 1, SLACK)
         if lost.any():
-            at = np.flatnonzero(lost)
-            new = self.locate(x[at], y[at])
-            road[at], s[at] = new.road, new.s
-            apart = np.full(len(at), np.inf)
-            inside = np.isin(road[at], self._overlapping)
-            for r in self._overlapping if inside.any() else ():
-                nearest, places = self._reference(r)
-                along = places[nearest.find(np.stack([x[at], y[at]], axis=1), 1)[:, 0]]
-                found = self._holds(np.full(len(at), r), x[at], y[at], along, 2, 0.0) & inside
-                turn = np.abs(np.sin(heading[at] - self._roads[r].reference(along)[2]))
-                better = found & (turn < apart)
-                apart[better] = turn[better]
-                road[at[better]], s[at[better]] = r, along[better]
+            # Many scenarios are the same up to there.
+            places = np.stack([x[lost], y[lost], heading[lost]], axis=1)
+            _, first, which = np.unique(places.view("V24")[:, 0], return_index=True, return_inverse=True)
+            found, along = self._road_at(*places[first].T)
+            road[lost], s[lost] = found[which], along[which]
+        return road, s
+
+    def _road_at(self, x: FloatArray, y: FloatArray, heading: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Find the road of points of which is not known where they were, and their s there."""
+        place = self.locate(x, y)
+        road, s = place.road, place.s
+        apart = np.full(len(x), np.inf)
+        inside = np.isin(road, self._overlapping)
+        for r in self._overlapping if inside.any() else ():
+            nearest, places = self._reference(r)
+            along = places[nearest.find(np.stack([x, y], axis=1), 1)[:, 0]]
+            found = self._holds(np.full(len(x), r), x, y, along, 2, 0.0) & inside
+            turn = np.abs(np.sin(heading - self._roads[r].reference(along)[2]))
+            better = found & (turn < apart)
+            apart[better] = turn[better]
+            road[better], s[better] = r, along[better]
         return road, s
 
     def _holds(

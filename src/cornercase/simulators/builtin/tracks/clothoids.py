@@ -91,15 +91,15 @@ class ClothoidSpline(Trajectory):
         self._alike = all(
             (a == a[0]).all() for a in (self._x, self._y, self._turn, self._start, self._rate, self.begin)
         )
-        every = np.arange(1 if self._alike else len(lengths))
-        points = [
-            self._on_curve(np.minimum(k * self.chord, lengths)[every], every)
-            for k in range(int(chords.max(initial=0.0)) + 1)
-        ]
-        self.x, self.y, self.heading = (
-            np.repeat(np.stack(parts, axis=1), len(lengths) // len(every), axis=0)
-            for parts in zip(*points, strict=True)
-        )
+        places = np.arange(int(chords.max(initial=0.0)) + 1)
+        if self._alike and len(lengths) > 0:
+            along = np.minimum(places * self.chord[0], lengths[0])
+            points = self._on_curve(along, np.zeros(len(places), dtype=np.int64))
+            self.x, self.y, self.heading = (np.repeat(part[None], len(lengths), axis=0) for part in points)
+            return
+        every = np.arange(len(lengths))
+        found = [self._on_curve(np.minimum(k * self.chord, lengths), every) for k in places]
+        self.x, self.y, self.heading = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
 
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         length = self.lengths.take(rows)
@@ -144,12 +144,17 @@ class ClothoidSpline(Trajectory):
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         if self._alike and len(x) > 1 and (x == x[0]).all() and (y == y[0]).all():
             return np.repeat(self.nearest(x[:1], y[:1], rows[:1]), len(x))
-        places = np.linspace(0.0, 1.0, 201)
-        best, gap = np.zeros(len(x)), np.full(len(x), np.inf)
-        for place in places:
-            at_x, at_y, _ = self.at(place * self.lengths[rows], np.zeros(len(x)), rows)
-            here = np.hypot(at_x - x, at_y - y)
-            best, gap = np.where(here < gap, place * self.lengths[rows], best), np.minimum(here, gap)
+        lengths, best, gap = self.lengths[rows], np.zeros(len(x)), np.full(len(x), np.inf)
+        # As many places at once as calls of NumPy are worth.
+        for places in np.array_split(np.linspace(0.0, 1.0, 201), min(max(len(x), 1), 201)):
+            along, count = np.outer(places, lengths), len(places)
+            at_x, at_y, _ = self.at(along.ravel(), np.zeros(along.size), np.tile(rows, count))
+            here = np.hypot(at_x - np.tile(x, count), at_y - np.tile(y, count)).reshape(along.shape)
+            least = np.nan_to_num(here, nan=np.inf).argmin(axis=0)[None]
+            apart = np.take_along_axis(here, least, axis=0)[0]
+            nearer = apart < gap
+            best = np.where(nearer, np.take_along_axis(along, least, axis=0)[0], best)
+            gap = np.where(nearer, apart, gap)
         for _ in range(8):
             at_x, at_y, heading = self.at(best, np.zeros(len(x)), rows)
             best = np.clip(best + (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading), 0.0, self.lengths[rows])
