@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from threading import Lock
 from typing import Any, Final
 
 import numpy as np
@@ -111,11 +112,19 @@ class Batch:
         for why, where in scope.refused():
             self._world.fail(where, why)
 
-    def run(self, threads: int = 1) -> None:
-        """Step until every scenario has ended, by so many threads at most."""
+    def run(self, threads: int = 1, turn: Lock | None = None) -> None:
+        """Step until every scenario has ended.
+
+        Parameters
+        ----------
+        threads : int, default 1
+            At most.
+        turn : Lock, optional
+            What only one thread may have that is in Python; held here, but for while compiled code runs.
+        """
         # What has failed goes on to be computed, and is not looked at.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            self._stepper.run(threads)
+            self._stepper.run(threads, turn)
 
     def halt(self) -> None:
         """Let `run`, in another thread, come to an end soon; nothing that came out is of use then."""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from itertools import pairwise
 from pathlib import Path
+from threading import Lock
+from typing import NamedTuple
+from weakref import WeakSet
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.ledger import Notice
@@ -154,16 +157,33 @@ class BuiltinSimulator(Simulator):
         files: dict[tuple[Path, Scenario | None], list[int]] = {}
         for i, concrete in enumerate(concretes):
             files.setdefault((concrete.path, concrete.source), []).append(i)
-        for chosen in files.values():
-            prepared = self._prepare(concretes[chosen[0]])
-            for entity in self._drivers:
-                prepared.scenario.require_entity(entity, "driven entity")
-            wrong = prepared.unusable([concretes[i].values for i in chosen])
-            ran.update((chosen[place], SimulationError(words)) for place, words in wrong.items())
-            for group in _groups(prepared, concretes, [i for i in chosen if i not in ran]):
-                self._run_group(prepared, concretes, group, ran)
-        for begin, end in _portions_of_results(ran):
-            yield from _results([ran.pop(i) for i in range(begin, end)])
+        with ThreadPoolExecutor(_threads()) as pool:
+            crew = _Crew(pool, Lock(), WeakSet())
+            try:
+                for chosen in files.values():
+                    self._run_file(concretes, chosen, ran, crew)
+                # Recordings of the first batch are made while the next ones still run.
+                for begin, end in _portions_of_results(ran):
+                    with crew.turn:
+                        made = _results([ran.pop(i) for i in range(begin, end)])
+                    yield from made
+            except BaseException:
+                # The pool waits for its threads; whoever interrupts does not wait for the rest of the batches.
+                for batch in crew.running:
+                    batch.halt()
+                raise
+
+    def _run_file(
+        self, concretes: Sequence[ConcreteScenario], chosen: list[int], ran: dict[int, _Ran], crew: _Crew
+    ) -> None:
+        """Start to run those that have the same file."""
+        prepared = self._prepare(concretes[chosen[0]])
+        for entity in self._drivers:
+            prepared.scenario.require_entity(entity, "driven entity")
+        wrong = prepared.unusable([concretes[i].values for i in chosen])
+        ran.update((chosen[place], SimulationError(words)) for place, words in wrong.items())
+        for group in _groups(prepared, concretes, [i for i in chosen if i not in ran]):
+            self._run_group(prepared, concretes, group, ran, crew)
 
     def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
         """Prepared file of a concrete scenario: that of the last run, if its content is the same."""
@@ -188,30 +208,34 @@ class BuiltinSimulator(Simulator):
         concretes: Sequence[ConcreteScenario],
         chosen: list[int],
         ran: dict[int, _Ran],
+        crew: _Crew,
     ) -> None:
-        formed: list[tuple[Batch, list[int]]] = []
+        """Start to run scenarios that could go into one batch; where it is one alone, it has run then."""
+        parts, started = self._parts(prepared, chosen), list[Future[Batch]]()
         try:
-            for part in self._parts(prepared, chosen):
-                formed += self._form(prepared, concretes, part, ran)
+            for part in parts:
+                with crew.turn:
+                    batch = self._form(prepared, concretes, part, ran)
+                if batch is not None:
+                    # While the next one is formed, this one runs already.
+                    started.append(crew.start(batch, len(parts)))
+                    ran.update((i, (started[-1], place)) for place, i in enumerate(part))
         except VariesError as varies:
+            wait(started)
             differing = {tuple(concretes[i].values.get(name) for name in sorted(varies.names)) for i in chosen}
             if len(differing) < 2:
                 path = prepared.scenario.path
                 raise InputError(f"{path}: an attribute that must be one value {varies}.") from None
             prepared.splitting |= varies.names
             for group in _groups(prepared, concretes, chosen):
-                self._run_group(prepared, concretes, group, ran)
-            return
-        _run_at_once([batch for batch, _ in formed])
-        for batch, part in formed:
-            ran.update((i, (batch, place)) for place, i in enumerate(part))
+                self._run_group(prepared, concretes, group, ran, crew)
 
     def _parts(self, prepared: PreparedScenario, chosen: list[int]) -> list[list[int]]:
         """Scenarios that go into one batch each, of those that could go into one."""
         drivers = {**prepared.scenario.drivers, **self._drivers}.values()
         # A driver object can be at the wheel in one batch at a time, and one in Python leaves other threads no time.
         compiled = all(isinstance(one, str) and decides_compiled(one) for one in drivers)
-        count = max(min(os.cpu_count() or 1, len(chosen) // _WORTH_A_BATCH), 1) if compiled else 1
+        count = max(min(_threads(), len(chosen) // _WORTH_A_BATCH), 1) if compiled else 1
         return [chosen[begin:end] for begin, end in pairwise(len(chosen) * k // count for k in range(count + 1))]
 
     def _form(
@@ -220,38 +244,50 @@ class BuiltinSimulator(Simulator):
         concretes: Sequence[ConcreteScenario],
         chosen: list[int],
         ran: dict[int, _Ran],
-    ) -> list[tuple[Batch, list[int]]]:
-        """Form a batch, with the scenarios of which it is; none where the file cannot be used with their values."""
+    ) -> Batch | None:
+        """Form a batch; none where the file cannot be used with the values of its scenarios."""
         try:
-            return [(self._batch(prepared, [concretes[i] for i in chosen]), chosen)]
+            return self._batch(prepared, [concretes[i] for i in chosen])
         except InputError as error:
             # Whatever it is because of is the same for the whole group.
             first = concretes[chosen[0]]
             own = ConcreteScenario(first.path, {}, prepared.scenario)
             words = prepared.what_is_wrong(error, first.values, lambda: self._batch(prepared, [own]))
             ran.update((i, SimulationError(words)) for i in chosen)
-            return []
+            return None
 
 
-def _run_at_once(batches: list[Batch]) -> None:
-    """Run batches beside each other, all cores busy."""
-    threads = os.cpu_count() or 1
-    if len(batches) < 2:
-        for batch in batches:
-            batch.run(threads)
-        return
-    with ThreadPoolExecutor(len(batches)) as pool:
-        try:
-            for running in [pool.submit(batch.run, max(threads // len(batches), 1)) for batch in batches]:
-                running.result()
-        except BaseException:
-            # The pool waits for its threads, whoever interrupts does not wait for the rest of the batches.
-            for batch in batches:
-                batch.halt()
-            raise
+def _threads() -> int:
+    return os.cpu_count() or 1
 
 
-_Ran = tuple[Batch, int] | SimulationError
+class _Crew(NamedTuple):
+    """Threads that run batches beside each other, all cores busy.
+
+    Of those that are in Python only one has its turn: they would hand Python's own lock to and fro with each call of
+    NumPy, which took a third of the time.
+    """
+
+    pool: ThreadPoolExecutor
+    turn: Lock
+    running: WeakSet[Batch]
+
+    def start(self, batch: Batch, beside: int) -> Future[Batch]:
+        """Run a batch beside so many others, itself included; one that is alone has run then."""
+        self.running.add(batch)
+        if beside > 1:
+            return self.pool.submit(self._run, batch, max(_threads() // beside, 1))
+        done: Future[Batch] = Future()
+        done.set_result(self._run(batch, _threads()))
+        return done
+
+    def _run(self, batch: Batch, threads: int) -> Batch:
+        with self.turn:
+            batch.run(threads, self.turn)
+        return batch
+
+
+_Ran = tuple[Future[Batch], int] | SimulationError
 
 
 def _portions_of_results(ran: Mapping[int, _Ran]) -> Iterator[tuple[int, int]]:
@@ -259,7 +295,7 @@ def _portions_of_results(ran: Mapping[int, _Ran]) -> Iterator[tuple[int, int]]:
     count, begin, held = len(ran), 0, 0
     for i in range(count):
         found = ran[i]
-        held += 0 if isinstance(found, SimulationError) else found[0].bytes_of(found[1])
+        held += 0 if isinstance(found, SimulationError) else found[0].result().bytes_of(found[1])
         if held > _MOST_RECORDED:
             yield begin, i + 1
             begin, held = i + 1, 0
@@ -271,9 +307,9 @@ def _results(ran: list[_Ran]) -> list[Recording | SimulationError]:
     places: dict[Batch, list[int]] = {}
     for found in ran:
         if not isinstance(found, SimulationError):
-            places.setdefault(found[0], []).append(found[1])
+            places.setdefault(found[0].result(), []).append(found[1])
     made = {batch: iter(batch.results(chosen)) for batch, chosen in places.items()}
-    return [found if isinstance(found, SimulationError) else next(made[found[0]]) for found in ran]
+    return [found if isinstance(found, SimulationError) else next(made[found[0].result()]) for found in ran]
 
 
 def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:

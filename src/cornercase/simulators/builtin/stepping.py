@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from threading import Lock
 from typing import Final, Protocol
 
 import numpy as np
@@ -110,6 +111,7 @@ class Stepper:
         status = np.full(world.scenarios, RESTS, dtype=np.int8)
         self._bounds = [0, world.scenarios]
         self._share: _Share = map
+        self._turn: Lock | None = None
         self._course = Course(status, np.zeros(world.scenarios, dtype=np.bool_), driven)
 
     def _read_triggers(self) -> None:
@@ -131,8 +133,9 @@ class Stepper:
             asked.append([[found for _, found in group] for group in groups])
         self._leaves = gather_leaves(asked, [past.delay for past in self._pasts], self._world.scenarios)
 
-    def run(self, threads: int) -> None:
-        """Step until every scenario has ended, by so many threads at most."""
+    def run(self, threads: int, turn: Lock | None = None) -> None:
+        """Step until every scenario has ended, by so many threads at most; gives up its turn while kernels run."""
+        self._turn = turn
         threads = min(threads, self._world.scenarios // _WORTH_A_THREAD)
         if threads < 2:
             self._run(map)
@@ -218,7 +221,13 @@ class Stepper:
         self._plan_routes()
         who = (self.scene, tracks, self._roads, self._fleet, self._actions, self._leaves)
         run = partial(run_on, *who, self._course, self._rules)
-        list(self._share(run, self._bounds[:-1], self._bounds[1:]))
+        if self._turn is not None:
+            self._turn.release()
+        try:
+            list(self._share(run, self._bounds[:-1], self._bounds[1:]))
+        finally:
+            if self._turn is not None:
+                self._turn.acquire()
 
     def _plan_routes(self) -> None:
         """Let built-in drivers plan along all that they follow now."""
