@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
+from collections.abc import Generator
 
 import numpy as np
 import pytest
@@ -206,10 +206,48 @@ def test_batches_beside_each_other_give_the_same_and_each_its_errors(tmp_path, m
     # All of the last third name a road that is not there; others begin where the road does not lead.
     values = [{"s": 5000.0 if k == 4 else 5.0, "v": float(k), "road": "1" if k < 8 else "9"} for k in range(12)]
     one_batch = [outcome(one) for one in results(path, *values)]
-    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    monkeypatch.setattr(builtin_simulator, "available_cpus", lambda: 3)
     monkeypatch.setattr(builtin_simulator, "_WORTH_A_BATCH", 4)
     assert [outcome(one) for one in results(path, *values)] == one_batch
     assert [one == "" for one in words(path, *values)] == [k != 4 and k < 8 for k in range(12)]
+
+
+def test_batches_that_run_already_are_formed_anew_where_a_later_one_has_to_be_split(tmp_path, monkeypatch):
+    init = private(teleport("0"), speed_action("1"))
+    story = story_of(event("e", speed_action("$v", "$shape", over="2"), time_trigger("1")))
+    path = scenario_file(
+        tmp_path, init=init, story=story, parameters=declared("v", "10") + declared("shape", "linear", "string")
+    )
+    values = [{"v": 5.0 + k, "shape": "step" if k > 9 else "linear"} for k in range(12)]
+    apart = [outcome(results(path, one)[0]) for one in values]
+    monkeypatch.setattr(builtin_simulator, "available_cpus", lambda: 3)
+    monkeypatch.setattr(builtin_simulator, "_WORTH_A_BATCH", 4)
+    formed = []
+
+    def counted(prepared, values, *rest):
+        formed.append(len(values))
+        return Batch(prepared, values, *rest)
+
+    monkeypatch.setattr(builtin_simulator, "Batch", counted)
+    assert [outcome(one) for one in results(path, *values)] == apart
+    assert formed[:3] == [4, 4, 4]
+    assert sorted(formed[3:]) == [2, 5, 5]
+
+
+def test_who_stops_asking_can_ask_again(tmp_path, monkeypatch):
+    path = scenario_file(
+        tmp_path, init=private(teleport("0"), speed_action("$v")), parameters=declared("v", "10"), entities=car("Ego")
+    )
+    monkeypatch.setattr(builtin_simulator, "available_cpus", lambda: 2)
+    monkeypatch.setattr(builtin_simulator, "_WORTH_A_BATCH", 4)
+    simulator = BuiltinSimulator(duration=1.0)
+    concretes = [ConcreteScenario(path, {"v": float(k)}) for k in range(8)]
+    whole = [outcome(one) for one in simulator.run(concretes)]
+    asked = simulator.run(concretes)
+    assert outcome(next(asked)) == whole[0]
+    assert isinstance(asked, Generator)
+    asked.close()
+    assert [outcome(one) for one in simulator.run(concretes)] == whole
 
 
 def test_a_trajectory_is_read_anew_only_where_a_parameter_changes_it(tmp_path):

@@ -1,6 +1,5 @@
 """Compiled frames: the same as frames in which the storyboard looks each time, whoever shares the machine."""
 
-import os
 import signal
 import threading
 from pathlib import Path
@@ -78,7 +77,7 @@ def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
     concretes = drawn("x_intersection", 70)
     found = []
     for threads, batch in ((1, 512), (2, 512), (5, 512), (2, 20), (3, 9)):
-        monkeypatch.setattr(os, "cpu_count", lambda threads=threads: threads)
+        monkeypatch.setattr(simulator, "available_cpus", lambda threads=threads: threads)
         monkeypatch.setattr(stepping, "_WORTH_A_THREAD", 2)
         monkeypatch.setattr(simulator, "_WORTH_A_BATCH", batch)
         found.append(recordings(concretes))
@@ -107,7 +106,7 @@ def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(mo
     look_in_each_frame(monkeypatch)
     monkeypatch.setattr(Storyboard, "look", look)
     monkeypatch.setattr(Batch, "halt", halt)
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(simulator, "available_cpus", lambda: 2)
     monkeypatch.setattr(simulator, "_WORTH_A_BATCH", 2)
     with pytest.raises(KeyboardInterrupt):
         recordings(drawn("t_intersection", 4))

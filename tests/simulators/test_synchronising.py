@@ -61,9 +61,9 @@ def recordings(path, values, monkeypatch=None):
         return ran(simulator, [ConcreteScenario(path, one) for one in values])
     run = Stepper.run
 
-    def by_hand(stepper, threads):
+    def by_hand(stepper, *how):
         stepper._by_hand = True
-        run(stepper, threads)
+        run(stepper, *how)
 
     with monkeypatch.context() as patched:
         patched.setattr(Stepper, "run", by_hand)

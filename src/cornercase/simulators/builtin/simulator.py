@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from itertools import pairwise
@@ -13,6 +12,7 @@ from weakref import WeakSet
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.ledger import Notice
+from cornercase._common.platform import available_cpus
 from cornercase._common.version import __version__
 from cornercase.drivers import Driver, decides_compiled
 from cornercase.recordings import Recording
@@ -157,7 +157,7 @@ class BuiltinSimulator(Simulator):
         files: dict[tuple[Path, Scenario | None], list[int]] = {}
         for i, concrete in enumerate(concretes):
             files.setdefault((concrete.path, concrete.source), []).append(i)
-        with ThreadPoolExecutor(_threads()) as pool:
+        with ThreadPoolExecutor(available_cpus()) as pool:
             crew = _Crew(pool, Lock(), WeakSet())
             try:
                 for chosen in files.values():
@@ -232,10 +232,13 @@ class BuiltinSimulator(Simulator):
 
     def _parts(self, prepared: PreparedScenario, chosen: list[int]) -> list[list[int]]:
         """Scenarios that go into one batch each, of those that could go into one."""
+        count = min(available_cpus(), len(chosen) // _WORTH_A_BATCH)
+        if count < 2:
+            return [chosen]
         drivers = {**prepared.scenario.drivers, **self._drivers}.values()
         # A driver object can be at the wheel in one batch at a time, and one in Python leaves other threads no time.
-        compiled = all(isinstance(one, str) and decides_compiled(one) for one in drivers)
-        count = max(min(_threads(), len(chosen) // _WORTH_A_BATCH), 1) if compiled else 1
+        if not all(isinstance(one, str) and decides_compiled(one) for one in drivers):
+            return [chosen]
         return [chosen[begin:end] for begin, end in pairwise(len(chosen) * k // count for k in range(count + 1))]
 
     def _form(
@@ -257,10 +260,6 @@ class BuiltinSimulator(Simulator):
             return None
 
 
-def _threads() -> int:
-    return os.cpu_count() or 1
-
-
 class _Crew(NamedTuple):
     """Threads that run batches beside each other, all cores busy.
 
@@ -276,9 +275,9 @@ class _Crew(NamedTuple):
         """Run a batch beside so many others, itself included; one that is alone has run then."""
         self.running.add(batch)
         if beside > 1:
-            return self.pool.submit(self._run, batch, max(_threads() // beside, 1))
+            return self.pool.submit(self._run, batch, max(available_cpus() // beside, 1))
         done: Future[Batch] = Future()
-        done.set_result(self._run(batch, _threads()))
+        done.set_result(self._run(batch, available_cpus()))
         return done
 
     def _run(self, batch: Batch, threads: int) -> Batch:
