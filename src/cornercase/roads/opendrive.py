@@ -221,8 +221,8 @@ class RoadNetwork:
         one = self.roads[road]
         x, y, heading = one.at_lane(lane, s, offset)
         section = one.section_at(s)
-        for k in np.unique(section):
-            heading[section == k] += one.slant(int(k), lane, s[section == k])
+        for k in sorted(set(section.tolist())):
+            heading[section == k] += one.slant(k, lane, s[section == k])
         return x, y, np.where(one.along(lane, s), heading, heading + np.pi)
 
     def lane_at(self, road: int, s: FloatArray, t: FloatArray) -> tuple[IntArray, FloatArray]:

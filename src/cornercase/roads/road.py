@@ -98,6 +98,9 @@ class Road:
 
     def _pieces(self, s: FloatArray) -> Iterator[tuple[Geometry, BoolArray]]:
         """Pieces of the reference line, and which of the coordinates lie on each."""
+        if len(self.geometries) == 1:
+            yield self.geometries[0], np.ones(len(s), dtype=np.bool_)
+            return
         starts = np.array([g.s for g in self.geometries])
         piece = np.clip(np.searchsorted(starts, s, "right") - 1, 0, len(starts) - 1)
         for k in np.unique(piece):
@@ -113,8 +116,8 @@ class Road:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return x, y of points beside a lane's centre, and heading along s, each (N,)."""
         section, t = self.section_at(s), np.empty(len(s))
-        for k in np.unique(section):
-            t[section == k] = self.center(int(k), lane, s[section == k])
+        for k in sorted(set(section.tolist())):
+            t[section == k] = self.center(k, lane, s[section == k])
         return self.at(s, t + offset)
 
     @cached_property
@@ -129,6 +132,8 @@ class Road:
 
     def section_at(self, s: FloatArray) -> IntArray:
         """Index of the lane section at each s, shape (N,)."""
+        if len(self.sections) == 1:
+            return np.zeros(len(s), dtype=np.int64)
         return np.clip(np.searchsorted(self.seams[:-1], s, "right") - 1, 0, len(self.sections) - 1)
 
     def center(self, section: int, lane: int, s: FloatArray) -> FloatArray:

@@ -232,6 +232,8 @@ class Attributes:
             if default is None:
                 raise self._error(element, attribute, "is missing")
             return default
+        if "$" not in text:
+            return text.strip()
         value, origins = self._value(text, element, attribute), self.origins(text)
         if isinstance(value, np.ndarray):
             if len(np.unique(value)) > 1:
@@ -271,6 +273,8 @@ class Attributes:
         try:
             if text.startswith("${") and text.endswith("}"):
                 return rounded(evaluate(text[2:-1], self.values))
+            if text[:1] == "$" and text[1:] in self.values:
+                return self.values[text[1:]]
             if text.startswith("$"):
                 return evaluate(text, self.values)
         except InputError as error:

@@ -10,6 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.recorded_xml import made_once
 from cornercase._common.typing import BoolArray
 from cornercase.scenario.declared_types import NUMERIC, typed_value
 
@@ -133,8 +134,10 @@ def read_declarations(root: etree._Element, source: str) -> tuple[Declaration, .
     InputError
         A constraint has no rule that exists.
     """
-    found = root.iterfind("ParameterDeclarations/ParameterDeclaration")
-    return tuple(Declaration.read(element, source) for element in found)
+    found = "ParameterDeclarations/ParameterDeclaration"
+    return made_once(
+        root, "declarations", lambda: tuple(Declaration.read(element, source) for element in root.iterfind(found))
+    )
 
 
 def violations(

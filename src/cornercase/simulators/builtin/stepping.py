@@ -237,7 +237,7 @@ class Stepper:
         for driving in self._drivings:
             e, d = driving.entity, driving.number
             in_charge = world.present[e] & world.driven[e] & (world.driver[e] == d)
-            for k in np.unique(world.track[e][in_charge]).tolist():
+            for k in sorted(set(world.track[e][in_charge].tolist())):
                 track = world.tracks[e][k] if k >= 0 else None
                 if track is None or (isinstance(track, Trajectory) and track.time is not None):
                     continue

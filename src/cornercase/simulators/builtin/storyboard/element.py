@@ -8,6 +8,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.masks import anywhere
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world.state import World
 
@@ -147,7 +148,7 @@ class Element:
 
     def move(self, where: BoolArray, state: int, transition: int) -> None:
         """Go to a state in the scenarios of a mask."""
-        if where.any():
+        if anywhere(where):
             for watch in self._watches:
                 watch.note(where, state, transition)
             self.state[where] = state
@@ -155,7 +156,7 @@ class Element:
     def end(self, where: BoolArray) -> None:
         """End the element, and what of it runs, in the scenarios of a mask; then its parent, if that was the last."""
         where = where & (self.state != COMPLETE)
-        if not where.any():
+        if not anywhere(where):
             return
         for child in self.children:
             child.end(where & (child.state == RUNNING))
@@ -163,7 +164,7 @@ class Element:
         ending = where & ((self.state == RUNNING) | (self.state == STANDBY))
         left = ending & (self._executions < self._times) if self._times is not None else np.zeros_like(ending)
         self.move(ending & ~left, COMPLETE, END)
-        if left.any():
+        if anywhere(left):
             self._forget_triggers(left)
             self.move(left, STANDBY, END)
             for child in self.children:
@@ -172,7 +173,7 @@ class Element:
 
     def stop(self, where: BoolArray) -> None:
         """Stop the element and all below it in the scenarios of a mask."""
-        if not where.any():
+        if not anywhere(where):
             return
         for child in self.children:
             child.stop(where)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from cornercase._common.masks import anywhere
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.storyboard.element import INIT, NOTHING, RUNNING, SKIP, STANDBY, START, Element
@@ -62,7 +63,7 @@ class RunningAction(Element):
     def step(self, dt: float, where: BoolArray) -> None:
         """Act for one time step in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
-        if where.any():
+        if anywhere(where):
             done = where if self.action is None else self.action.step(self._world, dt, where) & where
             self._world.stirred |= done
             self._finish(done)
@@ -117,7 +118,7 @@ class Event(Element):
     def evaluate(self, world: World, where: BoolArray) -> None:
         """Start where the maneuver runs and the trigger fires."""
         waiting = where & (self.state == STANDBY)
-        if waiting.any():
+        if anywhere(waiting):
             fired = waiting if self._start is None else self._start.fires(world, waiting)
             world.stirred |= fired
             self._execute(fired)
@@ -128,12 +129,12 @@ class Event(Element):
 
     def step(self, dt: float, where: BoolArray) -> None:
         """Let the actions act for one time step."""
-        if (where & (self.state == RUNNING)).any():
+        if anywhere(where & (self.state == RUNNING)):
             for action in self._actions:
                 action.step(dt, where)
 
     def _execute(self, fired: BoolArray) -> None:
-        if not fired.any():
+        if not anywhere(fired):
             return
         others = [] if self._parent is None else [event for event in self._parent.children if event is not self]
         if self._priority == "skip":
@@ -184,12 +185,12 @@ class Group(Element):
         if self._stop is not None:
             self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
         waiting = where & (self.state == STANDBY)
-        if waiting.any():
+        if anywhere(waiting):
             begins = waiting if self._start is None else self._start.fires(world, waiting)
             world.stirred |= begins
             self._run(begins)
         running = where & (self.state == RUNNING)
-        if running.any():
+        if anywhere(running):
             for part in self._parts:
                 part.evaluate(world, running)
 
@@ -204,12 +205,12 @@ class Group(Element):
     def step(self, dt: float, where: BoolArray) -> None:
         """Let all actions below the element act for one time step."""
         where = where & (self.state == RUNNING)
-        if where.any():
+        if anywhere(where):
             for part in self._parts:
                 part.step(dt, where)
 
     def _run(self, where: BoolArray) -> None:
-        if where.any():
+        if anywhere(where):
             self.move(where, RUNNING, START)
             self._executions[where] += 1
             for part in self._parts:

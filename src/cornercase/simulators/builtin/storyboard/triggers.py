@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.masks import anywhere
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.frames import leaves
@@ -59,11 +60,11 @@ class Condition:
         self.test, self._edge = test, edge
         self.delayed = np.asarray(delay > 0)
         self._last = np.full(len(delay), -1, dtype=np.int8)
-        self._past = Past(delay) if self.delayed.any() else None
+        self._past = Past(delay) if anywhere(self.delayed) else None
 
     def evaluate(self, world: World, where: BoolArray) -> BoolArray:
         """Whether the condition holds in the scenarios of the mask, shape (N,)."""
-        if not where.any():
+        if not anywhere(where):
             return where
         now = self.test(world, where)
         last = self._last
@@ -140,7 +141,7 @@ class Past:
             again = new & changed & (time <= then)
             was[again] = value[again]
             new &= ~again
-        if new.any():
+        if anywhere(new):
             self._frames.append((time.copy(), value.copy(), new))
         result, found = np.zeros_like(where), np.zeros_like(where)
         for then, was, changed in self._frames:
@@ -211,8 +212,8 @@ class Trigger:
 
     def fires(self, world: World, where: BoolArray) -> BoolArray:
         """Scenarios of the mask in which the trigger fires, shape (N,)."""
-        fired = np.zeros_like(where)
-        if not where.any():
+        fired = np.zeros(len(where), dtype=np.bool_)
+        if not anywhere(where):
             return fired
         for group in self._groups:
             holds = where.copy()
@@ -221,7 +222,7 @@ class Trigger:
                 holds &= condition.evaluate(world, where & (holds | condition.delayed))
             fired |= holds
         world.stirred |= fired
-        if fired.any():
+        if anywhere(fired):
             for group in self._groups:
                 for condition in group:
                     condition.rearm(fired)

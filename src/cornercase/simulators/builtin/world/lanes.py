@@ -282,9 +282,9 @@ def _direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, In
     assert pose.s is not None
     section = np.zeros(world.scenarios, dtype=np.int64)
     along = np.zeros(world.scenarios, dtype=np.bool_)
-    for road in np.unique(pose.road[where]):
+    for road in sorted(set(pose.road[where].tolist())):
         rows = where & (pose.road == road)
-        one = world.network.roads[int(road)]
+        one = world.network.roads[road]
         section[rows] = one.section_at(pose.s[rows])
         along[rows] = looks_ahead(pose.heading[rows] - one.reference(pose.s[rows])[2])
     return pose.road, section, along
