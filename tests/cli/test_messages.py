@@ -6,8 +6,10 @@ from typing import Any
 
 import typer.main
 
+from conftest import car, scenario_file, speed_action, teleport
 from cornercase.cli import app
 from cornercase.cli.messages import _COMMANDS, _PARAMETERS, _RENAMED, in_words_of_the_command_line
+from strangers import command
 
 
 def test_parameters_become_options_and_functions_become_commands():
@@ -30,3 +32,18 @@ def test_every_option_and_command_that_is_named_exists():
     assert set(_COMMANDS) <= set(commands)
     assert set(_RENAMED.values()) <= options
     assert {in_words_of_the_command_line(f"`{name}`") for name in _PARAMETERS} <= options
+
+
+def test_an_exploration_tells_how_many_failed(tmp_path):
+    """A start beyond the end of the road, at 500 m, cannot be run."""
+    start = '<ParameterDeclaration name="start" parameterType="double" value="10"/>'
+    init = "".join(
+        f'<Private entityRef="{name}">{teleport(s)}{speed_action("5")}</Private>'
+        for name, s in (("Ego", "$start"), ("B", "60"))
+    )
+    path = scenario_file(tmp_path, init=init, parameters=start, entities=car("Ego") + car("B"))
+    asked = ("--ego", "Ego", "--other", "B", "--metric", "distance", "--optimizer", "grid", "--budget", "4")
+    done = command("explore", path, "--range", "start=-200:400:200", *asked, "--duration", "1", "-o", tmp_path / "s.db")
+    assert done.returncode == 0, done.stderr
+    assert "4 scenarios in" in done.stdout
+    assert ", 1 of which failed; ended because" in " ".join(done.stdout.split())

@@ -93,4 +93,5 @@ def tell_ending(result: ExplorationResult) -> None:
     if result.interrupted:
         out.print(f"Interrupted; the same command goes on from the {result.ended} scenarios in {result.study}.")
         raise typer.Exit(130)
-    out.print(f"{result.ended} scenarios in {result.study}; ended because {result.reason}.")
+    failed = f", {result.failed} of which failed" if result.failed else ""
+    out.print(f"{result.ended} scenarios in {result.study}{failed}; ended because {result.reason}.")
