@@ -18,7 +18,7 @@ import json
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from cornercase.dtw import distance_matrix
 from cornercase.reduction.medoids import choose_medoids
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from staged import ASPECTS_OF, FOR_FEW, SETS, UNSEEN, WITHOUT, Floats, Ints, Maker
+from staged import ASPECTS_OF, SETS, UNSEEN, WITHOUT, Floats, Ints, Maker
 
 METHODS = ("dbscan", "hdbscan", "scikit-learn", "k-medoids", "tslearn")
 MANY = 3000
@@ -79,14 +79,14 @@ def judged(maker: Maker, count: int, seed: int, aspect: str, methods: tuple[str,
 
 def rows_of(
     makers: Mapping[str, Maker],
-    counts: Callable[[str], list[int]],
+    counts: Sequence[int],
     seeds: Callable[[int], range],
     methods: tuple[str, ...],
     quick: bool,
 ) -> Iterator[Row]:
     """A row for each set, size and aspect."""
     for name, maker in makers.items():
-        for count in counts(name):
+        for count in counts:
             # Of many, one aspect: its distances take longer than all else.
             for aspect in ASPECTS_OF[name][: 1 if quick or count == MANY else None]:
                 draws: dict[str, list[Row]] = {}
@@ -123,25 +123,18 @@ def main() -> None:
     def seeds(count: int) -> range:
         return range(options.first, options.first + 2 * (many if count == MANY else draws), 2)
 
-    larger = [300, MANY] if many else [300]
-    for title, makers, counts, used, figure in (
-        (
-            "kinds: adjusted Rand index",
-            SETS,
-            lambda name: [*([60] if name in FOR_FEW else []), *larger],
-            methods,
-            "rand",
-        ),
+    sizes = [60, 300, MANY] if many else [60, 300]
+    for title, makers, used, figure in (
+        ("kinds: adjusted Rand index", SETS, methods, "rand"),
         (
             "no kinds: share of draws of one kind",
             WITHOUT,
-            lambda name: [60, *larger],
             tuple(one for one in methods if one not in ("k-medoids", "tslearn")),
             "one",
         ),
     ):
         print(f"\n{title}\n{'set':20}{'n':>5}  {'aspect':16}" + "".join(f"{one:>14}" for one in used))
-        for row in rows_of(makers, counts, seeds, used, options.quick):
+        for row in rows_of(makers, sizes, seeds, used, options.quick):
             rows.append(row)
             print(f"{row['set']:20}{row['count']:5}  {row['aspect']:16}{told(row, figure)}", flush=True)
     if options.json:

@@ -296,5 +296,3 @@ ASPECTS_OF: Final[Mapping[str, tuple[str, ...]]] = {
 }
 # Sets that were not made when constants were chosen.
 UNSEEN: Final = ("exits", "who is first", "following", "one by gap")
-# Those with enough of each kind among 60.
-FOR_FEW: Final = ("yield or go", "starts 20 m apart", "lane changes", "exits", "who is first", "following")

@@ -118,6 +118,43 @@ def test_kinds_of_scenarios_are_found(name):
     assert np.mean(found) >= 0.9
 
 
+@pytest.mark.parametrize("name", ["5 % crashes", "ten kinds", "unequal"])
+def test_kinds_of_three_to_six_scenarios_are_found_among_sixty(name):
+    # No gap between them is clear by itself.
+    found = []
+    for seed in range(1000, 1010, 2):
+        distances, truth = staged(name, 60, seed, "ego-motion")
+        found.append(adjusted_rand_score(truth, cluster(distances).labels))
+    assert np.median(found) >= 0.9
+
+
+def test_gaps_that_are_judged_together_are_the_same_in_any_order():
+    distances, _ = staged("ten kinds", 60, 1002, "ego-motion")
+    kinds, order = find_kinds(distances), np.random.default_rng(0).permutation(60)
+    assert kinds.max() == 9
+    assert adjusted_rand_score(find_kinds(distances[np.ix_(order, order)])[np.argsort(order)], kinds) == 1.0
+    # Of whole numbers, where many distances are equal.
+    places = np.repeat([0.0, 40.0, 80.0], 20) + np.tile(np.arange(20), 3)
+    kinds, shuffled = find_kinds(between(places[:, None])), find_kinds(between(places[order, None]))
+    assert adjusted_rand_score(kinds[order], shuffled) == 1.0
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_wide_gap_makes_no_others(count):
+    # Kinds that vary along a line have gaps by chance; one that is far away must not lend them its width.
+    kinds = []
+    for seed in range(10):
+        places = np.random.default_rng(seed).random((60, 1)) + 50.0 * (np.arange(60) % count)[:, None]
+        kinds.append(find_kinds(between(places)).max() + 1)
+    assert np.sum(np.array(kinds) == count) >= 9
+
+
+@pytest.mark.parametrize("draw", ["exponential", "lognormal", "standard_cauchy"])
+def test_a_few_at_a_sparse_edge_are_no_kind(draw):
+    kinds = [find_kinds(between(getattr(np.random.default_rng(seed), draw)(size=(60, 2)))).max() for seed in range(20)]
+    assert np.sum(np.array(kinds) == 0) >= 18
+
+
 @pytest.mark.parametrize("name", sorted(WITHOUT))
 def test_a_family_that_varies_smoothly_is_one_kind(name):
     kinds = [find_kinds(staged(name, 60, seed, "interaction")[0]).max() + 1 for seed in range(1000, 1020, 2)]

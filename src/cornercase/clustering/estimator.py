@@ -81,7 +81,8 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     between them would hold clearly more neighbours of each group's members than chance lets a gap hold in scenarios of
     one kind. Chance depends on the number of scenarios and on their intrinsic dimension [7]_. A gap of less than 5 % of
     the median distance is no difference in kind. So one kind is the rule, and each further one needs evidence; four
-    scenarios can be one if they are far enough from the others.
+    scenarios can be one if they are far enough from the others. Of up to a hundred scenarios, all gaps are judged
+    together first, as none of several may be clear by itself; there three can be a kind.
 
     Then the settings are searched with which the paper's chain shows these kinds: `gamma` on a fixed grid, `eps`
     between the steps within kinds and those across. A candidate scores the mean F-measure of its clusters and the
