@@ -6,15 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 
 import numpy as np
-from scipy.linalg import cholesky
-from scipy.linalg.blas import strmm
+from scipy.linalg.blas import dtrmm, strmm
 from scipy.special import log_ndtr
 
 from cornercase._common.platform import available_cpus
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
 from cornercase.evidence.kernel import Floats, Kernel, evenly, learned_kernel
-from cornercase.evidence.posterior import MOST_EXACT, Posterior, posterior
+from cornercase.evidence.posterior import MOST_EXACT, Posterior, positive_factor, posterior
 from cornercase.evidence.products import products_of_rows, times_lower_transposed
 from cornercase.scenario import ParameterSpace
 
@@ -22,6 +21,8 @@ _CHUNK, _FEWEST = 1024, 10
 _MANY, _NOISES = 100, (0.02, 0.3, 1.0)
 # How much the process matters far from the threshold.
 _FAR = 0.02
+# Places at which both precisions are compared, and how far they may differ at most of them, in standard deviations.
+_COMPARED, _ALIKE, _MOST = 64, 0.1, 0.9
 
 
 def encoded(space: ParameterSpace, points: FloatArray) -> FloatArray:
@@ -233,13 +234,23 @@ class GaussianProcess:
 
     def _take(self, known: Posterior) -> None:
         self._known = known
-        self._weights = known.weights.astype(np.float32)
-        self._inverse = np.asfortranarray(known.inverse, dtype=np.float32)
+        self._factors: tuple[Floats, Floats] = known.weights, np.asfortranarray(known.inverse)
+        in_single = known.weights.astype(np.float32), np.asfortranarray(known.inverse, dtype=np.float32)
+        # Where values lie close to each other and have little noise, single precision is all rounding error.
+        some = evenly(len(known.points), _COMPARED)
+        between = 0.5 * (known.points[some] + known.points[np.roll(some, 1)])
+        mean, variance, _ = self._at(between, *self._factors)
+        rough, rough_variance, _ = self._at(between, *in_single)
+        noise2 = self.kernel.noise**2
+        deviation, other = (np.sqrt(np.maximum(one, 0.0) + noise2) for one in (variance, rough_variance))
+        wrong = np.maximum(np.abs(rough - mean), np.abs(other - deviation)) / deviation
+        if np.quantile(wrong, _MOST) <= _ALIKE:
+            self._factors = in_single
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the process at points.
 
-        In single precision, so that 100,000 points and 500 values take a second or so.
+        In single precision where that makes no difference, so that 100,000 points and 500 values take a second or so.
 
         Parameters
         ----------
@@ -262,28 +273,33 @@ class GaussianProcess:
         Returns
         -------
         mean, deviation : ndarray of float64, shape (n,)
-        rows : ndarray of float32, shape (n, k)
+        rows : ndarray of float32 or float64, shape (n, k)
         """
         mean, deviation, parts = self._predict(points, keep=True)
         return mean, deviation, np.concatenate(parts)
 
     def _predict(self, points: FloatArray, keep: bool) -> tuple[FloatArray, FloatArray, list[Floats]]:
-        mean, deviation = np.empty(len(points)), np.empty(len(points))
+        mean, variance = np.empty(len(points)), np.empty(len(points))
 
         def part(first: int) -> Floats:
             these = slice(first, first + _CHUNK)
-            cross = self.kernel.single_covariance(points[these], self._known.points)
-            mean[these] = cross @ self._weights
-            # In place, and half the work of a product with a full matrix.
-            rows: Floats = strmm(1.0, self._inverse, cross.T, side=0, lower=1, overwrite_b=1).T
-            deviation[these] = np.einsum("ij,ij->i", rows, rows)
+            mean[these], variance[these], rows = self._at(points[these], *self._factors)
             return rows if keep else rows[:0]
 
         # Each part is summed by one thread, so their number does not show.
         with one_thread(), ThreadPoolExecutor(available_cpus()) as pool:
             rows = list(pool.map(part, range(0, len(points), _CHUNK)))
-        signal2 = self.kernel.signal**2
-        return mean + self._mean, np.sqrt(np.maximum(signal2 - deviation, 1e-8 * signal2)), rows
+        lowest = 1e-8 if self._factors[1].dtype == np.float32 else 1e-12
+        return mean + self._mean, np.sqrt(np.maximum(variance, lowest * self.kernel.signal**2)), rows
+
+    def _at(self, points: FloatArray, weights: Floats, inverse: Floats) -> tuple[Floats, FloatArray, Floats]:
+        """Mean above that far from all values, variance and projections at points, in the precision of the factors."""
+        single = inverse.dtype == np.float32
+        cross = (self.kernel.single_covariance if single else self.kernel.covariance)(points, self._known.points)
+        mean = cross @ weights
+        # In place, and half the work of a product with a full matrix.
+        rows: Floats = (strmm if single else dtrmm)(1.0, inverse, cross.T, side=0, lower=1, overwrite_b=1).T
+        return mean, np.asarray(self.kernel.signal**2 - np.einsum("ij,ij->i", rows, rows)), rows
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value by the process of all others.
@@ -318,9 +334,9 @@ class GaussianProcess:
         covariance = self.kernel.covariance(points, points)
         # Of both halves, which are the same, one is enough for the factor.
         covariance -= products_of_rows(times_lower_transposed(cross, self._known.inverse))
-        covariance[np.diag_indices(len(points))] += self.kernel.noise**2 + 1e-6 * self.kernel.signal**2
-        deviation = np.sqrt(np.diag(covariance))
-        return cholesky(covariance, lower=True, overwrite_a=True, check_finite=False), deviation
+        covariance[np.diag_indices(len(points))] += self.kernel.noise**2
+        factor = positive_factor(covariance, 1e-6 * self.kernel.signal**2)
+        return factor, np.sqrt(np.diag(covariance))
 
     def covariance(self, points: FloatArray, rows: Floats, i: int) -> FloatArray:
         """Covariance of the process at all points with that at one of them.
@@ -328,7 +344,7 @@ class GaussianProcess:
         Parameters
         ----------
         points : ndarray of float64, shape (n, e)
-        rows : ndarray of float32, shape (n, k)
+        rows : ndarray of float32 or float64, shape (n, k)
             What `predict_with_projections` gives of the points.
         i : int
             Index of the one.

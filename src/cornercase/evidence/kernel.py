@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.floating[Any]]
 
 _ROOT5 = float(np.sqrt(5.0))
 _LEARNED = 160
-_WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-6
+_WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-4
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,10 @@ Both take further values in: the factor is extended instead of computed anew.
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import LinAlgError, cho_solve, cholesky
 from scipy.linalg.lapack import dpotri, dtrtri
 
 from cornercase._common.typing import FloatArray, IntArray
@@ -20,8 +22,10 @@ MOST_EXACT = 512
 
 # Points among which those are chosen that stand for all, and how many at a time.
 _AMONG, _AT_ONCE = 2048, 32
-# Added to the variance of the points that stand for all, as a share of it, so that it can be inverted.
-_JITTER = 1e-7
+# Added to the variance of the points that stand for all, and of all values, as a share of it, so that it is inverted.
+_JITTER, _LITTLE = 1e-7, 1e-10
+# How often ten times as much is added where that is not enough.
+_TRIES = 6
 # Added to the share of the variance that is explained, against rounding errors.
 _SLACK = 1e-8
 
@@ -53,7 +57,8 @@ class ExactPosterior:
         self, kernel: Kernel, points: FloatArray, values: FloatArray, inverse: FloatArray | None = None
     ) -> None:
         self._kernel, self.points, self._values = kernel, points, values
-        self.inverse = _inverse(_noisy(kernel, points)) if inverse is None else inverse
+        little = _LITTLE * kernel.signal**2
+        self.inverse = _inverse(_noisy(kernel, points), little) if inverse is None else inverse
         self.weights = self.inverse.T @ (self.inverse @ values)
 
     def extended(self, points: FloatArray, values: FloatArray) -> ExactPosterior:
@@ -70,7 +75,7 @@ class ExactPosterior:
             The same, but for rounding, as of all values at once.
         """
         cross = self._kernel.covariance(points, self.points) @ self.inverse.T
-        corner = _inverse(_noisy(self._kernel, points) - cross @ cross.T)
+        corner = _inverse(_noisy(self._kernel, points) - cross @ cross.T, _LITTLE * self._kernel.signal**2)
         inverse = np.zeros([len(self.points) + len(points)] * 2)
         inverse[: len(self.points), : len(self.points)] = self.inverse
         inverse[len(self.points) :, : len(self.points)] = -corner @ (cross @ self.inverse)
@@ -127,8 +132,7 @@ class SparsePosterior:
         if before is None:
             self.points = points[_standing_for(kernel, points, matters)]
             prior = kernel.covariance(self.points, self.points)
-            prior[np.diag_indices(len(prior))] += _JITTER * kernel.signal**2
-            self._whiten = _inverse(prior)
+            self._whiten = _inverse(prior, _JITTER * kernel.signal**2)
             self._precision, self._moment = np.eye(len(prior)), np.zeros(len(prior))
         else:
             self.points, self._whiten = before.points, before._whiten
@@ -149,8 +153,8 @@ class SparsePosterior:
             self._values = np.concatenate([before._values, values])
         self.weights = self._whiten.T @ self._mean
         # Of the variance explained, 1 - covariance, the factor whose transpose stands first.
-        explained = (1.0 + _SLACK) * np.eye(len(lower)) - covariance
-        factor = cholesky(np.ascontiguousarray(explained[::-1, ::-1]), lower=True, overwrite_a=True)
+        explained = np.ascontiguousarray((np.eye(len(lower)) - covariance)[::-1, ::-1])
+        factor = positive_factor(explained, _SLACK)
         self.inverse = lower_times(np.ascontiguousarray(factor[::-1, ::-1]).T, self._whiten)
 
     def extended(self, points: FloatArray, values: FloatArray) -> SparsePosterior:
@@ -188,6 +192,30 @@ class SparsePosterior:
 Posterior = ExactPosterior | SparsePosterior
 
 
+def positive_factor(covariance: FloatArray, slack: float) -> FloatArray:
+    """Lower Cholesky factor of a covariance that rounding errors may have left short of positive definite.
+
+    Parameters
+    ----------
+    covariance : ndarray of float64, shape (n, n)
+        Of which the lower half is looked at. What is added to its diagonal stays there.
+    slack : float
+        What is added at least.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, n)
+    """
+    diagonal = np.diag_indices(len(covariance))
+    for _ in range(_TRIES):
+        covariance[diagonal] += slack
+        with contextlib.suppress(LinAlgError):
+            return np.asarray(cholesky(covariance, lower=True, check_finite=False))
+        # Values close to each other that have little noise leave larger errors.
+        slack *= 10.0
+    return np.asarray(cholesky(covariance, lower=True))
+
+
 def posterior(kernel: Kernel, points: FloatArray, values: FloatArray, matters: FloatArray | None = None) -> Posterior:
     """What values say of a process: exactly up to 512 of them, else by way of as many points.
 
@@ -220,7 +248,7 @@ def _standing_for(kernel: Kernel, points: FloatArray, matters: FloatArray | None
         new = rng.choice(len(among), _AT_ONCE, replace=False, p=left * share / (left @ share))
         cross = kernel.covariance(points[among], points[among[new]]) / kernel.signal**2
         cross -= times_transposed(rows[:, :done], rows[new, :done])
-        more = cross @ _inverse(cross[new] + _JITTER * np.eye(len(new))).T
+        more = cross @ _inverse(cross[new], _JITTER).T
         rows[:, done : done + _AT_ONCE] = more
         left = np.maximum(left - (more**2).sum(axis=1), 1e-12)
         chosen = np.concatenate([chosen, new])
@@ -233,6 +261,6 @@ def _noisy(kernel: Kernel, points: FloatArray) -> FloatArray:
     return covariance
 
 
-def _inverse(covariance: FloatArray) -> FloatArray:
+def _inverse(covariance: FloatArray, slack: float) -> FloatArray:
     """Inverse of the lower Cholesky factor."""
-    return np.asarray(dtrtri(cholesky(covariance, lower=True), lower=1)[0])
+    return np.asarray(dtrtri(positive_factor(covariance, slack), lower=1)[0])
