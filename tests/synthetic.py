@@ -16,7 +16,7 @@ import psutil
 from cornercase._common.errors import SimulationError
 from cornercase.exploration import Configuration, Objective, ScenarioExplorer
 from cornercase.metrics import METRICS
-from cornercase.optimizers import OPTIMIZERS
+from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
@@ -72,7 +72,8 @@ def about(space, *metrics, **more):
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, **options):
     objective = Objective([METRICS.create(name) if isinstance(name, str) else name for name in metrics])
     configuration = Configuration(LOGICAL, "Ego", "B", (), budget=budget, seed=7, **options)
-    optimizer = OPTIMIZERS.create(optimizer, space=SPACE, seed=7)
+    threshold = objective.known_threshold(1.0)
+    optimizer = create_optimizer(optimizer, SPACE, 7, threshold=threshold, budget=budget)
     return ScenarioExplorer(configuration, simulator or Synthetic(), optimizer, study, objective)
 
 
@@ -82,4 +83,4 @@ def opened(path):
 
 if __name__ == "__main__":
     with opened(sys.argv[1]) as study:
-        print(explorer(study, Synthetic(int(sys.argv[2])), metrics=("distance", "wttc")).run())
+        print(explorer(study, Synthetic(int(sys.argv[2])), sys.argv[3], metrics=("distance", "wttc")).run())

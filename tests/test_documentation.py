@@ -22,7 +22,7 @@ from conftest import EXAMPLES
 from cornercase.cli import app
 from cornercase.clustering import ASPECTS
 from cornercase.drivers import DRIVERS
-from cornercase.metrics import METRICS
+from cornercase.metrics import FEATURES, METRICS, known_features
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.simulators import SIMULATORS
 
@@ -36,6 +36,7 @@ NO_MODULES = {
     "cornercase.aspects",
     "cornercase.db",
     "cornercase.driver",
+    "cornercase.features",
     "cornercase.lock",
     "cornercase.log",
     "cornercase.xosc",
@@ -188,12 +189,23 @@ def own_names(registry: Any) -> list[str]:
 
 @pytest.mark.parametrize(
     ("registry", "page"),
-    [(METRICS, "metrics.md"), (OPTIMIZERS, "exploration.md"), (DRIVERS, "drivers.md"), (ASPECTS, "reduction.md")],
+    [
+        (METRICS, "metrics.md"),
+        (FEATURES, "metrics.md"),
+        (OPTIMIZERS, "exploration.md"),
+        (DRIVERS, "drivers.md"),
+        (ASPECTS, "reduction.md"),
+    ],
 )
 def test_all_that_has_a_name_is_described(registry, page):
     described = set(inline_code_of(ROOT / "docs" / page))
     assert own_names(registry)
     assert [name for name in own_names(registry) if name not in described] == []
+
+
+def test_every_feature_is_described():
+    described = set(inline_code_of(ROOT / "docs" / "metrics.md"))
+    assert [one.name for one in known_features() if one.name not in described] == []
 
 
 def test_every_simulator_has_a_page():

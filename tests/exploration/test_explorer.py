@@ -28,7 +28,7 @@ from cornercase.exploration import (
     explore_configuration,
 )
 from cornercase.metrics import Metric
-from cornercase.optimizers import OPTIMIZERS
+from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer
 from cornercase.report import summarize, write_report
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import Study
@@ -192,9 +192,10 @@ def contents(path):
         return [connection.execute(f"SELECT * FROM {table}").fetchall() for table in ("meta", "scenarios", "courses")]
 
 
-def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
+@pytest.mark.parametrize("optimizer", ["bayes", "committee"])
+def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, tmp_path):
     with opened(tmp_path / "whole.db") as study:
-        result = explorer(study, metrics=("distance", "wttc")).run()
+        result = explorer(study, optimizer=optimizer, metrics=("distance", "wttc")).run()
     assert (result.ended, result.reason, result.interrupted) == (47, "the budget of 47 scenarios is used up", False)
     with Study.open(tmp_path / "whole.db", readonly=True) as study:
         # Seven are left for the last round.
@@ -206,13 +207,50 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(tmp_path):
     deaths = 0
     for survives in (1, 13, 3, 9, 100):
         process = subprocess.run(
-            [sys.executable, synthetic.__file__, tmp_path / "killed.db", str(survives)], check=False
+            [sys.executable, synthetic.__file__, tmp_path / "killed.db", str(survives), optimizer], check=False
         )
         deaths += process.returncode != 0
         with Study.open(tmp_path / "killed.db", readonly=True) as study:
             assert len(study.rows()) <= 47
     assert deaths == 4
     assert contents(tmp_path / "killed.db") == contents(tmp_path / "whole.db")
+
+
+class Listening(Optimizer):
+    """A Sobol' sequence that keeps what it is told."""
+
+    name, needs = "listening", frozenset({"features"})
+
+    def __init__(self, space, seed, features):
+        self._sequence, self.features, self.told = SobolOptimizer(space, seed), features, []
+
+    def ask(self, n):
+        return self._sequence.ask(n)
+
+    def tell(self, points, scores, features=None):
+        self._sequence.tell(points, scores)
+        self.told.append((points, scores, features))
+
+
+def test_an_optimizer_is_told_what_happened_also_when_it_goes_on(monkeypatch, tmp_path):
+    made = []
+    monkeypatch.setattr(OPTIMIZERS, "_factories", {**OPTIMIZERS._factories, "listening": (Listening, {})})
+    for budget in (23, 47):
+        with opened(tmp_path / "s.db") as study:
+            one = explorer(study, optimizer="listening", budget=budget)
+            made.append(one._optimizer)
+            one.run()
+    points, scores, features = (np.concatenate(column) for column in zip(*made[1].told, strict=True))
+    assert len(points) == 47
+    column = {feature.name: features[:, j] for j, feature in enumerate(made[1].features)}
+    failed = np.isnan(scores)
+    assert failed.any()
+    assert np.isnan(features[failed]).all()
+    assert np.isfinite(features[~failed]).all()
+    # The other stands ahead, at the distance that is the score.
+    np.testing.assert_allclose(column["nearest-ahead"][~failed], scores[~failed], atol=1e-12)
+    assert len(made[0].told) == 3
+    np.testing.assert_array_equal(np.concatenate([one[2] for one in made[0].told]), features[:23])
 
 
 def test_interrupted_it_keeps_what_ended_and_says_so(tmp_path):

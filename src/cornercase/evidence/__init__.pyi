@@ -1,3 +1,4 @@
+from .committee import Committee as Committee
 from .critical_set import REGION as REGION
 from .critical_set import CriticalSet as CriticalSet
 from .critical_set import Estimate as Estimate

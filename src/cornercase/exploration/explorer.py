@@ -14,10 +14,12 @@ import numpy as np
 
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.progress import ProgressBar
+from cornercase._common.typing import FloatArray
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.objective import Best, Objective
 from cornercase.exploration.running import ScenarioRunner, StageClock
 from cornercase.exploration.stopping import Stopping
+from cornercase.metrics import features_of
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
 from cornercase.study import Row, Study
@@ -109,6 +111,7 @@ class ScenarioExplorer:
         self._clock = StageClock(study)
         self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock)
         self._best, self._stale = Best(self._objective), 0
+        self._wants_features = "features" in optimizer.needs
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion is fulfilled.
@@ -198,8 +201,17 @@ class ScenarioExplorer:
         missing = failed if self._objective.pareto else np.nan
         scores = np.array([by_scenario.get(row.id, missing) for row in rows])
         points = np.array([row.point for row in rows])
+        # Some take the features of the recordings too.
+        tell: Callable[..., None] = self._optimizer.tell
+        known = (points, scores, self._features(rows, by_scenario)) if self._wants_features else (points, scores)
         with self._clock("optimize"):
-            self._optimizer.tell(points, scores)
+            tell(*known)
         self._stale = 0 if self._best.add(scores) else self._stale + 1
         with self._clock("judge"):
             self._stopping.tell(points, scores)
+
+    def _features(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> FloatArray:
+        """What happened in the scenarios of one round, of the recordings that are stored, shape (m, f)."""
+        with self._clock("measure"):
+            recordings = [self._study.recording(row.id) if row.id in by_scenario else None for row in rows]
+            return features_of(recordings, self._configuration.ego, self._configuration.other)

@@ -1,4 +1,5 @@
 from ._parts.conflict_area import visits as visits
+from ._parts.meeting import Meeting as Meeting
 from .base import Metric as Metric
 from .deceleration import Btn as Btn
 from .deceleration import Drac as Drac
@@ -12,6 +13,11 @@ from .encounter import Dce as Dce
 from .encounter import Ttce as Ttce
 from .exposure import Tet as Tet
 from .exposure import Tit as Tit
+from .features import FEATURES as FEATURES
+from .features import Feature as Feature
+from .features import FeatureGroup as FeatureGroup
+from .features import features_of as features_of
+from .features import known_features as known_features
 from .following import Headway as Headway
 from .following import Pttc as Pttc
 from .following import Thw as Thw

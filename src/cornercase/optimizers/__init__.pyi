@@ -1,6 +1,7 @@
 from .base import Need as Need
 from .base import Optimizer as Optimizer
 from .bayes import BayesOptimizer as BayesOptimizer
+from .committee import CommitteeOptimizer as CommitteeOptimizer
 from .evolutionary import EvolutionaryOptimizer as EvolutionaryOptimizer
 from .grid import GridOptimizer as GridOptimizer
 from .level_set import LevelSetOptimizer as LevelSetOptimizer

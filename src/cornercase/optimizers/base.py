@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 from cornercase._common.typing import FloatArray
 
-Need = Literal["threshold", "budget"]
+Need = Literal["threshold", "budget", "features"]
 """What an optimizer may need beside the space and the seed."""
 
 
@@ -28,10 +28,12 @@ class Optimizer(ABC):
         As on the command line.
     takes_several : bool, default False
         Whether it takes several scores per scenario and searches their Pareto front.
-    needs : frozenset of {"threshold", "budget"}, default empty
+    needs : frozenset of {"threshold", "budget", "features"}, default empty
         What it is given as keyword arguments beside ``space`` and ``seed``: ``threshold``, the oriented score up to
-        which a scenario is critical; ``budget``, the number of scenarios in all. An optimizer that needs the budget
-        asks for other points with another one, so its studies keep the budget that they began with.
+        which a scenario is critical; ``budget``, the number of scenarios in all; ``features``, the `Feature` of each
+        number by which it is told what happened in a run. An optimizer that needs the budget asks for other points
+        with another one, so its studies keep the budget that they began with. The `tell` of one that needs features
+        takes them as its third argument, shape (m, f), NaN for a scenario that failed.
 
     See Also
     --------

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
+from cornercase.metrics import known_features
 from cornercase.optimizers.base import Need, Optimizer
 from cornercase.scenario import ParameterSpace
 
@@ -14,6 +15,7 @@ OPTIMIZERS: Final[Registry[Optimizer]] = Registry("optimizer", "cornercase.optim
 
 for _name, _place in (
     ("bayes", "bayes:BayesOptimizer"),
+    ("committee", "committee:CommitteeOptimizer"),
     ("evolutionary", "evolutionary:EvolutionaryOptimizer"),
     ("grid", "grid:GridOptimizer"),
     ("level-set", "level_set:LevelSetOptimizer"),
@@ -34,7 +36,7 @@ def optimizer_needs(name: str) -> frozenset[Need]:
 
     Returns
     -------
-    frozenset of {"threshold", "budget"}
+    frozenset of {"threshold", "budget", "features"}
 
     Raises
     ------
@@ -75,4 +77,6 @@ def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: 
         options["threshold"] = threshold
     if "budget" in needs:
         options["budget"] = budget
+    if "features" in needs:
+        options["features"] = known_features()
     return OPTIMIZERS.create(name, space=space, seed=seed, **options)

@@ -1,0 +1,210 @@
+"""What several ways to tell critical scenarios from others say together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from scipy.special import ndtr
+from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
+from sklearn.model_selection import StratifiedKFold
+
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence.foretold import Foretold
+from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process, near_threshold, nearness
+from cornercase.metrics import Feature
+
+_TREES: Final = 64
+_FOLDS: Final = 5
+# How much the process matters far from the threshold, where it cannot know all scenarios exactly.
+_FAR: Final = 0.02
+# Features that hardly follow the parameters, or say again what others do: with them trees find the boundary less well.
+_NOT_LEARNED: Final = frozenset(
+    {"crossing-distance", "nearest-way", "turn-time", "turn-way", "duration", "way", "contact"}
+)
+
+
+class Committee:
+    """Tells which scenarios are critical by three members, whose probabilities are averaged.
+
+    The first member learns from what happened in the runs. A score jumps where a scenario goes another way, such as
+    where the other goes first; features of the recordings, as how near both come and when, tell the ways apart. So
+    Gaussian processes foretell the features of each scenario from those of all others, and extremely randomised trees
+    learn from the foretold features and the parameters what is critical. Where there are no features, the score stands
+    for them. The second member is a random forest of the parameters, which follows jumps too; the third the
+    `boundary_process`, which knows smooth boundaries best.
+
+    `fit` does all. What is costly can be had apart: `learn` learns the kernels, `know` takes scenarios in.
+
+    Parameters
+    ----------
+    threshold : float
+        Score up to which a scenario is critical.
+    columns : sequence of Feature, optional
+        What each column of the features is.
+    seed : int, default 0
+
+    Notes
+    -----
+    Source: H. S. Seung, M. Opper, H. Sompolinsky, "Query by committee", COLT (1992); P. Geurts, D. Ernst, L. Wehenkel,
+    "Extremely randomized trees", Machine Learning 63 (2006); D. H. Wolpert, "Stacked generalization", Neural Networks 5
+    (1992).
+    """
+
+    def __init__(self, threshold: float, columns: Sequence[Feature] = (), seed: int = 0) -> None:
+        self._threshold, self._seed = threshold, seed
+        self._inputs = [j for j, one in enumerate(columns) if one.name not in _NOT_LEARNED]
+        self._branches = [j for j, one in enumerate(columns) if one.branch]
+        self._near: float
+        self._process: GaussianProcess
+        self._foretold: Foretold
+
+    def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
+        """Learn the kernels, and know scenarios.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+            As `encoded`.
+        scores : ndarray of float64, shape (n,)
+            Finite; not all the same.
+        features : ndarray of float64, shape (n, f), optional
+            Features of the recordings.
+
+        Returns
+        -------
+        Committee
+            Itself.
+        """
+        return self.learn(points, scores, features).know(points, scores, features)
+
+    def learn(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
+        """Learn the kernels of the processes.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        scores : ndarray of float64, shape (n,)
+            Finite; not all the same.
+        features : ndarray of float64, shape (n, f), optional
+
+        Returns
+        -------
+        Committee
+            Itself.
+        """
+        self._near = nearness(scores)
+        self._process = boundary_process(points, scores, self._threshold)
+        self._foretold = Foretold(points, self._learned_from(scores, features))
+        return self
+
+    def know(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
+        """Take scenarios in, instead of those before.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        scores : ndarray of float64, shape (n,)
+            Finite.
+        features : ndarray of float64, shape (n, f), optional
+
+        Returns
+        -------
+        Committee
+            Itself.
+        """
+        values = near_threshold(scores, self._threshold, self._near)
+        self._process.know(points, values, (1.0 - values**2 + _FAR) ** 2)
+        self._foretold = Foretold(points, self._learned_from(scores, features), self._foretold.kernel)
+        self._points, self._columns = points, np.hstack([points, self._foretold.left_out])
+        self._critical, self._kinds = scores <= self._threshold, self._kinds_of(scores, features)
+        self._trees, self._forest = self._grown(np.arange(len(points)))
+        return self
+
+    def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Tell what would happen in scenarios.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (m, e)
+
+        Returns
+        -------
+        critical : ndarray of float64, shape (m,)
+            Probability that it is critical.
+        branch : ndarray of float64, shape (m,)
+            Probability of the likeliest way that it can go, of those that the features tell apart.
+        """
+        kinds = self._trees.predict_proba(np.hstack([points, self._foretold.predict(points)]))
+        mean, deviation = self._process.predict(points)
+        critical = self._mean(kinds, self._forest.predict_proba(points), mean, deviation)
+        ways = self._trees.classes_ // 2
+        by_way = np.stack([kinds[:, ways == way].sum(axis=1) for way in np.unique(ways)])
+        return critical, np.minimum(by_way.max(axis=0), 1.0)
+
+    def out_of_fold(self) -> FloatArray:
+        """Tell of each scenario that is known by others whether it is critical.
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            Probability that it is critical: by trees that were grown without a fifth of the scenarios in which it is,
+            and by the process of all others.
+        """
+        # The process says how sure it is of the value that it would see, noise included, as in `predict`.
+        mean, deviation = self._process.leave_one_out()
+        found = np.empty(len(self._points))
+        for rest, some in self._folds():
+            trees, forest = self._grown(rest)
+            kinds = trees.predict_proba(self._columns[some])
+            parts = forest.predict_proba(self._points[some])
+            noise = self._process.kernel.noise
+            alone = np.sqrt(np.maximum(deviation[some] ** 2 - noise**2, 0.0))
+            found[some] = self._mean(kinds, parts, mean[some], alone, trees, forest)
+        return found
+
+    def _folds(self) -> Iterator[tuple[IntArray, IntArray]]:
+        fewest = int(np.bincount(self._critical, minlength=2).min())
+        if fewest < 2:
+            # A lone scenario of its side has to be left out by itself: none of the others says that there is one.
+            every = np.arange(len(self._points))
+            parts = np.array_split(np.random.default_rng(self._seed).permutation(every), _FOLDS)
+            return ((np.setdiff1d(every, part), part) for part in parts)
+        folds = StratifiedKFold(min(_FOLDS, fewest), shuffle=True, random_state=self._seed)
+        return iter(folds.split(self._points, self._critical))
+
+    def _grown(self, some: IntArray) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
+        """Trees of the foretold features, which tell kinds, and a forest of the parameters, which tells critical."""
+        trees = ExtraTreesClassifier(_TREES, random_state=self._seed).fit(self._columns[some], self._kinds[some])
+        forest = RandomForestClassifier(_TREES, random_state=self._seed).fit(self._points[some], self._critical[some])
+        return trees, forest
+
+    def _mean(
+        self,
+        kinds: FloatArray,
+        parts: FloatArray,
+        mean: FloatArray,
+        deviation: FloatArray,
+        trees: ExtraTreesClassifier | None = None,
+        forest: RandomForestClassifier | None = None,
+    ) -> FloatArray:
+        """Mean of what the members say: probabilities by the classes of both forests, and a process."""
+        by_trees = kinds[:, (trees or self._trees).classes_ % 2 == 1].sum(axis=1)
+        by_forest = parts[:, (forest or self._forest).classes_].sum(axis=1)
+        by_process = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
+        return np.asarray(np.clip((by_trees + by_forest + by_process) / 3.0, 0.0, 1.0))
+
+    def _learned_from(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
+        if features is None or not self._inputs:
+            return near_threshold(scores, self._threshold, self._near)[:, None]
+        return features[:, self._inputs]
+
+    def _kinds_of(self, scores: FloatArray, features: FloatArray | None) -> IntArray:
+        """Numbers of what scenarios are: odd where critical, and apart where they go different ways."""
+        critical: BoolArray = scores <= self._threshold
+        kinds = critical.astype(np.int64)
+        if features is not None:
+            for k, j in enumerate(self._branches):
+                kinds += 2 ** (k + 1) * (features[:, j] > 0.0)
+        return kinds

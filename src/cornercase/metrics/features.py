@@ -1,0 +1,264 @@
+"""Features of a recording: what happened in a run, in numbers that say more of it than its score."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase._common.registry import Registry
+from cornercase._common.typing import FloatArray
+from cornercase.metrics._parts.meeting import FAR, Meeting
+from cornercase.recordings import Recording
+
+_TURNS: Final = 1e-3
+"""Turn rate in rad/s up to which a heading is straight."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One number that says what happened in a run.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        ``"1"`` for none.
+    branch : bool, default False
+        Whether it tells one way in which a scenario can go from another by being above 0 or not, such as who goes
+        first. Scores jump from one way to the other, so a search asks where that is uncertain.
+    """
+
+    name: str
+    unit: str
+    branch: bool = False
+
+
+class FeatureGroup(ABC):
+    """Features that are computed together, of the ego and one other entity.
+
+    A subclass names itself, lists its features and defines `values`.
+
+    Attributes
+    ----------
+    name : str
+    features : tuple of Feature
+
+    See Also
+    --------
+    cornercase.metrics.FEATURES : Groups of features by name, also those of other packages.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.metrics import Feature, FeatureGroup
+    >>> class HardBraking(FeatureGroup):
+    ...
+    ...     name = "hard-braking"
+    ...     features = (Feature("strongest-braking", "m/s²"),)
+    ...
+    ...     def values(self, meeting):
+    ...         course = meeting.recording.acceleration[meeting.recording.index(meeting.ego)]
+    ...         return np.array([np.nanmin(course, initial=0.0)])
+    """
+
+    name: ClassVar[str]
+    features: ClassVar[tuple[Feature, ...]]
+
+    @abstractmethod
+    def values(self, meeting: Meeting) -> FloatArray:
+        """Compute the features of a recording.
+
+        Parameters
+        ----------
+        meeting : Meeting
+            The recording and both entities, with what several features need of them.
+
+        Returns
+        -------
+        ndarray of float64, shape (f,)
+            Finite: where something never happens a feature has a value that says so.
+        """
+
+
+class NearestApproach(FeatureGroup):
+    """The first instant at which the boxes of both are nearest to each other.
+
+    ``least-clearance``: the gap between the boxes. ``nearest-time``: since the recording began. ``nearest-ahead``,
+    ``nearest-left``: place of the other's centre, seen from the ego's. ``nearest-cos``, ``nearest-sin``: of the
+    other's heading, seen from the ego's. ``nearest-ego-speed``, ``nearest-other-speed``. ``nearest-way``: how far
+    the ego has driven until then.
+
+    Where the two are never there at once: 100 m of clearance, the other 100 m ahead in the same direction, both at a
+    speed of 0, at the end of the recording and of the ego's way.
+    """
+
+    name = "nearest-approach"
+    features = (
+        Feature("least-clearance", "m"),
+        Feature("nearest-time", "s"),
+        Feature("nearest-ahead", "m"),
+        Feature("nearest-left", "m"),
+        Feature("nearest-cos", "1"),
+        Feature("nearest-sin", "1"),
+        Feature("nearest-ego-speed", "m/s"),
+        Feature("nearest-other-speed", "m/s"),
+        Feature("nearest-way", "m"),
+    )
+
+    def values(self, meeting: Meeting) -> FloatArray:
+        k, clearance = meeting.nearest
+        if k is None:
+            return np.array([FAR, meeting.duration, FAR, 0.0, 1.0, 0.0, 0.0, 0.0, meeting.way_until(None)])
+        one, ego, other = meeting.recording, meeting.ego_row, meeting.other_row
+        heading = one.heading[ego, k]
+        cos, sin = np.cos(heading), np.sin(heading)
+        ahead, left = meeting.other_center[k] - meeting.ego_center[k]
+        turned = one.heading[other, k] - heading
+        return np.array(
+            [
+                clearance, one.time[k] - one.time[0], cos * ahead + sin * left, cos * left - sin * ahead,
+                np.cos(turned), np.sin(turned), one.speed[ego, k], one.speed[other, k], meeting.way_until(k),
+            ]
+        )  # fmt: skip
+
+
+class Crossing(FeatureGroup):
+    """Where the ways of both come nearest to each other, whenever each is there.
+
+    ``crossing-distance``: of the centres' ways. ``crossing-gap``: how much later than the other the ego is there;
+    above 0 where the other is first, which is a way in which a scenario can go. Of places that are alike the one
+    counts that both pass with the least time between them: 1 s counts as much as 0.1 m.
+
+    Where one of the two is never there: 100 m and 0 s.
+    """
+
+    name = "crossing"
+    features = (Feature("crossing-distance", "m"), Feature("crossing-gap", "s", branch=True))
+
+    def values(self, meeting: Meeting) -> FloatArray:
+        return np.array(meeting.crossing)
+
+
+class Slowest(FeatureGroup):
+    """The first instant at which the ego is slowest.
+
+    ``lowest-speed``: of the ego, forwards or backwards. ``lowest-speed-time``: since the recording began.
+    ``lowest-speed-way``: how far the ego has driven until then. All are 0 where it is never there.
+    """
+
+    name = "slowest"
+    features = (Feature("lowest-speed", "m/s"), Feature("lowest-speed-time", "s"), Feature("lowest-speed-way", "m"))
+
+    def values(self, meeting: Meeting) -> FloatArray:
+        one, there = meeting.recording, meeting.ego_there
+        if not len(there):
+            return np.zeros(3)
+        speeds = np.abs(one.speed[meeting.ego_row, there])
+        k = int(np.argmin(speeds))
+        return np.array([speeds[k], one.time[there[k]] - one.time[0], meeting.way_until(int(there[k]))])
+
+
+class Turn(FeatureGroup):
+    """The first instant at which the ego's heading changes fastest.
+
+    ``turn-time``: since the recording began. ``turn-way``: how far the ego has driven until then. Both are 0 where it
+    never turns by more than 0.001 rad/s.
+    """
+
+    name = "turn"
+    features = (Feature("turn-time", "s"), Feature("turn-way", "m"))
+
+    def values(self, meeting: Meeting) -> FloatArray:
+        one, there = meeting.recording, meeting.ego_there
+        if len(there) < 2:
+            return np.zeros(2)
+        turned = np.abs(np.diff(one.heading[meeting.ego_row, there]))
+        # Shortest way round, without unwrapping.
+        rates = np.minimum(turned, np.abs(2.0 * np.pi - turned)) / np.diff(one.time[there])
+        k = int(np.argmax(rates))
+        if not rates[k] > _TURNS:
+            return np.zeros(2)
+        return np.array([one.time[there[k + 1]] - one.time[0], meeting.way_until(int(there[k + 1]))])
+
+
+class Whole(FeatureGroup):
+    """The recording as a whole.
+
+    ``duration``: from its first to its last instant. ``way``: how far the ego drives. ``contact``: 1 where the boxes
+    of both touch or their collision is recorded, else 0; whether they do is a way in which a scenario can go.
+    """
+
+    name = "whole"
+    features = (Feature("duration", "s"), Feature("way", "m"), Feature("contact", "1", branch=True))
+
+    def values(self, meeting: Meeting) -> FloatArray:
+        pair = {meeting.ego, meeting.other}
+        touched = meeting.nearest[1] == 0.0 or any(set(one.entities) == pair for one in meeting.recording.collisions)
+        return np.array([meeting.duration, meeting.way_until(None), float(touched)])
+
+
+FEATURES: Final[Registry[FeatureGroup]] = Registry("group of features", "cornercase.features", FeatureGroup)
+"""Groups of features by name; other packages add subclasses of `FeatureGroup` through this entry-point group."""
+
+for _one in (NearestApproach, Crossing, Slowest, Turn, Whole):
+    FEATURES.register(_one.name, _one)
+
+
+def known_features() -> tuple[Feature, ...]:
+    """All features that are registered.
+
+    Returns
+    -------
+    tuple of Feature
+        By the names of their groups, in alphabetical order; those of one group as it has them.
+    """
+    return tuple(feature for group in _groups() for feature in group.features)
+
+
+def features_of(recordings: Iterable[Recording | None], ego: str, other: str) -> FloatArray:
+    """Compute what happened in recordings.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording or None
+        None for a scenario that failed.
+    ego, other : str
+        Names of two entities.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, f)
+        The `known_features` of each, in their order; NaN for a scenario that failed.
+
+    Raises
+    ------
+    InputError
+        There is no entity of that name, or a group of another package does not give what it says.
+    """
+    groups = _groups()
+    count = sum(len(group.features) for group in groups)
+    rows = [np.full(count, np.nan) if one is None else _row(groups, Meeting(one, ego, other)) for one in recordings]
+    return np.array(rows).reshape(len(rows), count)
+
+
+def _groups() -> list[FeatureGroup]:
+    return [FEATURES.create(name) for name in FEATURES.names()]
+
+
+def _row(groups: list[FeatureGroup], meeting: Meeting) -> FloatArray:
+    return np.concatenate([_checked(group, meeting) for group in groups])
+
+
+def _checked(group: FeatureGroup, meeting: Meeting) -> FloatArray:
+    values = np.asarray(group.values(meeting), dtype=np.float64)
+    if values.shape != (len(group.features),) or not np.isfinite(values).all():
+        raise InputError(
+            f"The group of features '{group.name}' gives {values.tolist()}; it has to give a finite number for each of"
+            f" its {len(group.features)} features."
+        )
+    return values

@@ -1,0 +1,174 @@
+"""Search for the whole set of critical scenarios by what a committee is not sure of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+from sklearn.ensemble import ExtraTreesClassifier
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.evidence import Committee, encoded
+from cornercase.metrics import Feature
+from cornercase.optimizers.candidates import CandidateOptimizer
+from cornercase.optimizers.unseen import Unseen
+from cornercase.scenario import ParameterSpace
+
+_INITIAL: Final = 24
+_TREES: Final = 64
+# Scenarios on each side of the threshold from which a committee can learn it; with fewer it learns another one first.
+_FEWEST: Final = 3
+# What not knowing which way a scenario goes counts, against not knowing whether it is critical.
+_WAY: Final = 0.5
+# From which multiple of the distance of evenly spread points more does not count.
+_APART: Final = 1.0
+# Candidates near a scenario that is critical, as a share, and how far from it they are.
+_NEAR, _STEP = 0.5, 0.1
+
+
+class CommitteeOptimizer(CandidateOptimizer):
+    """Asks for the scenarios of which a `Committee` is least sure.
+
+    It learns from what happened in the runs, by features of their recordings, so that it follows scores that jump
+    where a scenario goes another way. It asks where the mean probability that a scenario is critical is near one half,
+    and where it is not sure which way a scenario goes: who is first, or whether both touch. The points of a round are
+    spread out. The first 24 points, and a share of all others, are a Sobol' sequence, so that a critical region that
+    nothing points to is met.
+
+    While fewer than three scenarios are critical, it looks for the scenarios with the lowest scores instead: the
+    threshold is then the third lowest score; and likewise while all but two are critical. Where scenarios fail, it
+    learns where, and asks there less, the likelier they fail.
+
+    The kernels of the committee are learned each time that there are ten scores more to learn from, or a tenth more
+    where that is more.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+    threshold : float
+        Score up to which a scenario is critical.
+    features : sequence of Feature, optional
+        What it is told of each scenario beside its score. Without any, or when it is told none, it learns from the
+        scores alone.
+    candidates : int, default 4096
+        Points among which a round is chosen; half of them near critical scenarios.
+    filling : float, default 0.15
+        Share of the points that fills the space.
+    """
+
+    name = "committee"
+    needs = frozenset({"threshold", "features"})
+
+    def __init__(
+        self,
+        space: ParameterSpace,
+        seed: int,
+        threshold: float,
+        features: Sequence[Feature] = (),
+        candidates: int = 4096,
+        filling: float = 0.15,
+    ) -> None:
+        super().__init__(space, seed, initial=_INITIAL, filling=filling)
+        self.threshold, self._features, self._count = threshold, tuple(features), candidates
+        self._unseen = Unseen(space)
+        self._told: FloatArray | None = np.zeros((0, len(self._features))) if self._features else None
+        self._committee: Committee
+
+    def tell(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
+        """Take the scores of one round, as in `Optimizer.tell`, and features of the recordings.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (m, d)
+        scores : ndarray of float64, shape (m,)
+            NaN for a scenario that failed.
+        features : ndarray of float64, shape (m, f), optional
+            NaN for a scenario that failed.
+        """
+        super().tell(points, scores)
+        self._unseen.tell(points)
+        self._told = None if self._told is None or features is None else np.concatenate([self._told, features])
+
+    def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        self._committee = Committee(_level(scores, self.threshold), self._features if self._told is not None else ())
+        self._committee.learn(encoded(self._space, points), scores, self._known_features(len(points)))
+
+    def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        known, every = self._points[self._known], self._scores[self._known]
+        candidates = self._candidates(known[every <= max(self.threshold, np.sort(every)[_FEWEST - 1])], filling, n)
+        if len(candidates) <= n:
+            return candidates
+        committee = self._committee.know(encoded(self._space, known), every, self._known_features(len(known)))
+        places = encoded(self._space, candidates)
+        gain = acquisition(*committee.predict(places)) * (1.0 - self._failing(places))
+        known = np.concatenate([self._points, filling])
+        return candidates[_spread(places, gain, encoded(self._space, known), n)]
+
+    def _known_features(self, count: int) -> FloatArray | None:
+        return None if self._told is None else self._told[self._known][:count]
+
+    def _candidates(self, critical: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        """Points all over the space, and around critical ones."""
+        near = int(_NEAR * self._count)
+        rng = np.random.default_rng(self._round_seed)
+        around = critical[rng.integers(len(critical), size=near)]
+        # Some near and some far, whatever the size of what is critical.
+        sizes = _STEP * rng.random((near, 1)) ** 2
+        moved = np.clip(around + sizes * rng.normal(size=around.shape), 0.0, 1.0)
+        everywhere = self._new(max(self._count - near, n), filling)
+        return np.concatenate([everywhere, self._unseen.among(moved, np.concatenate([everywhere, filling]))])
+
+    def _failing(self, places: FloatArray) -> FloatArray:
+        """Probability that scenarios fail, shape (m,)."""
+        failed = ~self._known
+        if not failed.any():
+            return np.zeros(len(places))
+        trees = ExtraTreesClassifier(_TREES, random_state=0).fit(encoded(self._space, self._points), failed)
+        found: FloatArray = trees.predict_proba(places)[:, trees.classes_].sum(axis=1)
+        return found
+
+
+def acquisition(critical: FloatArray, branch: FloatArray) -> FloatArray:
+    """How much is learned from scenarios.
+
+    Parameters
+    ----------
+    critical : ndarray of float64, shape (m,)
+        Probability that it is critical.
+    branch : ndarray of float64, shape (m,)
+        Probability of the likeliest way that it can go.
+
+    Returns
+    -------
+    ndarray of float64, shape (m,)
+    """
+    return np.maximum(0.5 - np.abs(critical - 0.5), _WAY * (1.0 - branch))
+
+
+def _level(scores: FloatArray, threshold: float) -> float:
+    """Threshold with some scenarios on each side of it: the one that is asked for, where it has."""
+    ordered = np.sort(scores)
+    if len(ordered) < 2 * _FEWEST:
+        return threshold
+    low, high = ordered[_FEWEST - 1], ordered[-_FEWEST - 1]
+    return float(min(max(threshold, low), high))
+
+
+def _spread(places: FloatArray, gain: FloatArray, known: FloatArray, n: int) -> IntArray:
+    """Choose `n` of the places, shape (m, e), each by its gain, shape (m,), and how far it is from all others.
+
+    Those are the `known` ones, shape (k, e), and the ones that were chosen before it. What is as far as evenly spread
+    points are from each other is far enough.
+    """
+    enough = _APART * len(known) ** (-1.0 / places.shape[1])
+    apart = np.minimum(cKDTree(known).query(places)[0], enough)
+    chosen: list[int] = []
+    for _ in range(n):
+        worth = gain * apart
+        worth[chosen] = -1.0
+        chosen.append(int(np.argmax(worth)))
+        apart = np.minimum(apart, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return np.array(chosen, dtype=np.int64)
