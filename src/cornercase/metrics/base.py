@@ -13,6 +13,9 @@ from cornercase.recordings import Recording
 
 Score = TypeVar("Score", float, FloatArray)
 
+# What a change of velocity of 1 m/s counts among collisions, in the metric's unit.
+_SCALE = 0.1
+
 
 class Metric(ABC):
     """How critical a recording is, for the ego and one other entity.
@@ -36,6 +39,12 @@ class Metric(ABC):
     critical : float or None, default None
         Threshold: score from which a scenario counts as critical unless the user gives another. None where the
         literature knows none.
+    contact : float or None, default None
+        Score that a recording has at least, towards critical, in which both touch: for metrics whose course says
+        nothing of a contact, so that no collision counts as less critical than a near miss.
+    severity : bool, default False
+        Whether the score of a recording in which both touch goes on below `contact` with how hard they collide; see
+        `score_of_contact`.
     source : str
         Where the definition stands.
 
@@ -64,6 +73,8 @@ class Metric(ABC):
     cap: float
     most_critical: float | None = None
     critical: float | None = None
+    contact: float | None = None
+    severity: bool = False
     source: str = ""
 
     @abstractmethod
@@ -117,6 +128,32 @@ class Metric(ABC):
         """
         values = self.capped(course)
         return float(values.min() if self.lower_is_critical else values.max())
+
+    def score_of_contact(self, score: float, change: float) -> float:
+        """Score of a recording in which both touch.
+
+        At least as critical as `contact`. With `severity` a tenth of the change of velocity in m/s, of the one whose
+        velocity changes more, goes beyond that, so that a search has something to follow among collisions: a touch
+        without speed keeps the score of a contact, and one that takes 10 m/s is more critical by 1. Thresholds that
+        no contact reaches by itself keep their meaning, as all that is beyond them is a collision.
+
+        Parameters
+        ----------
+        score : float
+            Of the course.
+        change : float
+            m/s.
+
+        Returns
+        -------
+        float
+        """
+        if self.contact is None:
+            return score
+        worse = min if self.lower_is_critical else max
+        sign = -1.0 if self.lower_is_critical else 1.0
+        at_least = worse(score, self.contact)
+        return at_least + sign * _SCALE * change if self.severity else at_least
 
     def oriented(self, scores: Score) -> Score:
         """Turn scores so that lower ones are more critical, whatever the metric.

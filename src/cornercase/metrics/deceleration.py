@@ -174,7 +174,8 @@ class Btn(Metric):
 class StoppingDistance(Metric):
     """Least distance in which the ego can stop, ``v² / (2 a)`` in m.
 
-    The other plays no part; a standing ego gives 0. Not defined where the ego does not exist. Cap: 0 m.
+    The other plays no part; a standing ego gives 0. Not defined where the ego does not exist. Cap: 0 m, most
+    critical value: 500 m, which is the score of a recording in which both touch.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ class StoppingDistance(Metric):
     unit = "m"
     lower_is_critical = False
     cap = 0.0
-    most_critical = 500.0
+    most_critical = contact = 500.0
     source = "Minimal stopping distance, as in Westhofen et al. 2023"
 
     def __init__(self, deceleration: float = 8.0) -> None:

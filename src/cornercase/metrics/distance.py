@@ -16,9 +16,15 @@ class Distance(Metric):
 
     ``|p_other - p_ego|`` in the plane, in m. It depends on positions only, so standing entities are nothing
     special; 0 when the centres coincide. Boxes that touch still have a positive distance: their gap is
-    `Clearance`.
+    `Clearance`. A recording in which they touch scores 0, so that none counts as less critical than one in which
+    narrow boxes pass each other.
 
     Not defined where one of the two does not exist. Cap: 100 m.
+
+    Parameters
+    ----------
+    severity : bool, default False
+        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
 
     Notes
     -----
@@ -30,7 +36,11 @@ class Distance(Metric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
+    contact = 0.0
     source = "Euclidean distance between the centres of the bounding boxes"
+
+    def __init__(self, severity: bool = False) -> None:
+        self.severity = severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         gap = recording.center(other) - recording.center(ego)
@@ -44,6 +54,11 @@ class Clearance(Metric):
     on positions and headings only, so standing entities are nothing special. Not defined where one of the two
     does not exist. Cap: 100 m.
 
+    Parameters
+    ----------
+    severity : bool, default False
+        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
+
     Notes
     -----
     Source: Euclidean distance of the boxes as convex polygons.
@@ -54,7 +69,11 @@ class Clearance(Metric):
     lower_is_critical = True
     cap = 100.0
     critical = 1.0
+    contact = 0.0
     source = "Euclidean distance of the bounding boxes"
+
+    def __init__(self, severity: bool = False) -> None:
+        self.severity = severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return box_distance(boxes(recording, ego), boxes(recording, other))

@@ -25,6 +25,8 @@ class Dce(Metric):
     ----------
     centers : bool, default False
         Measure between the centres of the boxes instead.
+    severity : bool, default False
+        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
 
     Notes
     -----
@@ -36,10 +38,11 @@ class Dce(Metric):
     lower_is_critical = True
     cap = 100.0
     critical = 1.0
+    contact = 0.0
     source = "Eggert 2014, boxes in the plane"
 
-    def __init__(self, centers: bool = False) -> None:
-        self.centers = centers
+    def __init__(self, centers: bool = False, severity: bool = False) -> None:
+        self.centers, self.severity = centers, severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         return closest_encounter(recording, ego, other, self.centers)[0]

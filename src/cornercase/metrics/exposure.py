@@ -22,6 +22,7 @@ class _Exposure(Metric):
 
     lower_is_critical = False
     cap = 0.0
+    most_critical = contact = 60.0
 
     def __init__(self, threshold: float = 1.5, rule: Rule = "linear") -> None:
         checked(self.name, threshold=threshold)
@@ -53,7 +54,8 @@ class Tet(_Exposure):
 
     ``∫ 1[TTC <= τ] dt`` in s, from the beginning up to each instant, so the course never falls and ends in the
     value of the recording; the time to collision is that of `Ttc`. Defined wherever there are instants: while
-    one of the two does not exist nothing is added, and two that stand apart add nothing. Cap: 0 s.
+    one of the two does not exist nothing is added, and two that stand apart add nothing. Cap: 0 s,
+    most critical value: 60 s, which is the score of a recording in which both touch, whenever it ends.
 
     Parameters
     ----------
@@ -86,7 +88,8 @@ class Tit(_Exposure):
 
     ``∫ (τ - TTC)₊ dt`` in s², from the beginning up to each instant, so the course never falls and ends in the
     value of the recording; the time to collision is that of `Ttc`. Defined wherever there are instants: while
-    one of the two does not exist nothing is added, and two that stand apart add nothing. Cap: 0 s².
+    one of the two does not exist nothing is added, and two that stand apart add nothing. Cap: 0 s²,
+    most critical value: 60 s², which is the score of a recording in which both touch, whenever it ends.
 
     Parameters
     ----------

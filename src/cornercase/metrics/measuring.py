@@ -12,6 +12,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.registry import METRICS
+from cornercase.metrics.severity import velocity_change
 from cornercase.recordings import Recording, read_recording
 
 if TYPE_CHECKING:
@@ -155,7 +156,8 @@ def measured(
     Returns
     -------
     dict of str to (ndarray of float64, shape (T,), float)
-        Course and score by the metric's name.
+        Course and score by the metric's name; the score of a recording in which both touch as of
+        `Metric.score_of_contact`.
 
     Raises
     ------
@@ -163,7 +165,13 @@ def measured(
         There is no entity of that name.
     """
     courses = {}
+    asked: list[float | None] = []
     for metric in metrics:
         course = metric.course(recording, ego, other)
-        courses[metric.name] = (course, metric.score(course))
+        score = metric.score(course)
+        if metric.contact is not None:
+            # Once for all metrics.
+            asked = asked or [velocity_change(recording, ego, other)]
+            score = score if asked[0] is None else metric.score_of_contact(score, asked[0])
+        courses[metric.name] = (course, score)
     return courses

@@ -23,9 +23,9 @@ class Pet(Metric):
     instants.
 
     Not defined (NaN throughout) without a conflict area, when the second enters before the first has left (so
-    in each collision), and when the first never leaves. An entity that stands outside of the other's swept
-    area gives no conflict, one that stands inside does not leave. A recording that ends before the second
-    enters has no conflict area. Never negative unless `signed`. Cap: 10 s.
+    in each collision), and when the first never leaves. A recording in which both touch scores 0. An entity that
+    stands outside of the other's swept area gives no conflict, one that stands inside does not leave. A recording
+    that ends before the second enters has no conflict area. Never negative unless `signed`. Cap: 10 s.
 
     Parameters
     ----------
@@ -34,8 +34,9 @@ class Pet(Metric):
         in m, heading in rad, length and width in m.
     signed : bool, default False
         Where both were in the area at once, give the (negative) time by which the second came too early
-        instead of NaN; an entity that has not left counts as leaving when its recording ends. So collisions
-        become the most critical recordings, as an optimizer needs it; otherwise they score the cap.
+        instead of NaN; an entity that has not left counts as leaving when its recording ends.
+    severity : bool, default False
+        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
 
     Notes
     -----
@@ -48,11 +49,12 @@ class Pet(Metric):
     lower_is_critical = True
     cap = 10.0
     critical = 1.5
+    contact = 0.0
     source = "Allen, Shin and Cooper 1978, areas swept by the boxes"
 
-    def __init__(self, area: Area | None = None, signed: bool = False) -> None:
+    def __init__(self, area: Area | None = None, signed: bool = False, severity: bool = False) -> None:
         self.area = checked_area(self.name, area)
-        self.signed = signed
+        self.signed, self.severity = signed, severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         values = [value for pair in visits(recording, ego, other, self.area) for value in self._gaps(*pair)]
@@ -76,7 +78,7 @@ class EncroachmentTime(Metric):
     other's time plays no part, only the area that it sweeps. Known afterwards only, so the course has the
     value at all instants. inf where the ego has come to stand in the area. Not defined (NaN throughout)
     without a conflict area, and where the recording ends while the ego drives through it. Cap: 0, most critical
-    value: 60 s.
+    value: 60 s, which is the score of a recording in which both touch.
 
     Parameters
     ----------
@@ -93,7 +95,7 @@ class EncroachmentTime(Metric):
     unit = "s"
     lower_is_critical = False
     cap = 0.0
-    most_critical = 60.0
+    most_critical = contact = 60.0
     source = "Allen, Shin and Cooper 1978, areas swept by the boxes"
 
     def __init__(self, area: Area | None = None) -> None:

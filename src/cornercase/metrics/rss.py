@@ -32,7 +32,8 @@ class Rss(Metric):
     two that come towards each other both need their way during ρ and until they stand, the ego with
     ``correct_braking`` and the other with ``min_braking`` (`longitudinal_minimum`, `opposite_minimum`); across
     it see `lateral_minimum`. Two that stand need what they may start in the time ρ. Not defined where one of
-    the two does not exist. Cap: 100 m.
+    the two does not exist. Cap: 100 m, most critical value: -500 m, which is the score of a recording in which both
+    touch.
 
     Parameters
     ----------
@@ -66,6 +67,7 @@ class Rss(Metric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
+    most_critical = contact = -500.0
     critical = 0.0
     source = "Shalev-Shwartz et al. 2017, in the frame of the ego"
 

@@ -36,6 +36,8 @@ MASSES: Mapping[str, float] = MappingProxyType(
 """Mass in kg by kind, where none is given."""
 
 _OTHERWISE = 1500.0
+# Times of contacts in s that are the same but for rounding.
+_ROUNDED = 1e-9
 
 
 class DeltaV(Metric):
@@ -116,6 +118,34 @@ class ConflictSeverity(Metric):
         braked = self.deceleration * np.where(ahead, time, 0.0) * _share(recording, ego, other, self.masses)
         left = np.where(ahead, np.maximum(change - braked, 0.0), 0.0)
         return np.where(np.isnan(time), np.nan, left)
+
+
+def velocity_change(recording: Recording, ego: str, other: str) -> float | None:
+    """Greatest change of velocity of either in a collision in which both stick together, in m/s.
+
+    Parameters
+    ----------
+    recording : Recording
+    ego, other : str
+        Names of two entities.
+
+    Returns
+    -------
+    float or None
+        That of the lighter one, at the first instant of a contact; None without a contact. 0 where their velocities at
+        that time are not known.
+    """
+    touch = boxes_overlap(boxes(recording, ego), boxes(recording, other))
+    times = [one.time for one in recording.collisions if set(one.entities) == {ego, other}]
+    if times:
+        # Of the instant of a recorded contact on, though boxes may overlap from the next one only.
+        touch[min(np.searchsorted(recording.time, min(times) - _ROUNDED), len(touch) - 1)] = True
+    if not touch.any():
+        return None
+    first = int(np.argmax(touch))
+    size = float(np.hypot(*relative_velocity(recording, ego, other)[first]))
+    share = _share(recording, ego, other, {})
+    return max(share, 1.0 - share) * size if np.isfinite(size) else 0.0
 
 
 def _change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> FloatArray:

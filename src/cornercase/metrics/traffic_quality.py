@@ -36,7 +36,8 @@ class TrafficQuality(Metric):
 
     Speeds count without their sign. Where the mean speed is below 1e-5 m/s, macro or nano is 0; so a scene in
     which all stand has only the micro term. Not defined where the ego does not exist. Cap: 0, the smallest
-    possible value. The second entity of a course plays no part.
+    possible value, most critical value: 10. The second entity of a course plays no part; a recording in which it
+    touches the ego scores 10.
 
     Parameters
     ----------
@@ -59,6 +60,7 @@ class TrafficQuality(Metric):
     unit = "1"
     lower_is_critical = False
     cap = 0.0
+    most_critical = contact = 10.0
     source = "Schütt, Zipfl et al. 2023"
 
     def __init__(self, term: Term = "all") -> None:

@@ -29,6 +29,8 @@ class Ttc(Metric):
     accelerating : bool, default False
         Let both keep their present acceleration along the heading instead, until they stand; nobody starts to
         reverse by braking.
+    severity : bool, default False
+        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
 
     Notes
     -----
@@ -41,10 +43,11 @@ class Ttc(Metric):
     lower_is_critical = True
     cap = 10.0
     critical = 1.5
+    contact = 0.0
     source = "Hayward 1972, boxes in the plane"
 
-    def __init__(self, accelerating: bool = False) -> None:
-        self.accelerating = accelerating
+    def __init__(self, accelerating: bool = False, severity: bool = False) -> None:
+        self.accelerating, self.severity = accelerating, severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         a, b = boxes(recording, ego), boxes(recording, other)

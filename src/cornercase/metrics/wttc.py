@@ -41,6 +41,8 @@ class Wttc(Metric):
         Greatest acceleration in m/s² of everything not named below.
     vulnerable_acceleration : float, default 2.5
         Greatest acceleration in m/s² of bicycles, pedestrians, wheelchairs and animals.
+    severity : bool, default False
+        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
 
     Raises
     ------
@@ -58,9 +60,12 @@ class Wttc(Metric):
     lower_is_critical = True
     cap = 10.0
     critical = 1.0
+    contact = 0.0
     source = "Wachenfeld et al. 2016"
 
-    def __init__(self, vehicle_acceleration: float = 6.9, vulnerable_acceleration: float = 2.5) -> None:
+    def __init__(
+        self, vehicle_acceleration: float = 6.9, vulnerable_acceleration: float = 2.5, severity: bool = False
+    ) -> None:
         if not (vehicle_acceleration >= 0.0 and vulnerable_acceleration >= 0.0):
             raise InputError(
                 f"wttc cannot take the greatest accelerations {vehicle_acceleration} and "
@@ -68,6 +73,7 @@ class Wttc(Metric):
             )
         self.vehicle_acceleration = vehicle_acceleration
         self.vulnerable_acceleration = vulnerable_acceleration
+        self.severity = severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         rows = [recording.index(ego), recording.index(other)]
