@@ -14,7 +14,10 @@ from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.scenario import ParameterSpace
 
 _STEP: Final = 10
-"""Scores after which a model is learned anew, or a tenth of what it was learned from where that is more."""
+"""Scenarios after which a model is learned anew, or a tenth of what it was learned from where that is more."""
+
+_FEWEST: Final = 3
+"""Scores from which something is learned."""
 
 
 class CandidateOptimizer(Optimizer):
@@ -22,8 +25,8 @@ class CandidateOptimizer(Optimizer):
 
     A share of all points goes on with the first sequence, so that a critical region is met that nothing points to.
 
-    What is costly to learn, such as the kernel of a Gaussian process, is learned each time that there are ten scores
-    more to learn from, or a tenth more where that is more: from the first 20 scores, the first 30, and so on to 100,
+    What is costly to learn, such as the kernel of a Gaussian process, is learned each time that ten scenarios more
+    were told, failed ones too, or a tenth more where that is more: from the first 20, the first 30, and so on to 100,
     110, 121. The scores that came since then are known to the model too. So each round depends on what was told and on
     nothing else, not on the size of the rounds either.
 
@@ -47,12 +50,13 @@ class CandidateOptimizer(Optimizer):
     def ask(self, n: int) -> FloatArray:
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
         told, scores = len(self._points), self._scores[self._known]
-        if told < self._initial or len(scores) < 3 or np.ptp(scores) == 0.0:
+        if told < self._initial or len(scores) < _FEWEST or np.ptp(scores) == 0.0:
             return self._sequence.ask(n)
-        points, first = self._points[self._known], self._number(scores)
-        if first != self._learned:
-            self._learn(points[:first], scores[:first], self._seed_of(first))
-            self._learned = first
+        points, number = self._points[self._known], self._number()
+        first = int(self._known[:number].sum())
+        if number != self._learned:
+            self._learned = number
+            self._learn(points[:first], scores[:first], self._seed_of(number))
         filling = self._sequence.ask(self._filled(told + n) - self._filled(told))
         if (wanted := n - len(filling)) == 0:
             return filling
@@ -75,12 +79,14 @@ class CandidateOptimizer(Optimizer):
     def _seed_of(self, number: int) -> int:
         return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
 
-    def _number(self, scores: FloatArray) -> int:
-        """Number of scores, the first ones, from which is learned."""
-        number = min(_STEP, len(scores))
-        while (more := number + max(_STEP, number // 10)) <= len(scores):
+    def _number(self) -> int:
+        """Number of scenarios, the first ones, from which is learned."""
+        told = len(self._scores)
+        number = min(_STEP, told)
+        while (more := number + max(_STEP, number // 10)) <= told:
             number = more
-        return number if np.ptp(scores[:number]) > 0.0 else len(scores)
+        known = self._scores[:number][self._known[:number]]
+        return number if len(known) >= _FEWEST and np.ptp(known) > 0.0 else told
 
     def _filled(self, told: int) -> int:
         return math.floor(self._filling * told + 1e-9)

@@ -7,8 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence import GaussianProcess, boundary_process, encoded, near_threshold, nearness
 from cornercase.optimizers.candidates import CandidateOptimizer
 from cornercase.optimizers.sequences import SobolOptimizer
@@ -22,6 +23,10 @@ _INITIAL: Final = 24
 _KEPT: Final = 4096
 # Of those the ones that are looked at first.
 _LIKELY: Final = 512
+# Probability of failing up to which a candidate is asked for.
+_MOST_FAILING: Final = 0.25
+_REMOTE: Final = 0.05
+_FILLED: Final = ((0.05, 0.2), (0.6, 0.2))
 
 
 class LevelSetOptimizer(CandidateOptimizer):
@@ -77,8 +82,22 @@ class LevelSetOptimizer(CandidateOptimizer):
         self._near = nearness(scores)
         self._process = boundary_process(encoded(self._space, points), scores, self.threshold)
         candidates = SobolOptimizer(self._space, seed).ask(self._count, besides=points)
-        gain = _gain(*self._process.predict(encoded(self._space, candidates)))
-        self._candidates = candidates[np.sort(np.argsort(-gain, kind="stable")[:_KEPT])]
+        mean, deviation = self._process.predict(encoded(self._space, candidates))
+        likely = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
+        self._filling = _share_filled(likely)
+        best = np.argsort(-_gain(mean, deviation), kind="stable")
+        if len(points) < self._learned:
+            best = best[: 2 * _KEPT]
+            best = best[self._runs(candidates[best])]
+        self._candidates = candidates[np.sort(best[:_KEPT])]
+
+    def _runs(self, candidates: FloatArray) -> BoolArray:
+        """Tell which candidates are likely enough not to fail, by a process of what has failed."""
+        told = encoded(self._space, self._points[: self._learned])
+        failed = np.where(self._known[: self._learned], -1.0, 1.0)
+        process = GaussianProcess(1.0).fit(told, failed)
+        mean, deviation = process.predict(encoded(self._space, candidates))
+        return np.asarray(ndtr(mean / np.hypot(deviation, process.kernel.noise)) <= _MOST_FAILING)
 
     def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         candidates = self._unseen.left(self._candidates, besides=filling)
@@ -91,6 +110,14 @@ class LevelSetOptimizer(CandidateOptimizer):
             values = near_threshold(scores, self.threshold, self._near)
             process = process.extended(encoded(self._space, points), values)
         return candidates[_straddle(process, encoded(self._space, candidates), encoded(self._space, filling), n)]
+
+
+def _share_filled(likely: FloatArray) -> float:
+    """Share of the points that fill the space: the more, the better the critical set that is known is known."""
+    likely = likely[likely >= _REMOTE]
+    expected = float(likely.sum())
+    unsure = float(np.minimum(likely, 1.0 - likely).sum()) / max(expected, 1e-300)
+    return float(np.interp(unsure, *_FILLED))
 
 
 def _gain(mean: FloatArray, deviation: FloatArray) -> FloatArray:
