@@ -74,7 +74,8 @@ def cube(dims: int) -> ParameterSpace:
 def of_share(distance: Function, space: ParameterSpace, share: float) -> Function:
     """The same less what makes it at most 0 in this share of the space."""
     at = space.snap(qmc.Sobol(space.dimension, seed=7).random(2**16))
-    return lambda points, level=float(np.quantile(distance(at), share)): distance(points) - level
+    level = float(np.quantile(distance(at), share))
+    return lambda points: np.asarray(distance(points) - level)
 
 
 def ball(centre: Floats) -> Function:
@@ -202,7 +203,8 @@ def failing(half: str, rng: np.random.Generator) -> HardSet:
     centre = rng.uniform(0.3, 0.7, 3)
     region = of_share(shape(half, centre, rng), space, 0.05)
     if half == "choose":
-        side: Function = of_share(lambda points, j=rng.integers(3): points[:, j], space, 0.2)
+        j = rng.integers(3)
+        side = of_share(lambda points: points[:, j], space, 0.2)
     else:
         corner = rng.integers(0, 2, 3)
         side = of_share(lambda points: np.linalg.norm(points - corner, axis=1), space, 0.2)
@@ -290,7 +292,8 @@ def table(runs: list[dict[str, Any]], sizes: tuple[int, ...]) -> None:
             mine = [run["rows"][k] for run in runs if run["search"] == kind]
             column = {key: np.array([row[key] for row in mine]) for key in mine[0]}
             middle = {key: float(np.median(values)) for key, values in column.items()}
-            print(f"{runs[0]['set']:9} {kind:12} {size:4}  all met {int((column['met'] == 1.0).sum()):2} of {len(mine):2}"
+            met = f"all met {int((column['met'] == 1.0).sum()):2} of {len(mine):2}"
+            print(f"{runs[0]['set']:9} {kind:12} {size:4}  {met}"
                   f"  recall {middle['recall']:.3f} (least {column['recall'].min():.3f})"
                   f"  precision {middle['precision']:.3f} (least {column['precision'].min():.3f})"
                   f"  hits {middle['hits']:3.0f}  failed {column['failed'].max():.2f}"

@@ -89,6 +89,65 @@ def test_failed_scenarios_choices_and_finite_spaces():
     assert len(optimizer.ask(5)) == 0
 
 
+def ball(points, centre, radius):
+    """At most the threshold within the radius, and 2 above it from afar."""
+    return THRESHOLD + 2 * np.tanh(4 * (np.linalg.norm(points - np.array(centre), axis=1) - radius))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_few_scenarios_are_run_where_they_fail(seed):
+    """A fifth of the space that fails cuts the critical region."""
+
+    def scores(points):
+        return np.where(points[:, 0] > 0.8, np.nan, ball(points, (0.75, 0.5, 0.5), 0.3))
+
+    optimizer = LevelSetOptimizer(CUBE, seed, THRESHOLD)
+    points = explored(optimizer, 200, function=scores)
+    assert np.isnan(scores(points)).mean() < 0.25
+    recall, precision = found_of(scores, points)
+    assert recall > 0.95
+    assert precision > 0.95
+    again = LevelSetOptimizer(CUBE, seed, THRESHOLD)
+    for first in range(0, 190, 10):
+        again.tell(points[first : first + 10], scores(points[first : first + 10]))
+    np.testing.assert_array_equal(again.ask(10), points[190:])
+
+
+def test_failures_at_random_do_not_keep_it_from_the_boundary():
+    def scores(points):
+        failing = np.sin(1e4 * points.sum(axis=1)) > 0.3
+        return np.where(failing, np.nan, ball(points, (0.4, 0.5, 0.5), 0.3))
+
+    points = explored(LevelSetOptimizer(CUBE, 0, THRESHOLD), 200, function=scores)
+    assert np.isnan(scores(points)).mean() > 0.3
+    recall, precision = found_of(lambda points: ball(points, (0.4, 0.5, 0.5), 0.3), points, scores(points))
+    assert recall > 0.95
+    assert precision > 0.95
+
+
+def found_of(function, points, scores=None):
+    """Recall and precision for any function; what fails is not critical."""
+    told = CriticalSet(CUBE, points, function(points) if scores is None else scores, THRESHOLD).found(EVERYWHERE)
+    values = function(EVERYWHERE)
+    told, true = told & np.isfinite(values), values <= THRESHOLD
+    return (told & true).sum() / true.sum(), (told & true).sum() / told.sum()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_space_is_filled_once_the_boundary_is_found(seed):
+    """So that a further region of 1 % is met, which nothing points to."""
+
+    def scores(points):
+        return ball(points, (0.3, 0.35, 0.35), 0.267)
+
+    points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 300, function=scores)
+    known = CriticalSet(CUBE, points, scores(points), THRESHOLD)
+    assert known.unvisited(0.01) < 0.2
+    recall, precision = found_of(scores, points)
+    assert recall > 0.98
+    assert precision > 0.98
+
+
 def test_choices_are_as_far_from_each_other():
     space = ParameterSpace([Parameter("kind", 0, 3, None, ("a", "b", "c", "d")), Parameter("x", 0, 1)])
     places = encoded(space, np.stack([(np.arange(4) + 0.5) / 4, np.full(4, 0.3)], -1))
