@@ -1,17 +1,23 @@
 """Searches judged by what they missed: critical sets known on a dense grid, beside what each search finds of them.
 
-python benchmarks/exploration.py [--quick] [--steps N] [--seeds N] [--only NAME] [--search NAME]… [--round-share SHARE]
-                                 [--ncap FOLDER] [--truth FOLDER] [--json FILE] [--plot FILE]
+python benchmarks/exploration.py [--quick] [--steps N] [--seeds N] [--only NAME]… [--half choose|judge]
+                                 [--search NAME]… [--judge NAME] [--round-share SHARE]
+                                 [--ncap FOLDER] [--alks FOLDER] [--truth FOLDER] [--json FILE] [--plot FILE]
 
-The truth is the score of every scenario of a grid of N steps per parameter, run once and kept in a folder. Each search
-then works on that grid, so that its scores are looked up and nothing is interpolated. What it found is what one and
-the same Gaussian process of its scenarios takes for critical. A region is a connected part of the critical set of at
-least 0.1 % of the grid; it is hit by a critical scenario in it.
+The truth is the score of every scenario of a grid, run once and kept in a folder: N steps for each of three parameters,
+as many scenarios or fewer where there are two to six parameters. Each search then works on that grid, so that its
+scores are looked up and nothing is interpolated. A region is a connected part of the critical set of at least 0.1 % of
+the grid; it is hit by a critical scenario in it.
+
+What a search found is what it ran, and elsewhere what a classifier of its runs takes for critical: by ``--judge best``
+the one that tells these runs best from each other (benchmarks/judging.py), else the one of that name. Constants of the
+searches were chosen with the scenarios of the half ``choose``; those of the half ``judge`` were not looked at then.
 
 Also judged: what is said of the critical share and of the share of the critical set that is missed, and the criterion
 ``missed<0.05``, by whether the truth lies within the 90 % intervals and by what is missed when it is first fulfilled.
 
-FOLDER is that of ASAM's Euro NCAP scenarios which holds CA-FC_2026 and AEB_VRU_2023; without it only the examples run.
+FOLDER of --ncap is that of ASAM's Euro NCAP scenarios which holds CA-FC_2026 and AEB_VRU_2023, FOLDER of --alks the one
+of its ALKS scenarios which holds their templates; what is not given is left out.
 """
 
 from __future__ import annotations
@@ -35,9 +41,10 @@ from threadpoolctl import threadpool_limits
 
 from cornercase import LogicalScenario
 from cornercase.evidence import CriticalSet
-from cornercase.metrics import METRICS
+from cornercase.metrics import METRICS, features_of, known_features
 from cornercase.optimizers import (
     BayesOptimizer,
+    CommitteeOptimizer,
     EvolutionaryOptimizer,
     GridOptimizer,
     LevelSetOptimizer,
@@ -47,11 +54,15 @@ from cornercase.optimizers import (
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.simulators import BuiltinSimulator
 
+# Beside this file; mypy knows it by its package.
+from judging import CLASSIFIERS, best_classifier  # type: ignore[import-not-found]
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SIZES = (50, 100, 200, 300, 400)
 SMALLEST_REGION = 1e-3
 STOP = 0.05
 REFERENCES = ("grid", "bayes, filling 0")
+OTHERS = (*REFERENCES, "sobol", "bayes", "evolutionary", "optuna (TPE)")
 
 
 @dataclass(frozen=True)
@@ -66,25 +77,75 @@ class Case:
     driver: str | None = None
     on_collision: str = "continue"
     time_step: float = 0.05
+    of: str = "examples"
 
 
-# Files of the examples, and of Euro NCAP's protocols as ASAM publishes them.
-CASES = {
+# Files of the examples, and of Euro NCAP's protocols and of UN Regulation 157 (ALKS) as ASAM publishes them.
+CHOOSE = {
     "x-intersection": Case("x_intersection/x_intersection.xosc", "Pedestrian", "wttc", 0.5),
     "t-intersection": Case("t_intersection/t_intersection.xosc", "C", "ttc", 0.5, on_collision="stop"),
     "cpnco": Case(
         "CA-FC_2026/CPNCO.xosc", "VRU", "ttc", 0.5,
-        ("Ego_speed_kph=10:60", "VRU_finalSpeed_kph=3:10", "ImpactLocation=10:90"), "normal", time_step=0.02,
+        ("Ego_speed_kph=10:60", "VRU_finalSpeed_kph=3:10", "ImpactLocation=10:90"), "normal", time_step=0.02, of="ncap",
     ),
     "ccftap": Case(
         "CA-FC_2026/CCFtap.xosc", "Target", "clearance", 0.6,
         ("Ego_speed_kph=10:25", "Target_final_speed_kph=30:60", "Trajectory_R2=9:15"), "aggressive", time_step=0.02,
+        of="ncap",
     ),
     "cpta": Case(
         "AEB_VRU_2023/NCAP_AEB_VRU_CPTA_2023.xosc", "VRU", "wttc", 0.4,
         ("Ego_speed_kph=10:25", "VRU_finalSpeed_kph=3:8", "VRU_centerlineOffset=7:12"), "aggressive", time_step=0.02,
+        of="ncap",
+    ),
+    "t-intersection, aggressive": Case(
+        "t_intersection/t_intersection.xosc", "C", "ttc", 0.5, driver="aggressive", on_collision="stop",
     ),
 }  # fmt: skip
+JUDGE = {
+    "t-intersection, cautious": Case(
+        "t_intersection/t_intersection.xosc", "C", "ttc", 1.5, driver="cautious", on_collision="stop",
+    ),
+    "t-intersection, five": Case(
+        "t_intersection/t_intersection.xosc", "C", "ttc", 1.0,
+        ("ego_sync_s=2:17", "c_start_time=0:5", "c_routing_distance=0:80", "ego_speed=6:14", "c_speed=6:14"), "normal",
+    ),
+    "x-intersection, six": Case(
+        "x_intersection/x_intersection.xosc", "Pedestrian", "wttc", 0.5,
+        ("ego_start=30:80", "pedestrian_wait=0:6", "p1_speed=4:10", "ego_speed=7:13", "pedestrian_speed=1:3",
+         "truck_speed=5:10"), "normal",
+    ),
+    "cbnao": Case(
+        "CA-FC_2026/CBNAO.xosc", "VRU", "wttc", 0.25,
+        ("Ego_speed_kph=10:60", "VRU_finalSpeed_kph=5:20", "ImpactLocation=10:90"), "aggressive", time_step=0.02,
+        of="ncap",
+    ),
+    "cpna": Case(
+        "CA-FC_2026/CPNA.xosc", "VRU", "ttc", 0.75,
+        ("Ego_speed_kph=10:60", "VRU_finalSpeed_kph=3:10", "ImpactLocation=10:90", "VRU_initLatDist=3:8"), "cautious",
+        time_step=0.02, of="ncap",
+    ),
+    "cccscp": Case(
+        "CA-FC_2026/CCCscp.xosc", "Target", "ttc", 1.5, ("Ego_speed_kph=20:60", "Target_final_speed_kph=20:60"),
+        "normal", time_step=0.02, of="ncap",
+    ),
+    "ccrs": Case(
+        "CA-FC_2026/CCRs.xosc", "Target", "ttc", 2.0, ("Ego_speed_kph=10:60", "Target_init_speed_kph=0:50"),
+        "aggressive", time_step=0.02, of="ncap",
+    ),
+    "cut-in": Case(
+        "alks_scenario_4_4_1_cut_in_no_collision_template.xosc", "CutInVehicle", "wttc", 0.9,
+        ("Ego_InitSpeed_Ve0_kph=20:60", "CutInVehicle_RelativeInitSpeed_Ve0_Vo0_kph=-20:-5",
+         "CutInVehicle_HeadwayDistanceTrigger_dx0_m=5:60", "CutInVehicle_LaneChange_MaxLateralVelocity_Vy_mps=0.5:3"),
+        "normal", of="alks",
+    ),
+    "cut-out": Case(
+        "alks_scenario_4_5_1_cut_out_fully_blocking_template.xosc", "TargetBlocking", "wttc", 0.95,
+        ("Ego_InitSpeed_Ve0_kph=20:60", "FrontOfLead_Distance_dx0_f_m=10:100",
+         "CutOutVehicle_LaneChange_MaxLateralVelocity_Vy_mps=0.5:3"), "cautious", of="alks",
+    ),
+}  # fmt: skip
+CASES = CHOOSE | JUDGE
 
 SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
     "grid": lambda space, seed, critical, budget: GridOptimizer(space, seed, budget),
@@ -94,48 +155,53 @@ SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
     "evolutionary": lambda space, seed, critical, budget: EvolutionaryOptimizer(space, seed),
     "optuna (TPE)": lambda space, seed, critical, budget: OptunaOptimizer(space, seed),
     "level-set": lambda space, seed, critical, budget: LevelSetOptimizer(space, seed, critical),
+    "committee": lambda space, seed, critical, budget: CommitteeOptimizer(space, seed, critical, known_features()),
 }
 
 
-def logical(name: str, ncap: Path | None) -> LogicalScenario:
+Folders = dict[str, Path | None]
+
+
+def logical(name: str, folders: Folders) -> LogicalScenario:
     case = CASES[name]
-    if not case.ranges:
-        path = EXAMPLES / case.file
-        return LogicalScenario.read(path, path.with_suffix(".space.xosc"))
-    return LogicalScenario.read((ncap or Path()) / case.file, None, case.ranges)
+    path = (folders[case.of] or Path()) / case.file
+    return LogicalScenario.read(path, None if case.ranges else path.with_suffix(".space.xosc"), case.ranges)
 
 
 def stepped(space: ParameterSpace, steps: int) -> ParameterSpace:
-    """The same ranges, of which only the middles of `steps` equal parts are run."""
+    """The same ranges, of which only the middles of equal parts are run: `steps` of each of three parameters."""
     parameters = []
+    steps = int(steps ** (3.0 / space.dimension) + 1e-9)
     for one in space.parameters:
         width = (one.high - one.low) / steps
         parameters.append(Parameter(one.name, one.low + width / 2, one.high - width / 2, width, unit=one.unit))
     return ParameterSpace(parameters)
 
 
-def scores(name: str, ncap: Path | None, values: list[dict[str, Any]]) -> npt.NDArray[np.float64]:
-    case, scenario = CASES[name], logical(name, ncap)
+def outcomes(name: str, folders: Folders, values: list[dict[str, Any]]) -> npt.NDArray[np.float64]:
+    """Score and features of each scenario."""
+    case, scenario = CASES[name], logical(name, folders)
     metric = METRICS.create(case.metric)
     drivers = {} if case.driver is None else {"Ego": case.driver}
     simulator = BuiltinSimulator(time_step=case.time_step, on_collision=case.on_collision, drivers=drivers)
-    found = np.full(len(values), np.nan)
-    for k, recording in enumerate(simulator.run([scenario.concrete(one) for one in values])):
-        if not isinstance(recording, Exception):
-            found[k] = metric.score(metric.course(recording, "Ego", case.other))
-    return found
+    found, runs = np.full(len(values), np.nan), []
+    for k, run in enumerate(simulator.run([scenario.concrete(one) for one in values])):
+        runs.append(None if isinstance(run, Exception) else run)
+        if not isinstance(run, Exception):
+            found[k] = metric.score(metric.course(run, "Ego", case.other))
+    return np.column_stack([found, features_of(runs, "Ego", case.other)])
 
 
-def truth(name: str, ncap: Path | None, steps: int, folder: Path) -> npt.NDArray[np.float64]:
-    """Scores of the whole grid, in the order of its lattice."""
-    path = folder / f"{name}-{steps}.npy"
+def truth(name: str, folders: Folders, steps: int, folder: Path) -> npt.NDArray[np.float64]:
+    """Score and features of each scenario of the grid, in the order of its lattice."""
+    path = folder / f"{name.replace(', ', '-')}-{steps}-features.npy"
     if not path.exists():
-        space = stepped(logical(name, ncap).space, steps)
+        space = stepped(logical(name, folders).space, steps)
         values = space.values(space.lattice())
         begin = time.perf_counter()
-        parts = [values[k : k + 1000] for k in range(0, len(values), 1000)]
+        parts = [values[k : k + 500] for k in range(0, len(values), 500)]
         with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            whole = np.concatenate(list(pool.map(scores, repeat(name), repeat(ncap), parts)))
+            whole = np.concatenate(list(pool.map(outcomes, repeat(name), repeat(folders), parts)))
         folder.mkdir(parents=True, exist_ok=True)
         np.save(path, whole)
         print(f"{name}: {len(whole)} scenarios in {time.perf_counter() - begin:.0f} s, kept in {path}", flush=True)
@@ -146,9 +212,11 @@ def truth(name: str, ncap: Path | None, steps: int, folder: Path) -> npt.NDArray
 class Judge:
     """The truth about one case, and what a search tells of it."""
 
-    def __init__(self, name: str, ncap: Path | None, steps: int, folder: Path) -> None:
-        self.case, self.scores = CASES[name], truth(name, ncap, steps, folder)
-        self.space = stepped(logical(name, ncap).space, steps)
+    def __init__(self, name: str, folders: Folders, steps: int, folder: Path, kinds: tuple[str, ...]) -> None:
+        self.case, self.kinds = CASES[name], kinds
+        self.scores, self.features = np.split(truth(name, folders, steps, folder), [1], axis=1)
+        self.scores = self.scores.ravel()
+        self.space = stepped(logical(name, folders).space, steps)
         self.steps = [int(one.size or 0) for one in self.space.parameters]
         self.lattice = self.space.lattice()
         self.true = self.scores <= self.case.critical
@@ -172,14 +240,24 @@ class Judge:
         places = self.places(points)
         hit = set(self.regions[places]) & self.large
         row = {"regions": len(hit) / max(len(self.large), 1), "best": float(np.nanmin(self.scores[places]))}
+        row |= self.found(places, seed)
         try:
             known = CriticalSet(self.space, points, self.scores[places], self.case.critical, seed)
         except ValueError:
-            return row | self.agreement(np.zeros(len(self.true), dtype=bool)) | {"share": 1.0, "missed": 1.0}
-        row |= self.agreement(known.found(self.lattice))
+            return row | {"share": 1.0, "missed": 1.0}
         within = known.share.low <= self.true.mean() <= known.share.high
-        missed = known.missed.low <= 1.0 - row["recall"] <= known.missed.high
+        # What is said to be missed is what the set itself does not find, whoever judges the search.
+        open_ = 1.0 - self.agreement(known.found(self.lattice))["recall"]
+        missed = known.missed.low <= open_ <= known.missed.high
         return row | {"share": float(within), "missed": float(missed), "most missed": known.missed.high}
+
+    def found(self, places: npt.NDArray[np.int64], seed: int) -> dict[str, float]:
+        """Recall and precision of what was run at places, and elsewhere of what the best classifier of it tells."""
+        runs = self.lattice[places], self.scores[places], self.features[places]
+        kind, probability = best_classifier(self.kinds, *runs, self.case.critical, seed)
+        told = np.zeros(len(self.true), dtype=bool) if probability is None else probability(self.lattice) > 0.5
+        told[places] = self.true[places]
+        return self.agreement(told) | {"judge": float((*CLASSIFIERS, "none").index(kind))}
 
 
 def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...], share: float) -> dict[str, Any]:
@@ -190,7 +268,7 @@ def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...], share: fl
     rows, stop = [], None
     critical = judge.case.critical
     points, spent, proposals = np.zeros((0, len(judge.steps))), 0.0, 0
-    optimizer = SEARCHES[kind](judge.space, seed, critical, sizes[-1])
+    optimizer: Any = SEARCHES[kind](judge.space, seed, critical, sizes[-1])
     for size in sizes:
         if isinstance(optimizer, GridOptimizer):
             optimizer, points = SEARCHES[kind](judge.space, seed, critical, size), points[:0]
@@ -199,7 +277,10 @@ def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...], share: fl
             new = optimizer.ask(min(max(10, int(share * len(points))), size - len(points)))
             if not len(new):
                 break
-            optimizer.tell(new, judge.scores[judge.places(new)])
+            at = judge.places(new)
+            # Some take the features too.
+            more = (judge.features[at],) if "features" in optimizer.needs else ()
+            optimizer.tell(new, judge.scores[at], *more)
             spent, proposals = spent + time.process_time() - begin, proposals + len(new)
             points = np.concatenate([points, new])
             if kind == "level-set" and stop is None and len(points) >= 40 and len(points) % 20 == 0:
@@ -259,9 +340,9 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
 
     cases = list(dict.fromkeys(row["case"] for row in rows))
     figure, axes = plt.subplots(2, len(cases), figsize=(3.4 * len(cases), 6.2), squeeze=False, sharex=True)
-    markers = dict(zip(SEARCHES, "sxd^vPo", strict=True))
+    markers = dict(zip(SEARCHES, "sxd^vPo*", strict=True))
     # Okabe and Ito's colours, which the colour-blind tell apart.
-    tones = ("#666666", "#0072B2", "#000000", "#E69F00", "#009E73", "#CC79A7", "#D55E00")
+    tones = ("#666666", "#0072B2", "#000000", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
     colours = dict(zip(SEARCHES, tones, strict=True))
     for j, case in enumerate(cases):
         for i, quantity in enumerate(("recall", "precision")):
@@ -271,7 +352,7 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
                 low, middle, high = np.array([np.percentile(row[quantity], (25, 50, 75)) for row in mine]).T
                 reference = kind in REFERENCES
                 axes[i, j].plot(
-                    sizes, middle, marker=markers[kind], label=kind, linewidth=2.2 if kind == "level-set" else 1.2,
+                    sizes, middle, marker=markers[kind], label=kind, linewidth=1.2 if kind in OTHERS else 2.2,
                     linestyle="--" if reference else "-", color=colours[kind],
                 )  # fmt: skip
                 axes[i, j].fill_between(sizes, low, high, color=colours[kind], alpha=0.12)
@@ -291,25 +372,31 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="12 steps, 2 seeds, up to 100 scenarios")
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--only", choices=CASES)
+    parser.add_argument("--only", action="append", choices=CASES, help="only this one; may be repeated")
+    parser.add_argument("--half", choices=("choose", "judge"), help="only scenarios of this half")
+    parser.add_argument("--judge", choices=("best", *CLASSIFIERS), default="best")
     parser.add_argument("--search", action="append", choices=SEARCHES, help="only this one; may be repeated")
     parser.add_argument("--round-share", type=float, default=0.0, metavar="SHARE", help="of the scenarios run before")
     parser.add_argument("--ncap", type=Path, metavar="FOLDER", help="folder with CA-FC_2026 and AEB_VRU_2023")
+    parser.add_argument("--alks", type=Path, metavar="FOLDER", help="folder with the templates of the ALKS scenarios")
     parser.add_argument("--truth", type=Path, default=Path("truth"), metavar="FOLDER")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="FILE")
     options = parser.parse_args()
     steps, seeds, sizes = (12, 2, SIZES[:2]) if options.quick else (options.steps, options.seeds, SIZES)
     rows, every, needed = [], {}, {}
-    for name in [options.only] if options.only else CASES:
-        if CASES[name].ranges and options.ncap is None:
-            print(f"\n{name}: left out, without --ncap")
+    folders: Folders = {"examples": EXAMPLES, "ncap": options.ncap, "alks": options.alks}
+    kinds = CLASSIFIERS if options.judge == "best" else (options.judge,)
+    half = {"choose": CHOOSE, "judge": JUDGE}.get(options.half, CASES)
+    for name in options.only or half:
+        if folders[CASES[name].of] is None:
+            print(f"\n{name}: left out, without --{CASES[name].of}")
             continue
-        judge = Judge(name, options.ncap, steps, options.truth)
+        judge = Judge(name, folders, steps, options.truth, kinds)
         print(f"\n{name}: {len(judge.true)} scenarios, {judge.true.mean():.1%} critical "
               f"({judge.case.metric} <= {judge.case.critical:g}), {len(judge.large)} regions")  # fmt: skip
         jobs = [(kind, seed) for kind in options.search or SEARCHES for seed in range(1 if kind == "grid" else seeds)]
-        begin = (name, options.ncap, steps, options.truth)
+        begin = (name, folders, steps, options.truth, kinds)
         with ProcessPoolExecutor(len(os.sched_getaffinity(0)), initializer=begin_worker, initargs=begin) as pool:
             runs = list(pool.map(work, *zip(*jobs, strict=True), repeat(sizes), repeat(options.round_share)))
         every[name] = runs
