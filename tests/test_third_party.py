@@ -17,7 +17,7 @@ import numpy as np
 
 from cornercase.clustering import Aspect
 from cornercase.drivers import Driver
-from cornercase.metrics import Metric
+from cornercase.metrics import Feature, FeatureGroup, Metric
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import BuiltinSimulator
 
@@ -41,18 +41,29 @@ class Pace(Aspect):
         return recording.acceleration[recording.index(ego)][:, None]
 
 
+class Vigour(FeatureGroup):
+    """The ego's highest acceleration."""
+
+    name, features = "vigour", (Feature("highest-acceleration", "m/s²"),)
+
+    def values(self, meeting):
+        return np.array([np.nanmax(meeting.recording.acceleration[meeting.ego_row], initial=0.0)])
+
+
 class Diagonal(Optimizer):
-    """Goes along the diagonal of the space."""
+    """Goes along the diagonal of the space, as long as it is told how vigorous the ego is."""
 
-    name, needs = "diagonal", frozenset({"budget"})
+    name, needs = "diagonal", frozenset({"budget", "features"})
 
-    def __init__(self, space, seed, budget, begin=0.0):
+    def __init__(self, space, seed, budget, features, begin=0.0):
         self.points = np.linspace(begin, 1.0, budget)[:, None] * np.ones(space.dimension)
+        self.column = [one.name for one in features].index("highest-acceleration")
 
     def ask(self, n):
         return self.points[:n]
 
-    def tell(self, points, scores):
+    def tell(self, points, scores, features):
+        assert (features[:, self.column] >= 0.0).all()
         self.points = self.points[len(points) :]
 
 
@@ -74,6 +85,8 @@ class Short(BuiltinSimulator):
 ENTRY_POINTS = """
 [cornercase.metrics]
 speed-difference = of_another:SpeedDifference
+[cornercase.features]
+vigour = of_another:Vigour
 [cornercase.aspects]
 pace = of_another:Pace
 [cornercase.optimizers]
