@@ -45,7 +45,7 @@ def test_the_features_say_what_happens():
     found = told(recording)
     clearance = Clearance().course(recording, "Ego", "B")
     k = int(np.argmin(clearance))
-    assert found["least-clearance"] == clearance[k] > 0.0
+    assert found["least-clearance"] == pytest.approx(clearance[k])
     assert found["nearest-time"] == pytest.approx(TIME[k])
     assert found["nearest-ahead"] == pytest.approx(-recording.x[0, k])
     assert found["nearest-left"] == pytest.approx(recording.y[1, k])
@@ -57,6 +57,23 @@ def test_the_features_say_what_happens():
     assert found["crossing-distance"] == pytest.approx(0.0, abs=0.3)
     assert (found["duration"], found["way"], found["contact"]) == pytest.approx((10.0, 80.0, 0.0))
     assert (found["turn-time"], found["turn-way"]) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_least_clearance_is_that_of_the_metric(seed):
+    rng = np.random.default_rng(seed)
+    motion = {name: rng.normal(0.0, 4.0, (2, len(TIME))) for name in ("x", "y", "heading")}
+    boxes = {"length": rng.uniform(0.0, 6.0, 2), "width": rng.uniform(0.0, 3.0, 2), "center_x": rng.normal(0.0, 1.0, 2)}
+    # Few instants, so that in some of the recordings they never touch.
+    some = slice(0, 2 + seed % 7)
+    motion |= {name: np.zeros((2, len(TIME))) for name in ("speed", "acceleration")}
+    short = {name: values[:, some] for name, values in motion.items()}
+    recording = replace(meeting(), time=TIME[some], **short, **boxes)
+    clearance = Clearance().course(recording, "Ego", "B")
+    found = told(recording)
+    assert found["least-clearance"] == pytest.approx(clearance.min(), abs=1e-12)
+    assert found["nearest-time"] == TIME[int(np.argmin(clearance))]
+    assert found["contact"] == float(clearance.min() == 0.0)
 
 
 def test_the_gap_says_who_is_first():
