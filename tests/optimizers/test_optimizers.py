@@ -12,6 +12,7 @@ from cornercase._common.errors import InputError
 from cornercase.optimizers import (
     OPTIMIZERS,
     BayesOptimizer,
+    CommitteeOptimizer,
     GridOptimizer,
     LevelSetOptimizer,
     Optimizer,
@@ -206,6 +207,7 @@ def test_what_an_optimizer_does_not_declare_it_does_not_get():
     assert Optimizer.needs == frozenset()
     assert not Optimizer.takes_several
     assert {name: optimizer_needs(name) for name in OPTIMIZERS.names() if optimizer_needs(name)} == {
+        "committee": {"threshold", "features"},
         "grid": {"budget"},
         "level-set": {"threshold"},
     }
@@ -223,6 +225,7 @@ def test_the_same_concrete_scenario_is_proposed_once():
 MODELS: dict[str, Any] = {
     "bayes": lambda space=CUBE, **more: BayesOptimizer(space, 5, **more),
     "level-set": lambda space=CUBE, **more: LevelSetOptimizer(space, 5, 0.1, **more),
+    "committee": lambda space=CUBE, **more: CommitteeOptimizer(space, 5, 0.1, **more),
 }
 
 

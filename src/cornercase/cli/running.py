@@ -62,8 +62,8 @@ def explore(
         str,
         typer.Option(
             metavar="NAME",
-            help="bayes, level-set, evolutionary, optuna, sobol, grid or random; options behind a colon, as in"
-            " bayes:filling=0.",
+            help="bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options behind a colon, as"
+            " in bayes:filling=0.",
         ),
     ] = "bayes",
     critical: Critical = None,
