@@ -8,11 +8,11 @@ import sys
 import cornercase
 
 FUNCTIONS = (
-    "analyze", "check", "convert", "explore", "import_recordings", "measure", "read_recording", "reduce", "simulate",
+    "analyze", "check", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "simulate",
     "summarize", "write_report",
 )  # fmt: skip
 TYPES = (
-    "Analysis", "Check", "ConcreteScenario", "Conversion", "Driver", "ExplorationResult", "ImportResult", "LogicalScenario",
+    "Analysis", "Check", "ConcreteScenario", "Conversion", "Driver", "Estimation", "ExplorationResult", "ImportResult", "LogicalScenario",
     "Measurement", "Metric", "Optimizer", "Parameter", "ParameterSpace", "Recording", "ReducedSet", "ScenarioClustering",
     "Simulator", "Study", "Summary",
 )  # fmt: skip

@@ -7,7 +7,9 @@ from .clustering import ScenarioClustering as ScenarioClustering
 from .clustering import analyze as analyze
 from .drivers import DRIVERS as DRIVERS
 from .drivers import Driver as Driver
+from .exploration import Estimation as Estimation
 from .exploration import ExplorationResult as ExplorationResult
+from .exploration import estimate as estimate
 from .exploration import explore as explore
 from .metrics import METRICS as METRICS
 from .metrics import Measurement as Measurement

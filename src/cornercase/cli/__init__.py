@@ -5,15 +5,19 @@ from __future__ import annotations
 import sys
 from typing import Final
 
-# Their order is that of the commands in the help.
 from cornercase._common.errors import InputError
 from cornercase._common.platform import forgive_narrow_output
 from cornercase._common.texts import shorten
-from cornercase.cli import running, studies, warming
+
+# Their order is that of the commands in the help.
+# isort: off
+from cornercase.cli import running, studies, estimating, warming
+
+# isort: on
 from cornercase.cli.messages import in_words_of_the_command_line, show_notices
 from cornercase.cli.options import app, err
 
-__all__ = ["app", "main", "running", "studies", "warming"]
+__all__ = ["app", "estimating", "main", "running", "studies", "warming"]
 
 
 _LONGEST: Final = 1400

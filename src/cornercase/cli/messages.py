@@ -10,9 +10,10 @@ from cornercase._common.errors import NoticeWarning
 from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
-    "archetypes", "archetypes_by", "batch", "budget", "by", "continuous", "cover", "critical", "duration", "ego", "eps",
-    "gamma", "keep", "max_seconds", "method", "min_samples", "on_collision", "optimizer", "other", "pareto", "patience",
-    "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size", "space", "stop_when",
+    "archetypes", "archetypes_by", "batch", "budget", "by", "continuous", "cover", "critical", "duration", "ego",
+    "encounter", "eps", "gamma", "keep", "max_seconds",
+    "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
+    "patience", "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size", "space", "stop_when",
     "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
@@ -28,8 +29,8 @@ _RENAMED: Final = {
     "weights": "--weight",
 }
 _COMMANDS: Final = (
-    "analyze", "check", "convert", "demo", "explore", "export", "import", "measure", "reduce", "report", "show",
-    "simulate",
+    "analyze", "check", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce", "report",
+    "show", "simulate",
 )  # fmt: skip
 _QUOTED: Final = re.compile(r"`(\w+)`")
 

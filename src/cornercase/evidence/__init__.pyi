@@ -7,5 +7,13 @@ from .gaussian_process import boundary_process as boundary_process
 from .gaussian_process import encoded as encoded
 from .gaussian_process import near_threshold as near_threshold
 from .gaussian_process import nearness as nearness
+from .mixture import Mixture as Mixture
+from .probability import Probability as Probability
+from .probability import of_all as of_all
+from .probability import of_counts as of_counts
+from .probability import of_weights as of_weights
+from .probability import quotient as quotient
+from .rare_events import ImportanceSampling as ImportanceSampling
+from .rare_events import guessed_proposal as guessed_proposal
 from .sensitivity import Sensitivity as Sensitivity
 from .sensitivity import estimate_sensitivity as estimate_sensitivity

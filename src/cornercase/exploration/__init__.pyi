@@ -1,6 +1,10 @@
 from .configuration import Configuration as Configuration
 from .demonstrations import demonstration as demonstration
 from .demonstrations import examples as examples
+from .drawing import ProbabilityEstimator as ProbabilityEstimator
+from .estimating import estimate as estimate
+from .estimation import Estimation as Estimation
+from .estimation import warnings_of as warnings_of
 from .explorer import ExplorationResult as ExplorationResult
 from .explorer import ScenarioExplorer as ScenarioExplorer
 from .exploring import explore as explore

@@ -193,7 +193,7 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
     optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
     if one.pareto and not optimizer.takes_several:
         raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
-    with _simulator(one) as simulator:
+    with configured_simulator(one) as simulator:
         # Asked before a study is made, since without these means no scenario can be run.
         simulator.require_means(one.logical.scenario)
         some = one.logical.space.values(one.logical.space.samples())
@@ -218,7 +218,18 @@ def _notices(one: Configuration) -> tuple[Notice, ...]:
     return SIMULATORS.class_of(one.simulator).notices(one.logical.scenario, middle[0] if middle else None)
 
 
-def _simulator(one: Configuration) -> Simulator:
+def configured_simulator(one: Configuration) -> Simulator:
+    """Start the simulator of a configuration.
+
+    Parameters
+    ----------
+    one : Configuration
+
+    Returns
+    -------
+    Simulator
+        To be closed.
+    """
     drivers: dict[str, str | Driver] = {}
     for entity, driver in one.drivers.items():
         made = named_driver(driver) if isinstance(driver, str) else driver

@@ -24,8 +24,8 @@ from cornercase.reduction.hulls import find_hull
 from cornercase.reduction.kept import Kept
 from cornercase.reduction.manifest import make_manifest, save_reduction
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
-from cornercase.scenario import Scenario, find_scenario, with_roads, write_concrete
-from cornercase.study import IMPORTED, Study, damage_told, open_study
+from cornercase.scenario import Scenario, write_concrete
+from cornercase.study import IMPORTED, Study, damage_told, explored_scenario, open_study
 
 _WHY: Final = {
     "hull": "on the hull of cluster {cluster} in the parameter space",
@@ -113,7 +113,7 @@ def reduce(
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
         begun = time.monotonic()
         # Looked at before anything is written or takes time.
-        explored = _explored_scenario(opened, scenario)
+        explored = explored_scenario(opened, scenario)
         ran = read_ran(opened)
         if share is not None:
             size = max(1, round(share * len(ran.rows)))
@@ -131,29 +131,6 @@ def reduce(
         save_reduction(opened, reduced)
         opened.add_elapsed("reduce", time.monotonic() - begun)
     return reduced
-
-
-def _explored_scenario(study: Study, given: Path | str | Scenario | None) -> Scenario | None:
-    """Find the scenario file that was explored, and refuse another one; none of imported recordings."""
-    meta = study.meta
-    if meta.simulator == IMPORTED:
-        return None
-    # The study may come from anywhere: its path of the scenario is a word, and no path here.
-    found = given
-    if found is None:
-        found = find_scenario(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
-    if found is None:
-        raise InputError(
-            f"{study.path}: its scenario file '{meta.file_name}' lies neither beside it nor in the current folder; name"
-            " it with `scenario`."
-        )
-    scenario = with_roads(found if isinstance(found, Scenario) else Scenario.read(found), meta.space)
-    if scenario.fingerprint() != meta.fingerprint:
-        raise InputError(
-            f"{scenario.path}: it, its road or its catalogs have changed since {study.path} was explored; restore"
-            " them, name the file that was explored with `scenario`, or run `explore` again, into another study."
-        )
-    return scenario
 
 
 def _compared(ran: Ran, analysis: Analysis) -> list[FloatArray]:

@@ -226,6 +226,12 @@ class Parameter:
             return np.asarray(0.5 * (self._edges[numbers] + self._edges[numbers + 1]))
         return np.asarray((numbers + 0.5) / (self.size or 1))
 
+    @property
+    def shares(self) -> FloatArray:
+        """Share that each step or choice has of the unit interval: its probability, shape (size,)."""
+        size = self.size or 1
+        return np.full(size, 1.0 / size) if self._edges is None else np.diff(self._edges)
+
     @cached_property
     def _edges(self) -> FloatArray | None:
         """Bounds of the shares where they differ."""

@@ -391,6 +391,23 @@ class ParameterSpace:
             axes.append(places if size is None else parameter.middles((places * size).astype(np.int64)))
         return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.dimension))
 
+    def shares(self, points: FloatArray) -> FloatArray:
+        """Return the probability of each scenario of a finite space, by the distributions of its parameters.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, d)
+            In the unit cube; constraints do not count.
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+        """
+        found = np.ones(len(points))
+        for j, parameter in enumerate(self.parameters):
+            found *= parameter.shares[parameter.numbers(points[:, j])]
+        return found
+
     def to_json(self) -> dict[str, Any]:
         """Return plain values from which `from_json` makes the same space.
 

@@ -125,6 +125,24 @@ class StudyContents:
         require(isinstance(turn, int) and isinstance(error, str | None), f"the scenario {number} is damaged")
         return row
 
+    def rows_of(self, turn: int) -> list[Row]:
+        """List the scenarios of a round.
+
+        Parameters
+        ----------
+        turn : int
+            Number of the round.
+
+        Returns
+        -------
+        list of Row
+            In the order in which they were proposed.
+        """
+        question = "SELECT id, round, point, parameters, state, error FROM scenarios WHERE round = ? ORDER BY id"
+        found = self._database.found(question, turn)
+        with damage_told(self.path):
+            return [self._row(*one) for one in found]
+
     def done(self) -> list[Row]:
         """List the scenarios that were run.
 
@@ -282,7 +300,7 @@ class StudyContents:
         list of str
             ``ego-trajectory`` first, the metrics last, the others between them in alphabetical order.
         """
-        names = {str(name) for (name,) in self._database.found("SELECT name FROM analyses")} - {"reduction"}
+        names = {str(name) for (name,) in self._database.found("SELECT name FROM analyses")} - {"reduction", "estimate"}
         metrics = [name for name in self.meta.metrics if name in names]
         return [*sorted(names - set(metrics), key=lambda name: (name != "ego-trajectory", name)), *metrics]
 

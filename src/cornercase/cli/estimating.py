@@ -1,0 +1,123 @@
+"""The command that says how probable critical scenarios are."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cornercase.cli import parsing
+from cornercase.cli.options import (
+    Drivers,
+    Retries,
+    Seed,
+    StudyFile,
+    Timeout,
+    Workers,
+    app,
+    err,
+    out,
+)
+
+if TYPE_CHECKING:
+    from cornercase.evidence import Probability
+    from cornercase.exploration import Estimation
+
+
+@app.command()
+def estimate(
+    study: StudyFile,
+    *,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="ESTIMATE.db", help="Study to write or go on with.")
+    ],
+    budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=100)] = 2000,
+    critical: Annotated[
+        float | None,
+        typer.Option(metavar="X", help="Score from which a scenario is critical; default: as in the study."),
+    ] = None,
+    encounter: Annotated[
+        float, typer.Option(metavar="M", help="The two have an encounter where their gap is at most so many m.", min=0)
+    ] = 10.0,
+    seed: Seed = 0,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(metavar="SCENARIO.xosc", help="File that was explored; default: the one beside the study."),
+    ] = None,
+    simulator: Annotated[
+        str | None, typer.Option("--simulator", metavar="NAME", help="What runs the scenarios; default: as the study.")
+    ] = None,
+    workers: Workers = 1,
+    timeout: Timeout = None,
+    retries: Retries = 1,
+    driver: Drivers = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Estimate how probable critical scenarios and collisions are.
+
+    Runs new scenarios, drawn where critical ones are frequent, and weighs them by the distributions of the space. The
+    same command again goes on where it stopped.
+
+    \b
+    Example:
+      cornercase estimate study.db --budget 2000 -o estimate.db
+    """
+    from cornercase import exploration
+
+    found = exploration.estimate(
+        study,
+        output,
+        budget=budget,
+        critical=critical,
+        encounter=encounter,
+        seed=seed,
+        scenario=scenario,
+        simulator=simulator,
+        drivers=parsing.pairs(driver or (), "--driver"),
+        workers=workers,
+        timeout=timeout,
+        retries=retries,
+        progress=True,
+    )
+    if as_json:
+        sys.stdout.write(json.dumps(found.to_json(), indent=2, ensure_ascii=False) + "\n")
+    else:
+        _tell(found)
+    if found.interrupted:
+        err.print(f"Interrupted; the same command goes on from the {found.scenarios} scenarios in {found.study}.")
+        raise typer.Exit(130)
+
+
+def _tell(found: Estimation) -> None:
+    """Print probabilities as lines."""
+    each = {
+        f"critical ({found.criterion})": found.critical,
+        "collision": found.collision,
+        f"encounter (gap <= {found.within:g} m)": found.encounter,
+        "critical given an encounter": found.critical_given_encounter,
+        "collision given an encounter": found.collision_given_encounter,
+    }
+    for name, one in each.items():
+        out.print(f"{name}: {'not known' if one is None else _words(one)}")
+    learned = f", {found.learned} of them to learn where to draw" if found.learned else ""
+    out.print(f"{found.scenarios} scenarios in {found.study}{learned}")
+    for warning in found.warnings:
+        err.print(warning)
+
+
+def _words(one: Probability) -> str:
+    """Say a probability, how sure it is, and what plain Monte Carlo would need for the same."""
+    if one.error is None:
+        return f"not met; 0 to {one.high:.3g} (95 %, {one.method})"
+    text = f"{one.value:.3g}, {one.low:.3g} to {one.high:.3g} (95 %), {one.low_90:.3g} to {one.high_90:.3g} (90 %)"
+    if one.error == 0.0:
+        return f"{one.value:.3g} ({one.method})"
+    text += f", standard error {one.error:.1%}; {one.method}, met in {one.met} of {one.scenarios}"
+    text += f", effectively {one.effective:.0f}"
+    needed = one.plain_scenarios
+    if needed is not None and needed > one.scenarios:
+        text += f"; plain Monte Carlo would need {needed:.2g}"
+    return text

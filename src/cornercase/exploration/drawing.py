@@ -1,0 +1,214 @@
+"""Scenarios of an estimate, drawn, run, and counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import groupby
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.progress import ProgressBar
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.evidence import ImportanceSampling, Probability, of_all, of_weights, quotient
+from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.estimation import Estimation, Outcomes, of_law, warnings_of
+from cornercase.exploration.objective import Objective
+from cornercase.exploration.running import ScenarioRunner, StageClock
+from cornercase.metrics import METRICS
+from cornercase.simulators import Simulator
+from cornercase.study import Row, Study
+
+# Scenarios in a round once it is known where to draw; of a kill at most what was running is lost all the same.
+_ROUND: Final = 500
+
+
+class ProbabilityEstimator:
+    """Draws scenarios until the budget is used up, and says how probable what came out of them is.
+
+    Each scenario is stored the moment it has ended; an estimator that is given a study goes on where that one stopped.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    simulator : Simulator
+    sampling : ImportanceSampling
+        A fresh one: it is told what the study holds.
+    study : Study
+        Open for writing.
+    within : float
+        Gap in m up to which two entities have an encounter.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        simulator: Simulator,
+        sampling: ImportanceSampling,
+        study: Study,
+        within: float,
+    ) -> None:
+        self._about, self._sampling, self._study, self._within = configuration, sampling, study, within
+        self._space, self._objective = configuration.logical.space, configuration.objective()
+        self._threshold = self._objective.threshold(configuration.critical)
+        self._clearance = METRICS.create("clearance")
+        self._clock = StageClock(study)
+        self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock)
+        self._stages: list[tuple[str, list[Row], Outcomes]] = []
+        # All scenarios of a space that has no more than may be run say it without error.
+        self._whole = self._space.size is not None and self._space.size <= configuration.budget
+        self._word = ""
+
+    def run(self, progress: bool = False) -> Estimation:
+        """Draw and run scenarios until the budget is used up.
+
+        Parameters
+        ----------
+        progress : bool, default False
+            Show a bar with the probability so far; lines instead where there is no terminal.
+
+        Returns
+        -------
+        Estimation
+        """
+        bar = ProgressBar(self._about.budget, "estimating", "scenarios") if progress else None
+        interrupted = False
+        try:
+            with noted_interrupts() as check:
+                self._run(bar, check)
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            if bar is not None:
+                bar.stop()
+            self._clock.note()
+        found = self._found(interrupted)
+        self._save(found)
+        return found
+
+    def _save(self, found: Estimation) -> None:
+        """Keep the result, and how much each scenario that it was found from counts."""
+        stages = ("whole",) if self._whole else ("estimate",)
+        rows = [row.id for stage, members, _ in self._stages if stage in stages for row in members]
+        points, _ = self._of(*stages)
+        if rows:
+            weights = self._space.shares(points) if self._whole else self._sampling.weights(points)
+            self._study.save_analysis("estimate", {"ids": np.array(rows), "weights": weights}, found.to_json())
+
+    def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> None:
+        rows = self._study.rows()
+        for _, members in groupby(rows, key=lambda row: row.round):
+            self._take(list(members), bar)
+        done, number = len(rows), rows[-1].round if rows else 0
+        while True:
+            check_interrupt()
+            if bar is not None:
+                bar.update(done, self._word, self._space.size if self._whole else None)
+            with self._clock("optimize"):
+                points = self._points(done)
+            if len(points) == 0:
+                return
+            number += 1
+            with self._clock("store"):
+                new = self._study.propose(number, points, self._space.values(points))
+            self._take(new, bar)
+            done += len(new)
+            self._clock.note()
+
+    def _points(self, done: int) -> FloatArray:
+        """Points of the next round; none once all are run."""
+        if self._whole:
+            every = self._space.lattice()
+            return every[self._space.admits(every)][done : done + _ROUND]
+        most = min(_ROUND, self._about.budget - done)
+        return self._sampling.ask(most) if most > 0 else np.zeros((0, self._space.dimension))
+
+    def _take(self, rows: Sequence[Row], bar: ProgressBar | None) -> None:
+        """Run what of a round was not run yet, and learn from all of it."""
+        for number, _ in self._runner.run([row for row in rows if row.state == "pending"]):
+            if bar is not None:
+                bar.update(number, self._word)
+        ended = self._study.rows_of(rows[0].round)
+        outcomes = self._outcomes(ended)
+        stage = "whole" if self._whole else self._sampling.stage
+        self._stages.append((stage, ended, outcomes))
+        if not self._whole:
+            points = np.array([row.point for row in ended])
+            with self._clock("optimize"):
+                self._sampling.tell(points, outcomes.scores, outcomes.events)
+        found = self._probability(lambda one: one.critical)
+        self._word = f"critical {found.value:.2g}" if found.met else "looking for critical ones"
+
+    def _outcomes(self, rows: Sequence[Row]) -> Outcomes:
+        """Read what came out of scenarios."""
+        done = [row for row in rows if row.state == "done"]
+        known = np.array([row.state == "done" for row in rows], dtype=np.bool_)
+        scores = np.full(len(rows), np.nan)
+        collision, encounter = np.zeros(len(rows), dtype=np.bool_), np.zeros(len(rows), dtype=np.bool_)
+        if done:
+            each = [
+                [one.score(self._study.course(row.id, one.name)) for one in self._objective.metrics] for row in done
+            ]
+            scores[known] = self._objective.oriented(np.array(each))
+        pair = {self._about.ego, self._about.other}
+        with self._clock("measure"):
+            for k, row in zip(np.flatnonzero(known).tolist(), done, strict=True):
+                recording = self._study.recording(row.id)
+                collision[k] = any(set(hit.entities) == pair for hit in recording.collisions)
+                gap = self._clearance.score(self._clearance.course(recording, self._about.ego, self._about.other))
+                encounter[k] = gap <= self._within
+        return Outcomes(scores, scores <= self._threshold, collision, encounter)
+
+    def _of(self, *stages: str) -> tuple[FloatArray, Outcomes]:
+        """Points and outcomes of the rounds of some stages."""
+        chosen = [(rows, outcomes) for stage, rows, outcomes in self._stages if stage in stages]
+        points = [row.point for rows, _ in chosen for row in rows]
+        return np.array(points).reshape(-1, self._space.dimension), Outcomes.joined([one for _, one in chosen])
+
+    def _probability(self, event: Callable[[Outcomes], BoolArray]) -> Probability:
+        """Probability of an event, from what was drawn for it."""
+        points, outcomes = self._of("whole" if self._whole else "estimate")
+        if self._whole:
+            return of_all(self._space.shares(points), event(outcomes))
+        if not len(points) or not event(outcomes).any():
+            # What the law itself brought is the only bound there is.
+            _, outcomes = self._of("law")
+            return of_law(event(outcomes))
+        return of_weights(self._sampling.weights(points), event(outcomes), self._sampling.weights_error)
+
+    def _found(self, interrupted: bool) -> Estimation:
+        """Put together what the scenarios so far say."""
+        _, law = self._of("whole" if self._whole else "law")
+        _, every = self._of("law", "learn", "estimate", "whole")
+        _, learned = self._of("law", "learn")
+        critical = self._probability(lambda one: one.critical)
+        collision = self._probability(lambda one: one.collision)
+        encounter = self._probability(lambda one: one.encounter) if self._whole else of_law(law.encounter)
+        warnings = [] if self._whole else [
+            *warnings_of("critical scenario", critical, of_law(law.critical)),
+            *warnings_of("collision", collision, of_law(law.collision)),
+        ]  # fmt: skip
+        if failed := int(every.failed.sum()):
+            warnings.append(f"{failed} scenarios failed, and count as neither critical nor as a collision.")
+        return Estimation(
+            study=self._study.path,
+            criterion=self._criterion(),
+            within=self._within,
+            critical=critical,
+            collision=collision,
+            encounter=encounter,
+            critical_given_encounter=quotient(self._probability(lambda one: one.critical & one.encounter), encounter),
+            collision_given_encounter=quotient(self._probability(lambda one: one.collision & one.encounter), encounter),
+            scenarios=len(every.scores),
+            learned=len(learned.scores),
+            failed=failed,
+            warnings=tuple(warnings),
+            interrupted=interrupted,
+        )
+
+    def _criterion(self) -> str:
+        objective: Objective = self._objective
+        low = bool(objective.weights) or objective.metrics[0].lower_is_critical
+        value = objective.flip(self._threshold)
+        return f"{objective.text} {'<=' if low else '>='} {value:g} {objective.unit}".rstrip()

@@ -1,0 +1,196 @@
+"""From a study to the probability of its critical scenarios."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.arguments import by_name, flag, number, path, whole_number
+from cornercase._common.errors import InputError
+from cornercase._common.files import require_other_file
+from cornercase._common.typing import FloatArray
+from cornercase.drivers import Driver
+from cornercase.evidence import ImportanceSampling, guessed_proposal
+from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.drawing import ProbabilityEstimator
+from cornercase.exploration.estimation import Estimation
+from cornercase.exploration.exploring import configured_simulator
+from cornercase.scenario import LogicalScenario, Scenario
+from cornercase.simulators import Simulator
+from cornercase.study import Study, StudyMeta, explored_scenario
+
+_LEARN_SHARE: Final = 0.4
+_FEWEST: Final = 100
+_EVENTS: Final = 2
+# What the search of an estimate is called in its study.
+_NAME = re.compile(r"importance-sampling:learn=(?P<learn>\d+),known=(?P<known>\d+)-(?P<digest>[0-9a-f]+)")
+
+
+# Its parameters are the options of the command.
+def estimate(
+    study: Path | str,
+    output: Path | str,
+    *,
+    budget: int = 2000,
+    critical: float | None = None,
+    encounter: float = 10.0,
+    seed: int = 0,
+    scenario: Path | str | Scenario | None = None,
+    simulator: str | None = None,
+    drivers: Mapping[str, str | Driver] | None = None,
+    workers: int = 1,
+    timeout: float | None = None,
+    retries: int = 1,
+    progress: bool = False,
+) -> Estimation:
+    """Estimate how probable critical scenarios and collisions are under the distributions of a study's space.
+
+    New scenarios are run, by the simulator and with the settings of the study, and stored in a study of their own.
+    Where to draw them is learned first, from what the study holds and in rounds; what is drawn then is independent, and
+    gives an estimate without bias. The same call again goes on where it stopped; with a larger budget it goes on from
+    there.
+
+    Parameters
+    ----------
+    study : path
+        What was explored; it is only read.
+    output : path
+        Study to write or go on with.
+    budget : int, default 2000
+        Scenarios in all; 40 % of the first budget, at most, are for learning where to draw.
+    critical : float, optional
+        Threshold: score from which a scenario is critical; by default that of the study.
+    encounter : float, default 10.0
+        The ego and the other have an encounter where the gap between their boxes is at most so many m at some instant.
+    seed : int, default 0
+        The same seed gives the same result.
+    scenario : path or Scenario, optional
+        File that was explored. By default it is looked for beside the study and in the current folder, and known by its
+        fingerprint.
+    simulator : str, optional
+        By default that of the study, without options.
+    drivers : mapping of str to str or Driver, optional
+        Drivers of your own, by entity, where the study has some; presets are those of the study.
+    workers : int, default 1
+        Simulators side by side.
+    timeout : float, optional
+        Time in s after which a scenario is given up.
+    retries : int, default 1
+        How often a scenario is run again after the simulator died or hung.
+    progress : bool, default False
+        Show how far it is on standard error.
+
+    Returns
+    -------
+    Estimation
+
+    Raises
+    ------
+    InputError
+        Something cannot be used, the study has no threshold or is of something else, or the output is.
+
+    See Also
+    --------
+    cornercase.explore : Makes the study.
+    """
+    file, made = path("study", study), path("output", output)
+    require_other_file(made, file)
+    budget, seed = whole_number("budget", budget, least=_FEWEST), whole_number("seed", seed)
+    encounter = number("encounter", encounter, least=0.0)
+    flag("progress", progress)
+    with Study.open(file, readonly=True) as source:
+        if _NAME.fullmatch(source.meta.optimizer):
+            raise InputError(f"`study` {file}: is an estimate itself; name the study that it was made of.")
+        about = _configuration(source, scenario, budget, critical, seed, simulator, drivers or {})
+        about = replace(about, workers=workers, timeout=timeout, retries=retries)
+        learn, known = _agreed(made, round(_LEARN_SHARE * budget))
+        objective = about.objective()
+        threshold = objective.threshold(about.critical)
+        points, scores = source.points(), objective.oriented_of(source)
+    known = len(points) if known is None else min(known, len(points))
+    points, scores = points[:known], scores[:known]
+    begun = time.monotonic()
+    with configured_simulator(about) as running:
+        meta = about.meta(objective, running.settings)
+        name = f"importance-sampling:learn={learn},known={known}-{_digest(points, scores)}"
+        meta = replace(meta, critical=objective.flip(threshold), optimizer=name)
+        _require_same_runs(file, source.meta, running)
+        guess = guessed_proposal(about.logical.space, points, scores, threshold, seed)
+        sampling = ImportanceSampling(about.logical.space, _EVENTS, learn, seed, guess)
+        with Study.open(made) if made.exists() else Study.create(made, meta) as opened:
+            opened.continue_with(meta)
+            opened.add_elapsed("files", time.monotonic() - begun)
+            found = ProbabilityEstimator(about, running, sampling, opened, encounter).run(progress)
+    return found
+
+
+def _configuration(
+    study: Study,
+    scenario: Path | str | Scenario | None,
+    budget: int,
+    critical: float | None,
+    seed: int,
+    simulator: str | None,
+    drivers: Mapping[str, str | Driver],
+) -> Configuration:
+    """What the study was explored with, with another budget and seed."""
+    meta, settings = study.meta, study.meta.settings
+    source = explored_scenario(study, scenario)
+    if source is None:
+        raise InputError(f"`study` {study.path}: is of imported recordings, and no other scenario of it can be run.")
+    if meta.pareto:
+        raise InputError(f"`study` {study.path}: was searched for a Pareto front, so nothing says what is critical.")
+    known: dict[str, str | Driver] = dict(by_name("drivers", drivers))
+    for entity, driver in settings.get("drivers", {}).items():
+        # What a study names is no reason to import a module.
+        if isinstance(driver, str) and ":" not in driver:
+            known.setdefault(entity, driver)
+        elif entity not in known:
+            raise InputError(f"`drivers` {entity}: the study has a driver of its own there; give it again.")
+    given = {name: settings[name] for name in ("time_step", "duration", "on_collision") if name in settings}
+    return Configuration(
+        logical=LogicalScenario(source.path, meta.space, meta.fingerprint, source),
+        ego=meta.ego,
+        other=meta.other,
+        metrics=meta.metrics,
+        optimizer="random",
+        critical=meta.critical if critical is None else critical,
+        weights=meta.weights,
+        budget=budget,
+        seed=seed,
+        simulator=meta.simulator.partition(":")[0] if simulator is None else simulator,
+        drivers=known,
+        **given,
+    )
+
+
+def _agreed(output: Path, learn: int) -> tuple[int, int | None]:
+    """How many scenarios are for learning, and how many of the study count: as when the output was begun."""
+    if output.exists():
+        with suppress(InputError), Study.open(output, readonly=True) as begun:
+            if (match := _NAME.fullmatch(begun.meta.optimizer)) is not None:
+                return int(match["learn"]), int(match["known"])
+    return learn, None
+
+
+def _digest(points: FloatArray, scores: FloatArray) -> str:
+    content = points.astype("<f8").tobytes() + np.asarray(scores, dtype="<f8").tobytes()
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def _require_same_runs(study: Path, meta: StudyMeta, simulator: Simulator) -> None:
+    """Refuse a simulator that would not run scenarios as those of the study were run."""
+    mine: dict[str, Any] = dict(simulator.settings)
+    other = [name for name in sorted({*mine, *meta.settings}) if mine.get(name) != meta.settings.get(name)]
+    if other:
+        raise InputError(
+            f"{study}: was explored with another {', '.join(other)}; give `simulator` and `drivers` as for `explore`."
+        )

@@ -1,0 +1,203 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import ndtri
+from scipy.stats import binom, norm
+
+from cornercase.evidence import (
+    ImportanceSampling,
+    Mixture,
+    guessed_proposal,
+    of_all,
+    of_counts,
+    of_weights,
+    quotient,
+)
+from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
+
+
+def space_of(dimension):
+    return ParameterSpace.from_ranges([f"x{axis}=0:1" for axis in range(dimension)])
+
+
+def estimated(space, score, runs, seed, guess=None):
+    """Probability that the score is not above 0, from so many runs."""
+    sampling, spent = ImportanceSampling(space, 1, int(0.4 * runs), seed, guess), 0
+    while sampling.stage != "estimate":
+        points = sampling.ask(runs)
+        scores = score(points)
+        sampling.tell(points, scores, (scores <= 0.0)[:, None])
+        spent += len(points)
+    points = sampling.ask(runs - spent)
+    return of_weights(sampling.weights(points), score(points) <= 0.0, sampling.weights_error), sampling
+
+
+def two_tails(points):
+    """Beyond 4.5 on one axis, or beyond 4.4 on the other side of another."""
+    places = ndtri(np.clip(points, 1e-16, 1 - 2e-16))
+    return np.minimum(4.5 - places[:, 0], 4.4 + places[:, 1])
+
+
+TWO_TAILS = 1.0 - (1.0 - norm.sf(4.5)) * (1.0 - norm.sf(4.4))
+
+
+def test_two_far_regions_of_one_in_a_hundred_thousand_are_told_within_a_fifth():
+    found = [estimated(space_of(3), two_tails, 4000, seed)[0] for seed in range(5)]
+    assert all(abs(one.value / TWO_TAILS - 1.0) < 0.2 for one in found)
+    assert all(one.error < 0.1 for one in found)
+    assert sum(one.low <= TWO_TAILS <= one.high for one in found) >= 4
+    # Plain Monte Carlo needs millions for what 4,000 scenarios say.
+    assert all(one.plain_scenarios > 1e6 for one in found)
+
+
+def test_what_is_frequent_is_told_too():
+    found, _ = estimated(space_of(2), lambda points: points[:, 0] - 0.3, 1000, 0)
+    assert found.low <= 0.3 <= found.high
+    assert found.error < 0.1
+
+
+def test_a_plateau_gives_no_way_but_what_is_met_counts():
+    def score(points):
+        return np.minimum(np.abs(points - 0.7).max(1) - 0.01, 0.1)
+
+    found, _ = estimated(space_of(2), score, 4000, 1)
+    assert found.low <= 4e-4 <= found.high
+
+
+def test_choices_steps_and_distributions_count_as_probable_as_they_are():
+    space = ParameterSpace(
+        [
+            Parameter("kind", 0.0, 2.0, choices=("a", "b", "c"), distribution=law("set", 0.0, 2.0, 90.0, 9.0, 1.0)),
+            Parameter("number", 0.0, 9.0, step=1.0),
+            Parameter("speed", 0.5, 20.0, distribution=law("lognormal", 0.5, 20.0, 1.0, 0.4)),
+        ]
+    )
+
+    def score(points):
+        values = space.values(points)
+        return np.array(
+            [6.0 - float(one["speed"]) + 4.0 * (one["kind"] != "c") + abs(float(one["number"]) - 3.0) for one in values]
+        )
+
+    truth = 0.0
+    cut = norm.cdf((np.log([0.5, 20.0]) - 1.0) / 0.4)
+    for kind, probable in (("a", 0.9), ("b", 0.09), ("c", 0.01)):
+        for count in range(10):
+            least = 6.0 + 4.0 * (kind != "c") + abs(count - 3.0)
+            truth += probable * 0.1 * (cut[1] - norm.cdf((np.log(min(least, 20.0)) - 1.0) / 0.4)) / (cut[1] - cut[0])
+    found, _ = estimated(space, score, 3000, 2)
+    assert found.low <= truth <= found.high
+    assert found.error < 0.2
+
+
+def law(kind, low, high, *numbers):
+    return ParameterSpace.from_json(
+        {
+            "parameters": [
+                {
+                    "name": "p", "low": low, "high": high, "step": None, "choices": [], "unit": "", "sets": [],
+                    "distribution": {"kind": kind, "low": low, "high": high, "numbers": list(numbers)},
+                }
+            ],
+            "declarations": [],
+        }
+    ).parameters[0].distribution  # fmt: skip
+
+
+def test_the_probability_is_that_within_the_constraints():
+    """Of x + y <= 1.2 at most 0.68 is left, in which the corner x > 0.99 is rarer than in the square."""
+    declarations = [
+        Declaration("x", "double", "0.5", ()),
+        Declaration("y", "double", "0.5", ((Constraint("lessOrEqual", "${1.2 - $x}"),),)),
+    ]
+    space = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]).constrained(declarations)
+    found, _ = estimated(space, lambda points: 0.99 - points[:, 0], 2000, 0)
+    # The strip is cut at y = 1.2 - x.
+    truth = (0.01 * (1.2 - 0.995)) / (1.0 - 0.5 * 0.8**2)
+    assert found.low <= truth <= found.high
+    assert found.error < 0.15
+
+
+def test_told_again_it_goes_on_as_if_nothing_had_happened():
+    first = ImportanceSampling(space_of(3), 1, 600, 5)
+    rounds = []
+    for _ in range(20):
+        points = first.ask(100)
+        rounds.append(points)
+        first.tell(points, two_tails(points), (two_tails(points) <= 0.0)[:, None])
+    assert first.stage == "estimate"
+    second = ImportanceSampling(space_of(3), 1, 600, 5)
+    for points in rounds:
+        second.tell(points, two_tails(points), (two_tails(points) <= 0.0)[:, None])
+    np.testing.assert_array_equal(first.ask(50), second.ask(50))
+    np.testing.assert_array_equal(first.weights(rounds[-1]), second.weights(rounds[-1]))
+
+
+def test_failed_scenarios_and_equal_scores_stop_nothing():
+    sampling = ImportanceSampling(space_of(2), 1, 300, 0)
+    while sampling.stage != "estimate":
+        points = sampling.ask(100)
+        scores = np.where(points[:, 0] > 0.5, np.nan, 1.0)
+        sampling.tell(points, scores, np.zeros((len(points), 1), dtype=np.bool_))
+    assert len(sampling.ask(100)) == 100
+
+
+def test_a_guess_from_a_study_leads_to_the_region():
+    def score(points):
+        return np.abs(points - 0.9).max(1) - 0.03
+
+    space, rng = space_of(2), np.random.default_rng(0)
+    known = rng.random((150, 2))
+    guess = guessed_proposal(space, known, score(known), 0.0, 0)
+    assert guess is not None
+    near = np.abs(norm.cdf(guess.draw(500, rng)) - 0.9).max(1)
+    assert np.median(near) < 0.1
+    found, _ = estimated(space, score, 600, 0, guess)
+    assert found.low <= 0.06**2 <= found.high
+    assert guessed_proposal(space, known, np.ones(150), 0.0, 0) is None
+
+
+def test_a_mixture_finds_groups_and_has_the_density_it_draws_from():
+    rng = np.random.default_rng(1)
+    points = np.concatenate([rng.normal(-3.0, 0.5, (300, 2)), rng.normal(4.0, 0.3, (300, 2))])
+    weights = np.repeat([1.0, 3.0], 300)
+    mixture = Mixture.fitted(points, weights, rng)
+    heavy = mixture.means[:, 0] > 0.0
+    assert mixture.shares[heavy].sum() == pytest.approx(0.75, abs=0.05)
+    drawn = mixture.draw(20_000, rng)
+    # By importance the area of a square is told from the density.
+    inside = np.abs(drawn - 4.0).max(1) < 0.5
+    area = (inside / np.exp(mixture.log_density(drawn))).mean()
+    assert area == pytest.approx(1.0, rel=0.05)
+
+
+def test_intervals_of_counts_are_those_of_clopper_and_pearson():
+    found = of_counts(3, 50)
+    assert binom.sf(2, 50, found.low) == pytest.approx(0.025)
+    assert binom.cdf(3, 50, found.high) == pytest.approx(0.025)
+    assert binom.cdf(3, 50, found.high_90) == pytest.approx(0.05)
+    assert (of_counts(0, 50).low, of_counts(0, 50).error) == (0.0, None)
+    assert of_counts(0, 50).high == pytest.approx(1.0 - 0.025 ** (1 / 50))
+
+
+def test_equal_weights_are_plain_monte_carlo():
+    met = np.arange(400) < 100
+    found = of_weights(np.ones(400), met)
+    assert found.value == 0.25
+    assert found.effective == pytest.approx(100.0)
+    assert found.plain_scenarios == pytest.approx(400, rel=0.01)
+    assert found.low == pytest.approx(of_counts(100, 400).low, abs=0.01)
+
+
+def test_all_scenarios_of_a_space_leave_no_error():
+    found = of_all(np.array([0.5, 0.25, 0.25]), np.array([False, True, False]))
+    assert (found.value, found.low, found.high, found.error) == (0.25, 0.25, 0.25, 0.0)
+
+
+def test_a_quotient_is_as_unsure_as_both():
+    found = quotient(of_counts(10, 1000), of_counts(100, 1000))
+    assert found is not None
+    assert found.value == pytest.approx(0.1)
+    assert found.error == pytest.approx(np.hypot(np.sqrt(0.99 / 10), np.sqrt(0.9 / 100)))
+    assert quotient(of_counts(10, 1000), of_counts(0, 1000)) is None

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cornercase import NoticeWarning, estimate, explore
+from cornercase._common.errors import InputError
+from cornercase.cli import app
+from cornercase.evidence import ImportanceSampling
+from cornercase.exploration import Configuration, ProbabilityEstimator
+from cornercase.scenario import LogicalScenario, ParameterSpace
+from cornercase.study import Study
+from synthetic import LOGICAL, Synthetic, about
+
+# Scenarios with a > 0.9 fail, and the others are 10 |a - b| m apart; a goes by steps of 0.01.
+STEPS = np.arange(91) / 100.0
+CRITICAL = 0.05
+
+
+def share_within(reach):
+    """Probability that |a - b| is at most `reach` and a at most 0.9."""
+    return (np.minimum(STEPS + reach, 1.0) - np.maximum(STEPS - reach, 0.0)).sum() / 101
+
+
+def opened(path, space=LOGICAL.space):
+    return Study.open(path) if path.exists() else Study.create(path, about(space, "distance", budget=800))
+
+
+def estimator(study, simulator=None, budget=800, logical=LOGICAL):
+    configuration = Configuration(
+        logical, "Ego", "B", ("distance",), optimizer="random", critical=CRITICAL, budget=budget, seed=3
+    )
+    sampling = ImportanceSampling(logical.space, 2, 320, 3)
+    return ProbabilityEstimator(configuration, simulator or Synthetic(), sampling, study, 1.0)
+
+
+def contents(path):
+    with Study.open(path, readonly=True) as study:
+        arrays, info = study.analysis("estimate")
+        return (
+            [(row.round, row.point.tobytes(), row.state) for row in study.rows()],
+            arrays["weights"].tobytes(),
+            info,
+        )
+
+
+def test_the_probability_is_the_true_one_and_failures_are_told(tmp_path):
+    with opened(tmp_path / "e.db") as study:
+        found = estimator(study).run()
+    truth = share_within(CRITICAL / 10.0)
+    assert found.critical.low <= truth <= found.critical.high
+    assert found.critical.error < 0.4
+    assert found.scenarios == 800
+    assert found.critical.scenarios == 800 - found.learned
+    assert any("failed" in warning for warning in found.warnings)
+    # Boxes 4 m long have a gap of at most 1 m where the centres are at most 5 m apart.
+    assert found.encounter.low <= share_within(0.5) <= found.encounter.high
+    assert found.critical_given_encounter.low <= truth / share_within(0.5) <= found.critical_given_encounter.high
+    assert found.collision.met == 0
+    assert any(warning.startswith("No collision was met") for warning in found.warnings)
+    assert found.criterion == "distance <= 0.05 m"
+
+
+def test_interrupted_it_goes_on_as_if_undisturbed(tmp_path):
+    with opened(tmp_path / "whole.db") as study:
+        whole = estimator(study).run()
+    interruptions = 0
+    for after in (5, 150, 230, 10_000):
+        with opened(tmp_path / "parts.db") as study:
+            found = estimator(study, Synthetic(interrupts=after)).run()
+            interruptions += found.interrupted
+    assert interruptions == 3
+    assert found.to_json() == whole.to_json()
+    assert contents(tmp_path / "parts.db") == contents(tmp_path / "whole.db")
+
+
+def test_a_larger_budget_adds_to_what_is_there(tmp_path):
+    with opened(tmp_path / "e.db") as study:
+        first = estimator(study).run()
+        second = estimator(study, budget=1500).run()
+    assert (first.scenarios, second.scenarios) == (800, 1500)
+    assert second.learned == first.learned
+    assert second.critical.error < first.critical.error
+
+
+def test_of_a_small_space_all_is_run_and_nothing_is_unsure(tmp_path):
+    space = ParameterSpace.from_ranges(["a=0:1:0.1", "b=0:1:0.1"])
+    logical = replace(LOGICAL, space=space)
+    with opened(tmp_path / "e.db", space) as study:
+        found = estimator(study, logical=logical).run()
+    assert found.scenarios == 121
+    # The ten of eleven values of a that run are met by the same value of b.
+    assert found.critical.value == pytest.approx(10 / 121)
+    assert (found.critical.low, found.critical.high, found.critical.error) == (
+        found.critical.value,
+        found.critical.value,
+        0.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory, x_intersection):
+    folder = tmp_path_factory.mktemp("explored")
+    logical = LogicalScenario.read(
+        x_intersection.path, ranges=["ego_start=20:60", "pedestrian_wait=0:10", "p1_speed=1:10"]
+    )
+    file = folder / "study.db"
+    explore(logical, file, ego="Ego", other="Pedestrian", metrics=["wttc"], critical=0.2, budget=20, optimizer="sobol")
+    return file, x_intersection.path
+
+
+@pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
+def test_a_study_is_estimated_with_its_own_simulator(explored, tmp_path):
+    assert issubclass(NoticeWarning, Warning)
+    file, scenario = explored
+    found = estimate(file, tmp_path / "e.db", budget=120, scenario=scenario)
+    again = estimate(file, tmp_path / "e.db", budget=120, scenario=scenario)
+    assert found.to_json() == again.to_json()
+    assert found.scenarios == 120
+    other = estimate(file, tmp_path / "two.db", budget=120, scenario=scenario, workers=2)
+    assert other.to_json() == found.to_json()
+    with Study.open(tmp_path / "e.db", readonly=True) as study:
+        assert len(study.done()) == 120
+        assert study.meta.optimizer.startswith("importance-sampling:learn=48,known=20-")
+        # The result can be worked out from what the file holds.
+        arrays, _ = study.analysis("estimate")
+        scores = dict(zip((row.id for row in study.done()), study.scores("wttc"), strict=True))
+        met = np.array([scores[number] <= 0.2 for number in arrays["ids"].tolist()])
+        assert (arrays["weights"] * met).mean() == pytest.approx(found.critical.value)
+        assert study.analyses() == []
+    result = CliRunner().invoke(
+        app,
+        ["estimate", str(file), "-o", str(tmp_path / "e.db"), "--budget", "120", "--scenario", str(scenario), "--json"],
+    )
+    assert result.exit_code == 0
+    assert json.loads(result.stdout) == found.to_json()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"output": "study.db"}, "is the file that is read"),
+        ({"budget": 99}, "`budget`"),
+        ({"encounter": -1.0}, "`encounter`"),
+        ({"drivers": {"Ego": "aggressive"}}, "was explored with another drivers"),
+    ],
+)
+def test_what_cannot_be_estimated_is_refused(explored, tmp_path, given, words):
+    file, scenario = explored
+    output = file if "output" in given else tmp_path / "e.db"
+    more = {name: value for name, value in given.items() if name != "output"}
+    with pytest.raises(InputError, match=words):
+        estimate(file, output, scenario=scenario, **more)
+    assert file.exists()
+    assert not (tmp_path / "e.db").exists()
