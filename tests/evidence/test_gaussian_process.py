@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import qmc
 
-from cornercase.evidence import CriticalSet, GaussianProcess
+from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, near_threshold, nearness
 from cornercase.evidence import posterior as posterior_module
-from cornercase.evidence.kernel import Kernel
+from cornercase.evidence.kernel import Kernel, chosen
 from cornercase.evidence.posterior import ExactPosterior, SparsePosterior
 from searches import CUBE, EVERYWHERE, THRESHOLD, two_regions
 
@@ -130,3 +130,37 @@ def test_the_level_of_groups_is_that_of_all_places():
 
     expected = np.mean([ndtr(part).mean(axis=0) for part in every], axis=0)
     np.testing.assert_allclose(known._level(), expected, atol=1e-4)
+
+
+def test_widths_are_learned_from_rare_values_too():
+    rare = np.zeros(3000, dtype=np.bool_)
+    rare[[5, 1201, 1202, 2999]] = True
+    picked = chosen(3000, 160, rare)
+    assert len(picked) == 160 == len(np.unique(picked))
+    assert rare[picked].sum() == 4
+    # Many of a kind do not crowd the others out.
+    assert rare[chosen(3000, 160, ~rare)].sum() == 4
+    np.testing.assert_array_equal(chosen(100, 160, rare[:100]), np.arange(100))
+
+
+def test_a_rare_region_that_was_met_is_not_lost_among_more_scenarios():
+    """Seven of 1,000 scenarios lie in a ball of 0.65 % of the cube, on a score that is the same everywhere else."""
+    points = qmc.Sobol(3, seed=2).random(1024)
+    depth = np.linalg.norm(points - (0.7, 0.3, 0.6), axis=1) - 0.116
+    known = boundary_process(points, np.minimum(depth, 0.05), 0.0)
+    critical = np.linalg.norm(EVERYWHERE - (0.7, 0.3, 0.6), axis=1) <= 0.116
+    found = known.predict(EVERYWHERE)[0] <= 0.0
+    assert (found & critical).sum() > 0.5 * critical.sum()
+
+
+@pytest.mark.parametrize("dimension", [4, 8])
+def test_what_lies_far_from_the_threshold_counts_where_the_function_is_smooth(dimension):
+    """A wave of which 5 % are critical; drawn together at half a standard deviation most of it says nothing."""
+    points, places = (qmc.Sobol(dimension, seed=seed).random(256 if seed else 4096) for seed in (1, 0))
+    phases = np.linspace(0.0, 5.0, dimension)
+    scores, true = (np.sin(4.0 * one + phases).sum(axis=1) for one in (points, places))
+    threshold = float(np.quantile(true, 0.05))
+    process = boundary_process(points, scores, threshold)
+    near = GaussianProcess().fit(points, near_threshold(scores, threshold, nearness(scores)))
+    wrong = [((one.predict(places)[0] <= 0.0) != (true <= threshold)).mean() for one in (process, near)]
+    assert wrong[0] < 0.8 * wrong[1]

@@ -50,7 +50,7 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot():
     assert (branch[sure] > 0.8).mean() > 0.95
     others = explored(LevelSetOptimizer(CUBE, 2, THRESHOLD), 200, function=lambda at: outcome(at)[0])
     alone = boundary_process(others, outcome(others)[0], THRESHOLD).predict(EVERYWHERE)[0] < 0.0
-    assert recall > agreement(alone, true)[0] + 0.1
+    assert recall > agreement(alone, true)[0] + 0.09
 
 
 def test_without_features_it_finds_both_regions():

@@ -114,7 +114,7 @@ class Committee:
         Committee
             Itself.
         """
-        values = near_threshold(scores, self._threshold, self._near)
+        values = near_threshold(scores, self._threshold, self._process.near)
         self._process.know(points, values, (1.0 - values**2 + _FAR) ** 2)
         self._foretold = Foretold(points, self._learned_from(scores, features), self._foretold.kernel)
         self._points, self._columns = points, np.hstack([points, self._foretold.left_out])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
+from operator import itemgetter
 
 import numpy as np
 from scipy.linalg.blas import dtrmm, strmm
@@ -11,14 +12,17 @@ from scipy.special import log_ndtr
 
 from cornercase._common.platform import available_cpus
 from cornercase._common.threads import one_thread
-from cornercase._common.typing import FloatArray
-from cornercase.evidence.kernel import Floats, Kernel, evenly, learned_kernel
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.evidence.kernel import Floats, Kernel, chosen, evenly, learned_kernel
 from cornercase.evidence.posterior import MOST_EXACT, Posterior, positive_factor, posterior
 from cornercase.evidence.products import products_of_rows, times_lower_transposed
 from cornercase.scenario import ParameterSpace
 
 _CHUNK, _FEWEST = 1024, 10
-_MANY, _NOISES = 100, (0.02, 0.3, 1.0)
+# Most noise of the first tries, and less and more of it.
+_MANY, _NOISE, _LITTLE, _MUCH = 100, 0.3, 0.02, 1.0
+# Nearness, in standard deviations, for a function that is smooth all over.
+_WHOLE = 2.0
 # How much the process matters far from the threshold.
 _FAR = 0.02
 # Places at which both precisions are compared, and how far they may differ at most of them, in standard deviations.
@@ -106,7 +110,8 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
 
     Where scores jump, a process with much noise smooths the boundary away; where they are noisy, one with little noise
     follows the noise. So several are fitted, each with more noise allowed, and the one is taken that predicts best on
-    which side of the threshold each scenario is that is left out, of 512 of them at most.
+    which side of the threshold each scenario is that is left out, of 512 of them at most. A function that is smooth all
+    over is told best by what lies far from the threshold too, so two standard deviations are tried beside `nearness`.
 
     Parameters
     ----------
@@ -120,19 +125,32 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     -------
     GaussianProcess
     """
-    values = near_threshold(scores, threshold, nearness(scores))
-    some = evenly(len(points), MOST_EXACT)
-    side = np.where(scores[some] <= threshold, 1.0, -1.0)
-    found: list[GaussianProcess] = []
-    sure = []
-    for most_noise in _NOISES:
-        process = GaussianProcess(most_noise).learn(points, values, found[-1] if found else None)
+    critical = scores <= threshold
+    # Of rare critical scenarios none is left out: the widths about them are learned from them.
+    rare = critical if 2 * critical.sum() < len(critical) else ~critical
+    some = chosen(len(points), MOST_EXACT, rare)
+    side = np.where(critical[some], 1.0, -1.0)
+
+    def tried(near: float, most_noise: float, start: GaussianProcess | None) -> tuple[float, GaussianProcess]:
+        values = near_threshold(scores, threshold, near)
+        process = GaussianProcess(most_noise, near).learn(points, values, start, rare)
         mean, deviation = process.know(points[some], values[some]).leave_one_out()
-        sure.append(log_ndtr(-side * mean / deviation).sum())
-        found.append(process)
-    best = found[int(np.argmax(sure))]
+        return float(log_ndtr(-side * mean / deviation).sum()), process
+
+    nears = dict.fromkeys((nearness(scores), _WHOLE * float(np.std(scores))))
+    found = [tried(near, _NOISE, None) for near in nears]
+    start = max(found, key=itemgetter(0))[1]
+    # Where the noise is not at its bound, another bound gives the same.
+    if start.kernel.noise > _LITTLE:
+        found.append(tried(start.near, _LITTLE, start))
+    if start.kernel.noise > 0.99 * _NOISE:
+        found.append(tried(start.near, _MUCH, start))
+    best = max(found, key=itemgetter(0))[1]
+    if len(some) == len(points):
+        return best
+    values = near_threshold(scores, threshold, best.near)
     # The slope of the hyperbolic tangent says how near a score is to the threshold.
-    return best if len(some) == len(points) else best.know(points, values, (1.0 - values**2 + _FAR) ** 2)
+    return best.know(points, values, (1.0 - values**2 + _FAR) ** 2)
 
 
 class GaussianProcess:
@@ -145,15 +163,19 @@ class GaussianProcess:
     ----------
     most_noise : float, default 0.3
         Greatest standard deviation of single values.
+    near : float, default 1.0
+        Where the values are those of `near_threshold`, what counts as near.
 
     Attributes
     ----------
     kernel : Kernel
         As learned.
+    near : float
+        As given; further values of a `boundary_process` are made with it.
     """
 
-    def __init__(self, most_noise: float = 0.3) -> None:
-        self._most_noise = most_noise
+    def __init__(self, most_noise: float = 0.3, near: float = 1.0) -> None:
+        self._most_noise, self.near = most_noise, near
         self._mean = 0.0
         self.kernel: Kernel
         self._known: Posterior
@@ -173,7 +195,13 @@ class GaussianProcess:
         """
         return self.learn(points, values).know(points, values)
 
-    def learn(self, points: FloatArray, values: FloatArray, near: GaussianProcess | None = None) -> GaussianProcess:
+    def learn(
+        self,
+        points: FloatArray,
+        values: FloatArray,
+        near: GaussianProcess | None = None,
+        rare: BoolArray | None = None,
+    ) -> GaussianProcess:
         """Learn the kernel, and the mean far from all values.
 
         Parameters
@@ -182,6 +210,8 @@ class GaussianProcess:
         values : ndarray of float64, shape (n,)
         near : GaussianProcess, optional
             With a kernel near which to look.
+        rare : ndarray of bool, shape (n,), optional
+            Values that must not be lost where only some of many are learned from.
 
         Returns
         -------
@@ -192,7 +222,7 @@ class GaussianProcess:
         # Sums in one order, whatever the number of threads: the points that follow hang on the last digits.
         with one_thread():
             start = None if near is None else near.kernel
-            self.kernel = learned_kernel(points, values - self._mean, self._most_noise, start)
+            self.kernel = learned_kernel(points, values - self._mean, self._most_noise, start, rare)
         return self
 
     def know(self, points: FloatArray, values: FloatArray, matters: FloatArray | None = None) -> GaussianProcess:

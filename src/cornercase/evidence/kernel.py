@@ -11,12 +11,17 @@ from scipy.linalg import LinAlgError, cholesky
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 Floats = npt.NDArray[np.floating[Any]]
 
 _ROOT5 = float(np.sqrt(5.0))
-_LEARNED = 160
+# Values that widths are learned from, for each dimension and within bounds: what it takes grows with their cube.
+_LEARNED, _FEWEST, _MOST = 40, 160, 400
+# Median of the widths before anything is known, for one dimension, and how far their logarithms lie about it. Distances
+# in a cube grow with the root of its dimension; so must widths, or a process of many dimensions knows nothing between
+# its values.
+_MEDIAN, _SPREAD = 0.5, 0.7
 _WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-4
 
 
@@ -64,20 +69,50 @@ def evenly(count: int, most: int) -> IntArray:
     return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
 
 
-def learned_kernel(points: FloatArray, values: FloatArray, most_noise: float, start: Kernel | None = None) -> Kernel:
-    """Kernel of the greatest marginal likelihood times a wide prior on the widths.
+def chosen(count: int, most: int, rare: BoolArray | None) -> IntArray:
+    """Indices of at most so many of `count` values, up to half of them rare ones, and evenly apart among their kind.
 
-    The prior keeps the widths from running away while there are few points.
+    Parameters
+    ----------
+    count, most : int
+    rare : ndarray of bool, shape (count,), or None
+        Values that would be lost among many others.
+
+    Returns
+    -------
+    ndarray of int64
+    """
+    if rare is None or count <= most or not rare.any():
+        return evenly(count, most)
+    kinds = np.flatnonzero(rare), np.flatnonzero(~rare)
+    first = kinds[0][evenly(len(kinds[0]), most // 2)]
+    rest = kinds[1][evenly(len(kinds[1]), most - len(first))] if len(kinds[1]) else kinds[1]
+    return np.sort(np.concatenate([first, rest]))
+
+
+def learned_kernel(
+    points: FloatArray,
+    values: FloatArray,
+    most_noise: float,
+    start: Kernel | None = None,
+    rare: BoolArray | None = None,
+) -> Kernel:
+    """Kernel of the greatest marginal likelihood times a log-normal prior on the widths.
+
+    The prior keeps the widths from running away while there are few points. Its median grows with the root of the
+    number of dimensions.
 
     Parameters
     ----------
     points : ndarray of float64, shape (n, e)
     values : ndarray of float64, shape (n,)
-        With a mean of 0; 160 of them at most are looked at.
+        With a mean of 0; 40 for each dimension are looked at, but 160 at least and 400 at most.
     most_noise : float
         Greatest standard deviation of single values.
     start : Kernel, optional
         Where to begin.
+    rare : ndarray of bool, shape (n,), optional
+        Values of which as many as can be are looked at, up to half of all that are.
 
     Returns
     -------
@@ -86,14 +121,15 @@ def learned_kernel(points: FloatArray, values: FloatArray, most_noise: float, st
     Notes
     -----
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
-    and 5.9.
+    and 5.9. The prior is scaled as in C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs
+    great in high dimensions", ICML (2024).
     """
     dims = points.shape[1]
     bounds = np.log([*[_WIDTHS] * dims, _SIGNAL, (_LEAST_NOISE, most_noise)])
     begin = np.append(np.full(dims, 0.4), (1.0, 0.05))
     if start is not None:
         begin = np.append(start.widths, (start.signal, start.noise))
-    some = evenly(len(values), _LEARNED)
+    some = chosen(len(values), int(np.clip(_LEARNED * dims, _FEWEST, _MOST)), rare)
     squares = ((points.T[:, some, None] - points.T[:, None, some]) ** 2).reshape(dims, -1)
     found = minimize(
         _loss, np.clip(np.log(begin), *bounds.T), (squares, values[some]), jac=True, method="L-BFGS-B",
@@ -131,8 +167,8 @@ def _loss(parameters: FloatArray, squares: FloatArray, values: FloatArray) -> tu
     gradient[-2] = flat @ correlation * signal2
     gradient[-1] = np.trace(outer) * noise2
     likelihood = -0.5 * values @ weights - determinant
-    away = np.asarray(logs) - np.log(0.5)
-    gradient[:-2] -= away
+    away = (np.asarray(logs) - np.log(_MEDIAN * np.sqrt(len(logs)))) / _SPREAD
+    gradient[:-2] -= away / _SPREAD
     return float(-(likelihood - 0.5 * away @ away)), -gradient
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.evidence import GaussianProcess, boundary_process, encoded, near_threshold, nearness
+from cornercase.evidence import GaussianProcess, boundary_process, encoded, near_threshold
 from cornercase.optimizers.candidates import CandidateOptimizer
 from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.optimizers.unseen import Unseen
@@ -76,7 +76,6 @@ class LevelSetOptimizer(CandidateOptimizer):
         self._count, self._least = candidates, filling
         self._unseen = Unseen(space)
         self._process: GaussianProcess
-        self._near: float
         self._candidates: FloatArray
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
@@ -85,7 +84,6 @@ class LevelSetOptimizer(CandidateOptimizer):
         self._unseen.tell(points)
 
     def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
-        self._near = nearness(scores)
         self._process = boundary_process(encoded(self._space, points), scores, self.threshold)
         candidates = SobolOptimizer(self._space, seed).ask(self._count, besides=points)
         mean, deviation = self._process.predict(encoded(self._space, candidates))
@@ -114,7 +112,7 @@ class LevelSetOptimizer(CandidateOptimizer):
             return candidates
         process = self._process
         if len(points):
-            values = near_threshold(scores, self.threshold, self._near)
+            values = near_threshold(scores, self.threshold, process.near)
             process = process.extended(encoded(self._space, points), values)
         return candidates[_straddle(process, encoded(self._space, candidates), encoded(self._space, filling), n)]
 
