@@ -226,8 +226,9 @@ class Judge:
         inside = known.margin(at) <= 0.0
         self.share = float(inside.mean())
         self.inside = at[inside][:_MOST_INSIDE]
-        part, some = at[: 2**_ASKED], inside[: 2**_ASKED]
-        self.outside, self.outer = part[~some], float((~some).mean())
+        # What fails is neither critical nor not.
+        part, outside = at[: 2**_ASKED], np.isfinite(known.margin(at[: 2**_ASKED])) & ~inside[: 2**_ASKED]
+        self.outside, self.outer = part[outside], float(outside.mean())
 
     def agreement(self, told: Callable[[Floats], npt.NDArray[np.bool_]]) -> dict[str, float]:
         """Recall and precision of what is told to be critical."""

@@ -17,6 +17,7 @@ from cornercase.evidence import CriticalSet, GaussianProcess, encoded
 from cornercase.evidence.kernel import _loss
 from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
+from cornercase.optimizers.dips import below_dips
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
 from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
@@ -146,6 +147,35 @@ def test_the_space_is_filled_once_the_boundary_is_found(seed):
     recall, precision = found_of(scores, points)
     assert recall > 0.98
     assert precision > 0.98
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_islands_of_half_a_percent_are_both_found(seed):
+    """Their scores fall from 0.1 above them on, and are flat in most of the space."""
+    centres = (0.2, 0.3, 0.75), (0.8, 0.7, 0.25)
+
+    def scores(points):
+        away = np.min([np.linalg.norm(points - np.array(one), axis=1) for one in centres], axis=0) - 0.106
+        return THRESHOLD + 3 * away / (0.1 + np.abs(away))
+
+    points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 200, function=scores)
+    hits = points[scores(points) <= THRESHOLD]
+    assert min(np.sum(np.linalg.norm(hits - np.array(one), axis=1) < 0.106) for one in centres) >= 3
+
+
+def test_below_a_dip_is_downhill_of_it():
+    grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 6)] * 2), -1).reshape(-1, 2)
+    scores = np.minimum(np.linalg.norm(grid - (0.45, 0.63), axis=1), 0.5)
+    places = below_dips(grid, scores, 0.0)
+    assert places.shape == (1, 2)
+    lowest = grid[np.argmin(scores)]
+    assert np.linalg.norm(places[0] - lowest) == pytest.approx(0.1)
+    assert np.linalg.norm(places[0] - (0.45, 0.63)) < scores.min()
+    # What is critical is no dip, nor is what is far from the threshold for its depth; failures are uphill.
+    assert len(below_dips(grid, scores, 0.1)) == 0
+    assert len(below_dips(grid, scores + 2.0, 0.0)) == 0
+    failed = np.where(grid[:, 0] > 0.5, np.nan, scores)
+    assert below_dips(grid, failed, 0.0)[0, 0] < lowest[0]
 
 
 def test_choices_are_as_far_from_each_other():

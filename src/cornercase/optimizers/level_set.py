@@ -7,11 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence import GaussianProcess, boundary_process, encoded, near_threshold
 from cornercase.optimizers.candidates import CandidateOptimizer
+from cornercase.optimizers.dips import below_dips
 from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
@@ -23,6 +25,8 @@ _INITIAL: Final = 24
 _KEPT: Final = 4096
 # Of those the ones that are looked at first.
 _LIKELY: Final = 512
+# Share of the points that follow scores which fall towards the threshold elsewhere.
+_FOLLOWING: Final = 0.15
 # Probability of failing up to which a candidate is asked for, or that much more than has failed where that is more.
 _MOST_FAILING, _MORE = 0.25, 1.25
 # Probability of being critical below which a candidate says nothing of the boundary of what is known.
@@ -40,6 +44,9 @@ class LevelSetOptimizer(CandidateOptimizer):
     boundary. The first 24 points, and a share of all others, are a Sobol' sequence, so that a critical region that
     the process knows nothing of is met. That share grows to 2.5 times as much where the boundary of what is known is
     found: where the process expects to be wrong about a volume of 3 % of the critical one instead of 8 %.
+
+    Up to 15 % of the points follow scores which fall towards the threshold without reaching it (`below_dips`), so that
+    further regions are met that are felt from afar.
 
     Where scenarios have failed, a process of that keeps the search from asking for what is likely to fail too, with a
     probability of more than 25 %, or of 1.25 times the share that has failed where that is more. Only the Sobol'
@@ -77,6 +84,8 @@ class LevelSetOptimizer(CandidateOptimizer):
         self._unseen = Unseen(space)
         self._process: GaussianProcess
         self._candidates: FloatArray
+        self._everywhere: FloatArray
+        self._tree: cKDTree
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take scores, shape (m,), of points, shape (m, d), as in `Optimizer.tell`."""
@@ -94,6 +103,7 @@ class LevelSetOptimizer(CandidateOptimizer):
             best = best[: 2 * _KEPT]
             best = best[self._runs(candidates[best])]
         self._candidates = candidates[np.sort(best[:_KEPT])]
+        self._everywhere, self._tree = candidates, cKDTree(encoded(self._space, candidates))
 
     def _runs(self, candidates: FloatArray) -> BoolArray:
         """Tell which candidates are not likely to fail, by a process of what has failed."""
@@ -105,6 +115,21 @@ class LevelSetOptimizer(CandidateOptimizer):
         return np.asarray(fails <= max(_MOST_FAILING, _MORE * float(np.mean(~known))))
 
     def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        sought = self._below_dips(filling, n)
+        filling, n = np.concatenate([filling, sought]), n - len(sought)
+        return np.concatenate([sought, self._at_boundary(points, scores, filling, n)]) if n else sought
+
+    def _below_dips(self, filling: FloatArray, n: int) -> FloatArray:
+        """Points of this round that follow scores which fall towards the threshold; their share is the same always."""
+        told = len(self._points)
+        most = min(math.floor(_FOLLOWING * (told + n)) - math.floor(_FOLLOWING * told), n)
+        if most == 0:
+            return filling[:0]
+        places = below_dips(encoded(self._space, self._points), self._scores, self.threshold)[:most]
+        return self._unseen.left(self._everywhere[self._tree.query(places)[1]], besides=filling)
+
+    def _at_boundary(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        """Points of this round where it is least known whether they are critical; parameters as of `_choose`."""
         candidates = self._unseen.left(self._candidates, besides=filling)
         if len(candidates) < n:
             candidates = self._new(max(n, min(self._count, _KEPT)), filling)
