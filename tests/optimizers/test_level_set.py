@@ -13,7 +13,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from command_line import SPACE, X, cornercase
-from cornercase.evidence import CriticalSet, GaussianProcess, encoded
+from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, encoded
 from cornercase.evidence.kernel import _loss
 from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
@@ -161,6 +161,17 @@ def test_two_islands_of_half_a_percent_are_both_found(seed):
     points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 200, function=scores)
     hits = points[scores(points) <= THRESHOLD]
     assert min(np.sum(np.linalg.norm(hits - np.array(one), axis=1) < 0.106) for one in centres) >= 3
+
+
+def test_a_slope_far_above_the_threshold_is_followed_before_anything_is_critical():
+    """All scores are several of their standard deviations above the threshold."""
+    points = qmc.Sobol(3, seed=4).random(64)
+    away = np.linalg.norm(points - (0.5, 0.5, 0.5), axis=1)
+    scores = THRESHOLD + 3.0 + 0.5 * away
+    mean, _ = boundary_process(points, scores, THRESHOLD).predict(EVERYWHERE)
+    apart = np.linalg.norm(EVERYWHERE - (0.5, 0.5, 0.5), axis=1)
+    assert np.corrcoef(mean, apart)[0, 1] > 0.9
+    assert np.ptp(mean) > 0.01
 
 
 def test_below_a_dip_is_downhill_of_it():

@@ -23,6 +23,8 @@ _CHUNK, _FEWEST = 1024, 10
 _MANY, _NOISE, _LITTLE, _MUCH = 100, 0.3, 0.02, 1.0
 # Nearness, in standard deviations, for a function that is smooth all over.
 _WHOLE = 2.0
+# Share of the scores, the most critical ones, that is never told apart worse than at the edge of what is near.
+_LOWEST = 0.1
 # How much the process matters far from the threshold.
 _FAR = 0.02
 # Places at which both precisions are compared, and how far they may differ at most of them, in standard deviations.
@@ -111,7 +113,8 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     Where scores jump, a process with much noise smooths the boundary away; where they are noisy, one with little noise
     follows the noise. So several are fitted, each with more noise allowed, and the one is taken that predicts best on
     which side of the threshold each scenario is that is left out, of 512 of them at most. A function that is smooth all
-    over is told best by what lies far from the threshold too, so two standard deviations are tried beside `nearness`.
+    over is told best by what lies far from the threshold too, so two standard deviations are tried beside `nearness`;
+    and the most critical tenth of the scores is always near.
 
     Parameters
     ----------
@@ -137,7 +140,9 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
         mean, deviation = process.know(points[some], values[some]).leave_one_out()
         return float(log_ndtr(-side * mean / deviation).sum()), process
 
-    nears = dict.fromkeys((nearness(scores), _WHOLE * float(np.std(scores))))
+    # While hardly anything is critical, all scores would be far from the threshold, and told apart no more.
+    least = float(np.quantile(scores, _LOWEST)) - threshold
+    nears = dict.fromkeys((max(nearness(scores), least), max(_WHOLE * float(np.std(scores)), least)))
     found = [tried(near, _NOISE, None) for near in nears]
     start = max(found, key=itemgetter(0))[1]
     # Where the noise is not at its bound, another bound gives the same.
