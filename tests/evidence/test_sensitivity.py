@@ -41,3 +41,33 @@ def test_nothing_is_said_of_too_few_or_of_one_score():
     for scores in (np.where(np.arange(32) < 9, np.arange(32.0), np.nan), np.ones(32)):
         with pytest.raises(ValueError, match="10 different"):
             estimate_sensitivity(CUBE, points, scores)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_said_to_matter_or_not_of_pure_noise(seed):
+    points = qmc.Sobol(3, seed=seed).random(64)
+    found = estimate_sensitivity(CUBE, points, np.random.default_rng(seed).normal(size=64))
+    assert not found.foretold
+    assert found.little == ()
+    widths = [high - low for low, high in (*found.first_interval, *found.total_interval)]
+    assert max(widths) > 0.3
+
+
+def test_intervals_hold_the_truth_and_narrow_with_what_is_known():
+    truth = np.array([4.0, 1.0, 0.0]) / 5.0
+    widths = []
+    for count in (20, 200):
+        held = []
+        for seed in range(5):
+            points = qmc.Sobol(3, seed=seed).random(256)[:count]
+            noise = 0.1 * np.random.default_rng(seed).normal(size=count)
+            found = estimate_sensitivity(CUBE, points, 2.0 * points[:, 0] + points[:, 1] + noise, seed)
+            held += [
+                low - 0.02 <= true <= high + 0.02
+                for true, (low, high) in zip(
+                    [*truth, *truth], (*found.first_interval, *found.total_interval), strict=True
+                )
+            ]
+        widths.append(np.mean([high - low for low, high in found.total_interval]))
+        assert np.mean(held) >= 0.8
+    assert widths[1] < widths[0]

@@ -352,12 +352,14 @@ class GaussianProcess:
             mean, deviation = self._known.leave_one_out()
         return self._mean + mean, deviation
 
-    def joint(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Covariance of the values at points, noise included.
+    def joint(self, points: FloatArray, noisy: bool = True) -> tuple[FloatArray, FloatArray]:
+        """Covariance of the values at points.
 
         Parameters
         ----------
         points : ndarray of float64, shape (m, e)
+        noisy : bool, default True
+            Whether the noise of single values is included.
 
         Returns
         -------
@@ -369,7 +371,8 @@ class GaussianProcess:
         covariance = self.kernel.covariance(points, points)
         # Of both halves, which are the same, one is enough for the factor.
         covariance -= products_of_rows(times_lower_transposed(cross, self._known.inverse))
-        covariance[np.diag_indices(len(points))] += self.kernel.noise**2
+        if noisy:
+            covariance[np.diag_indices(len(points))] += self.kernel.noise**2
         factor = positive_factor(covariance, 1e-6 * self.kernel.signal**2)
         return factor, np.sqrt(np.diag(covariance))
 

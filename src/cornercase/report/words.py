@@ -295,12 +295,28 @@ def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
 
 
 def _sensitivity(found: Sensitivity) -> dict[str, Any]:
-    each = zip(found.names, found.first, found.total, strict=True)
-    return {
-        "parameters": {name: {"first order": first, "total": total} for name, first, total in each},
+    each = zip(found.names, found.first, found.first_interval, found.total, found.total_interval, strict=True)
+    plain: dict[str, Any] = {
+        "parameters": {
+            name: {
+                "first order": first,
+                "first order, 90 % interval": list(firsts),
+                "total": total,
+                "total, 90 % interval": list(totals),
+            }
+            for name, first, firsts, total, totals in each
+        },
         "foretold": found.predicted,
         "of little influence": list(found.little),
     }
+    if not found.foretold:
+        plain["note"] = tell_unforetold()
+    return plain
+
+
+def tell_unforetold() -> str:
+    """Say that nothing is known of the influence of parameters."""
+    return "Hardly anything of the scores is foretold, so nothing is known of which parameter matters."
 
 
 def _reduced(reduced: ReducedSet) -> dict[str, Any]:

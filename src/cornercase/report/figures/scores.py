@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
 from cornercase.reduction import Gaps
 from cornercase.report.figures.style import COLOURS, GREY, look_of, name_score, shorten
@@ -111,27 +112,28 @@ def draw_coverage(curves: Mapping[str, tuple[Gaps, BoolArray]], units: Sequence[
     return figure
 
 
-def draw_sensitivities(names: Sequence[str], first: Sequence[float], total: Sequence[float]) -> Figure:
+def draw_sensitivities(found: Sensitivity) -> Figure:
     """Draw the share of the score's variance that each parameter explains, alone and with the others.
 
     Parameters
     ----------
-    names : sequence of str, length d
-        Of the parameters.
-    first, total : sequence of float, length d
-        Shares of the variance, 0 to 1.
+    found : Sensitivity
 
     Returns
     -------
     Figure
-        Two bars for each parameter.
+        Two bars for each parameter, with lines for their intervals.
     """
-    figure = Figure(figsize=(8.0, 1.2 + 0.5 * len(names)), layout="constrained")
+    figure = Figure(figsize=(8.0, 1.2 + 0.5 * len(found.names)), layout="constrained")
     axis = figure.add_subplot()
-    place = np.arange(len(names))
-    axis.barh(place - 0.2, total, 0.38, color=COLOURS[0], label="with all others (total)")
-    axis.barh(place + 0.2, first, 0.38, color=COLOURS[4], hatch="//", edgecolor="white", label="alone (first order)")
-    axis.set_yticks(place, [shorten(name) for name in names])
+    place = np.arange(len(found.names))
+    axis.barh(place - 0.2, found.total, 0.38, color=COLOURS[0], label="with all others (total)")
+    axis.barh(
+        place + 0.2, found.first, 0.38, color=COLOURS[4], hatch="//", edgecolor="white", label="alone (first order)"
+    )
+    for at, intervals in ((place - 0.2, found.total_interval), (place + 0.2, found.first_interval)):
+        axis.hlines(at, *np.transpose(intervals), color="black", linewidth=1.2)
+    axis.set_yticks(place, [shorten(name) for name in found.names])
     axis.invert_yaxis()
     axis.set_xlim(0.0, 1.0)
     axis.set_xlabel("share of the variance of the score [1]")

@@ -11,7 +11,7 @@ from cornercase.report.data import ReportData
 from cornercase.report.figures.scores import draw_front, draw_sensitivities
 from cornercase.report.knowledge import CriticalKnowledge
 from cornercase.report.tables import make_table
-from cornercase.report.words import name_criterion
+from cornercase.report.words import name_criterion, tell_unforetold
 
 
 def show_knowledge(data: ReportData, album: Album) -> Iterator[str]:
@@ -79,9 +79,12 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterat
 
 def _show_sensitivity(found: Sensitivity, searched: str, album: Album) -> str:
     little = f" Of little influence: {', '.join(found.little)}." if found.little else ""
+    if not found.foretold:
+        little = f" {tell_unforetold()}"
     return album.add(
-        draw_sensitivities(found.names, found.first, found.total),
+        draw_sensitivities(found),
         "sensitivity",
         f"How much of the variance of {searched} comes from each parameter, by a Gaussian process that predicts"
-        f" {max(found.predicted, 0.0):.0%} of the variance of scenarios that it was not told.{little}",
+        f" {max(found.predicted, 0.0):.0%} of the variance of scenarios that it was not told; the lines are 90 %"
+        f" intervals.{little}",
     )
