@@ -95,3 +95,5 @@ def tell_ending(result: ExplorationResult) -> None:
         raise typer.Exit(130)
     failed = f", {result.failed} of which failed" if result.failed else ""
     out.print(f"{result.ended} scenarios in {result.study}{failed}; ended because {result.reason}.")
+    for sentence in result.alike:
+        out.print(sentence)

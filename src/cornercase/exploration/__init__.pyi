@@ -1,3 +1,4 @@
+from .alike import tell_alike as tell_alike
 from .configuration import Configuration as Configuration
 from .demonstrations import demonstration as demonstration
 from .demonstrations import examples as examples

@@ -15,6 +15,7 @@ import numpy as np
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
+from cornercase.exploration.alike import tell_alike
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.objective import Best, Objective
 from cornercase.exploration.running import ScenarioRunner, StageClock
@@ -37,6 +38,8 @@ class ExplorationResult:
     reason : str
         Why it ended, as a part of a sentence.
     interrupted : bool
+    alike : tuple of str
+        A sentence for each metric by which all scenarios are the same.
     """
 
     study: Path
@@ -44,6 +47,7 @@ class ExplorationResult:
     failed: int
     reason: str
     interrupted: bool = False
+    alike: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, study: Study, reason: str, interrupted: bool = False) -> ExplorationResult:
@@ -59,7 +63,8 @@ class ExplorationResult:
         -------
         ExplorationResult
         """
-        return cls(study.path, len(study.done()), len(study.failed()), reason, interrupted)
+        alike = tuple(tell_alike(study).values())
+        return cls(study.path, len(study.done()), len(study.failed()), reason, interrupted, alike)
 
     @property
     def ended(self) -> int:

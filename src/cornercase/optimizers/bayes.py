@@ -12,6 +12,7 @@ from scipy.spatial.distance import pdist
 
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
+from cornercase.evidence import encoded
 from cornercase.optimizers.candidates import CandidateOptimizer
 from cornercase.optimizers.feature_process import FeatureProcess
 from cornercase.scenario import ParameterSpace
@@ -68,7 +69,7 @@ class BayesOptimizer(CandidateOptimizer):
     def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
         self._scale = float(scores.mean()), float(scores.std())
         with _alone(seed):
-            self._process = _learned(2.0 * points - 1.0, self._target(scores), self._features)
+            self._process = _learned(self._places(points), self._target(scores), self._features)
 
     def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         # Thompson sampling: each point is the best of its share of the candidates, by its own sample of the process.
@@ -78,13 +79,17 @@ class BayesOptimizer(CandidateOptimizer):
         # Consecutive points of a Sobol' sequence fill the space, which every n-th point need not do.
         shares = np.array_split(candidates, n)
         with one_thread():
-            process = self._process.extended(2.0 * points - 1.0, self._target(scores))
+            process = self._process.extended(self._places(points), self._target(scores))
             samples = process.samples(n, np.random.default_rng(self._round_seed))
             chosen = [
-                np.argmax(process.features(2.0 * share - 1.0) @ sample)
+                np.argmax(process.features(self._places(share)) @ sample)
                 for share, sample in zip(shares, samples, strict=True)
             ]
         return np.array([share[k] for share, k in zip(shares, chosen, strict=True)])
+
+    def _places(self, points: FloatArray) -> FloatArray:
+        """Where the process has points, shape (n, e): names are equally far from each other."""
+        return 2.0 * encoded(self._space, points) - 1.0
 
     def _target(self, scores: FloatArray) -> FloatArray:
         """What PHYSBO maximises, shape (n,)."""

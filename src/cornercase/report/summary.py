@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
-from cornercase.exploration import Objective
+from cornercase.exploration import Objective, tell_alike
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.reduction import ReducedSet, read_reduction
@@ -36,6 +36,8 @@ class MetricSummary:
     spread : tuple of float, or None
         Difference between the scores of the runs of one scenario, in the median scenario and at most; None where each
         was run once.
+    alike : str
+        What there is to say where the scores of all scenarios are the same, else empty.
     """
 
     name: str
@@ -46,6 +48,7 @@ class MetricSummary:
     scenario: int
     at: Mapping[str, Value]
     spread: tuple[float, float] | None
+    alike: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -176,4 +179,5 @@ def _of_metric(study: Study, name: str) -> MetricSummary:
         scenario=row.id,
         at=row.values,
         spread=None if width is None else (float(np.median(width)), float(width.max())),
+        alike=tell_alike(study).get(name, ""),
     )

@@ -227,6 +227,8 @@ def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
             "spread of the runs, median": one.spread[0],
             "spread of the runs, largest": one.spread[1],
         }
+    if one.alike:
+        plain["note"] = one.alike
     return plain
 
 
