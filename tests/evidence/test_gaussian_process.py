@@ -126,10 +126,12 @@ def test_more_values_change_neither_the_kernel_nor_the_process_before():
 def test_the_level_of_groups_is_that_of_all_places():
     points = qmc.Sobol(3, seed=3).random(64)
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
-    every = [known._limit(slice(first, first + 1024)) for first in range(0, len(known._at), 1024)]
-
-    expected = np.mean([ndtr(part).mean(axis=0) for part in every], axis=0)
-    np.testing.assert_allclose(known._level(), expected, atol=1e-4)
+    among = known._is_found
+    every = known._limit(np.arange(len(known._t)))
+    at, weights, drawn, _ = known._joint
+    expected = (known._places.weights * among) @ ndtr(every)
+    expected += (weights * among[at]) @ (drawn - ndtr(every[at]))
+    np.testing.assert_allclose(known._shares(among), expected, atol=1e-4)
 
 
 def test_widths_are_learned_from_rare_values_too():

@@ -166,7 +166,7 @@ def test_the_distances_of_version_2_are_the_same_in_pieces(tmp_path):
         for name in study.analyses():
             found = study.analysis(name, "distances")[0]["distances"]
             np.testing.assert_array_equal(found, np.load(io.BytesIO(packed[name]))["distances"])
-    assert version(old) == 3
+    assert version(old) == migrations.SCHEMA_VERSION
 
 
 def test_figures_of_what_they_were_chosen_with_are_not_told_any_more(tmp_path):

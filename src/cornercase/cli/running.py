@@ -95,6 +95,13 @@ def explore(
     repeats: Annotated[
         int, typer.Option(metavar="N", help="Run each scenario N times; its score is the median.", min=1)
     ] = 1,
+    audit: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the scenarios that are drawn at random and kept from the search, to judge what it found.",
+        ),
+    ] = 0.0,
     time_step: TimeStep = 0.05,
     duration: Duration = 60.0,
     on_collision: OnCollision = "continue",
@@ -136,6 +143,7 @@ def explore(
         timeout=timeout,
         retries=retries,
         repeats=repeats,
+        audit=audit,
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,

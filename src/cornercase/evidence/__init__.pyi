@@ -1,7 +1,8 @@
+from .binomial import bounds_of_share as bounds_of_share
 from .committee import Committee as Committee
 from .critical_set import REGION as REGION
 from .critical_set import CriticalSet as CriticalSet
-from .critical_set import Estimate as Estimate
+from .estimate import Estimate as Estimate
 from .gaussian_process import GaussianProcess as GaussianProcess
 from .gaussian_process import boundary_process as boundary_process
 from .gaussian_process import encoded as encoded

@@ -2,65 +2,49 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.special import log_ndtr, ndtr
-from scipy.stats import qmc
+from scipy.special import ndtr
 
 from cornercase._common.rows import row_keys
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.evidence.binomial import bounds_of_share, highest_share
+from cornercase.evidence.correction import Correction
+from cornercase.evidence.estimate import Estimate
 from cornercase.evidence.gaussian_process import boundary_process, encoded, enough
+from cornercase.evidence.places import Places
 from cornercase.evidence.products import lower_times
 from cornercase.scenario import ParameterSpace
 
-# Points that stand for the space, those of them for which critical sets are drawn, and the number of draws.
-_PLACES, _JOINT, _DRAWS = 2**14, 1500, 400
+# Places for which critical sets are drawn together, and the number of draws.
+_JOINT, _DRAWS = 1500, 400
 # Groups of places of nearly the same probability.
 _GROUPS: Final = 1024
-_INTERVAL: Final = (0.05, 0.95)
-# As how many independent predictions one scenario counts. Neighbours are predicted from each other; with this figure
-# the intervals hold the truth as often as they say in benchmarks/exploration.py.
-_INDEPENDENT: Final = 0.8
+# Deviation of what is all but certain, so that some of those places are looked at too.
+_LEAST: Final = 0.02
+# Probability with which a region of the size that is called hidden, at a random place, holds nothing that was run.
+_HIDES: Final = 0.05
 
 REGION: Final = 0.01
 """Share of the space from which a region counts, unless somebody says otherwise."""
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A quantity with its 90 % credible interval.
-
-    Attributes
-    ----------
-    value, low, high : float
-        Mean, 5 % and 95 % quantile.
-    """
-
-    value: float
-    low: float
-    high: float
-
-
 class CriticalSet:
     """Estimate of the set of all critical scenarios of a space, from those that were run.
 
-    A Gaussian process of the scores (`boundary_process`) predicts each scenario that was run from all others. How good
-    these predictions are corrects the probability that a scenario is critical: ``p = Φ(-(a + b t))``, where t is the
-    mean of the process over its standard deviation, and a and b are fitted to the predictions, each weighted by the
-    share of the space that is nearest to its scenario. Critical sets are drawn with these probabilities, with the
-    correlation of the process between places, and with a and b from their posterior.
+    A Gaussian process of the scores (`boundary_process`) predicts each scenario that fills the space from all others,
+    and each audit. How good these predictions are corrects the probability that a scenario is critical, as `Correction`
+    says. Critical sets are drawn with these probabilities, with the correlation of the process between places, and with
+    the correction drawn from its posterior.
 
     A critical scenario counts as found when it was run, or when the mean of the process there is beyond the
-    threshold.
+    threshold. Audits never say what is found.
 
     Parameters
     ----------
@@ -72,6 +56,10 @@ class CriticalSet:
     threshold : float
         Oriented score up to which a scenario is critical.
     seed : int, default 0
+    filling : ndarray of bool, shape (n,), optional
+        Which of them fill the space, whatever the scores are; by default all.
+    audits : tuple of (ndarray of float64, shape (m, d), ndarray of float64, shape (m,)), optional
+        Points that were drawn from the space at random, and their oriented scores, which no search was told.
 
     Raises
     ------
@@ -81,59 +69,75 @@ class CriticalSet:
     Notes
     -----
     Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
-    equation 5.12. Correction of probabilities: J. Platt, "Probabilistic outputs for support vector machines" (1999),
-    here with the normal distribution function and Laplace's approximation of the posterior.
+    equation 5.12.
     """
 
     def __init__(
-        self, space: ParameterSpace, points: FloatArray, scores: FloatArray, threshold: float, seed: int = 0
+        self,
+        space: ParameterSpace,
+        points: FloatArray,
+        scores: FloatArray,
+        threshold: float,
+        seed: int = 0,
+        *,
+        filling: BoolArray | None = None,
+        audits: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
+        self._filling = np.ones(int(np.isfinite(scores).sum()), dtype=np.bool_)
+        if filling is not None:
+            self._filling = filling[np.isfinite(scores)]
         points, scores = enough(points, scores)
+        self._space, self._seed = space, seed
         self._critical = scores <= threshold
-        self._places = _places(space, seed)
-        self._at = encoded(space, self._places)
+        self._places = Places.of(space, seed)
         self._ran = encoded(space, points)
         self._process = boundary_process(self._ran, scores, threshold)
-        mean, deviation = self._process.predict(self._at)
-        self._t = mean / np.hypot(deviation, self._process.kernel.noise)
-        self._space = space
+        mean, self._t = self._told(self._places.encoded)
         self._outcome = dict(zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True))
-        self._certain = self._seen(self._places)
+        self._certain = self._seen(self._places.points)
         self._is_found = _found(mean, self._certain)
-        self._rng = np.random.default_rng(seed)
+        self._audits, audited = audits if audits is not None else (points[:0], scores[:0])
+        self._audits, audited = self._audits[np.isfinite(audited)], audited[np.isfinite(audited)]
+        self._audited = audited <= threshold
         # Sums in one order, whatever the number of threads.
         with one_thread():
-            self._learn()
-            self._draw()
+            self._correction = self._learned()
+            self._a, self._b = self._correction.draws(_DRAWS, np.random.default_rng([seed, 3]))
 
-    def _learn(self) -> None:
-        """Fit the correction of the probabilities, and draw from its posterior."""
+    def _told(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean of the process at encoded places, and mean over standard deviation of a score there."""
+        mean, deviation = self._process.predict(at)
+        return mean, mean / np.hypot(deviation, self._process.kernel.noise)
+
+    def _learned(self) -> Correction:
+        """Learn from predictions of what the search did not choose by what it knew."""
         mean, deviation = self._process.leave_one_out()
-        t = mean / deviation
-        nearest = np.asarray(cKDTree(self._ran).query(self._at)[1], dtype=np.int64)
-        share = np.bincount(nearest, minlength=len(t)) / len(nearest)
-        weights = _INDEPENDENT * share / (share**2).sum()
-        sign = np.where(self._critical, 1.0, -1.0)
+        t, critical = (mean / deviation)[self._filling], self._critical[self._filling]
+        if len(self._audits):
+            t = np.concatenate([t, self._told(encoded(self._space, self._audits))[1]])
+            critical = np.concatenate([critical, self._audited])
+        return Correction(t, critical, np.ones(len(t)))
 
-        def loss(parameters: FloatArray) -> float:
-            a, log_b = parameters
-            predicted = log_ndtr(-sign * (a + np.exp(log_b) * t))
-            return float(-(weights * predicted).sum() + 0.5 * (parameters**2).sum())
+    @cached_property
+    def _joint(self) -> tuple[IntArray, FloatArray, BoolArray, FloatArray]:
+        """Places for which critical sets are drawn together, the share each stands for, the sets, and their surplus.
 
-        best = minimize(loss, np.zeros(2), method="BFGS")
-        self._correction = self._rng.multivariate_normal(best.x, np.asarray(best.hess_inv), _DRAWS)
+        The surplus is what a place counts more in a draw than its probability; like the sets of shape (m, draws).
+        """
+        likely = np.where(self._certain == 0.0, self._correction.probability(self._t), 0.0)
+        at, weights = self._places.chosen(np.sqrt(likely * (1.0 - likely)) + _LEAST, _JOINT)
+        with one_thread():
+            limit = self._limit(at)
+            drawn = self._drawn(at, limit, 4)
+            return at, weights, drawn, drawn - ndtr(limit)
 
-    def _draw(self) -> None:
-        """Draw critical sets on some of the places, and the critical share on all."""
-        part = slice(None, min(_JOINT, len(self._at)))
-        factor, deviation = self._process.joint(self._at[part])
-        normal = lower_times(factor, self._rng.standard_normal((len(factor), _DRAWS)))
+    def _drawn(self, at: IntArray, limit: FloatArray, key: int) -> BoolArray:
+        """Draw critical sets on some of the places, shape (m, draws); another key gives independent draws."""
+        factor, deviation = self._process.joint(self._places.encoded[at])
+        standard = np.random.default_rng([self._seed, key]).standard_normal((len(factor), _DRAWS))
+        normal = lower_times(factor, standard)
         normal /= deviation[:, None]
-        limit = self._limit(part)
-        self._drawn: BoolArray = normal <= limit
-        # The joint draws on few places give the spread, the probabilities on all places the mean.
-        shares = self._drawn.mean(axis=0) + self._level() - ndtr(limit).mean(axis=0)
-        self._shares = np.clip(shares, 0.0, 1.0)
+        return np.asarray(normal <= limit)
 
     @cached_property
     def _groups(self) -> tuple[IntArray, FloatArray]:
@@ -144,22 +148,28 @@ class CriticalSet:
         group = np.where(self._certain > 0.0, len(groups) + 1, len(groups))
         for k, one in enumerate(groups):
             group[one] = k
-        a, log_b = self._correction.T.copy()
         middle = np.array([self._t[one].mean() for one in groups])
-        likely = ndtr(-(a + np.exp(log_b) * middle[:, None]))
+        likely = ndtr(-(self._a + self._b * middle[:, None]))
         return group, np.concatenate([likely, np.zeros((1, _DRAWS)), np.ones((1, _DRAWS))])
 
-    def _level(self) -> FloatArray:
-        """Mean probability in each draw that a place is critical, shape (draws,)."""
+    def _shares(self, among: BoolArray) -> FloatArray:
+        """Share of the space that is critical and among some of the places, in each draw, shape (draws,)."""
         group, likely = self._groups
-        return np.asarray(np.bincount(group, minlength=len(likely)) @ likely / len(self._at))
+        expected = np.bincount(group, weights=self._places.weights * among, minlength=len(likely)) @ likely
+        # The joint draws on few places give the spread, the probabilities on all places the mean.
+        at, weights, _, surplus = self._joint
+        return np.asarray(expected + (weights * among[at]) @ surplus)
 
-    def _limit(self, part: slice) -> FloatArray:
+    @cached_property
+    def _all(self) -> FloatArray:
+        """Critical share of the space in each draw."""
+        with one_thread():
+            return np.clip(self._shares(np.ones(len(self._t), dtype=np.bool_)), 0.0, 1.0)
+
+    def _limit(self, at: IntArray) -> FloatArray:
         """Normal deviate up to which a place is critical in each draw; infinite where it was run."""
-        # Copies, since NumPy's results for strided arrays depend, in the last digit, on where they lie in memory.
-        a, log_b = self._correction.T.copy()
-        limit = -(a + np.exp(log_b) * self._t[part, None])
-        return np.where(self._certain[part, None] == 0.0, limit, self._certain[part, None])
+        limit = -(self._a + self._b * self._t[at, None])
+        return np.where(self._certain[at, None] == 0.0, limit, self._certain[at, None])
 
     def found(self, points: FloatArray) -> BoolArray:
         """Predict which scenarios are critical.
@@ -172,25 +182,67 @@ class CriticalSet:
         -------
         ndarray of bool, shape (n,)
         """
-        mean, _ = self._process.predict(encoded(self._space, points))
-        return _found(mean, self._seen(points))
+        if not len(points):
+            return np.zeros(0, dtype=np.bool_)
+        return _found(self._told(encoded(self._space, points))[0], self._seen(points))
 
     def _seen(self, points: FloatArray) -> FloatArray:
         """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""
         return np.array([self._outcome.get(key, 0.0) for key in row_keys(self._space.snap(points))])
 
     @cached_property
+    def doubt(self) -> str | None:
+        """Why the intervals of `share` and `missed` cannot be trusted; None where they can."""
+        return None
+
+    @cached_property
     def share(self) -> Estimate:
-        """Critical share of the space."""
-        return _estimate(self._shares)
+        """Critical share of the space; before anything critical was met, as bounded by what was run at random."""
+        if not self._critical.any():
+            known = bounds_of_share(int(self._audited.sum()), int(self._filling.sum()) + len(self._audited))
+            return Estimate(min(max(float(self._all.mean()), known.low), known.high), known.low, known.high)
+        return Estimate.of_draws(self._all)
 
     @cached_property
     def missed(self) -> Estimate:
         """Share of the critical set that is not found; all of it while no critical scenario was run."""
         if not self._critical.any():
             return Estimate(1.0, 1.0, 1.0)
-        unseen = (self._drawn & ~self._is_found[: len(self._drawn), None]).sum(axis=0)
-        return _estimate(unseen / np.maximum(self._drawn.sum(axis=0), 1))
+        with one_thread():
+            unseen = np.clip(self._shares(~self._is_found), 0.0, self._all)
+        there = self._all > 0.0
+        # A draw of which nothing is critical says nothing, as something is.
+        return Estimate.of_draws(unseen[there] / self._all[there]) if there.any() else Estimate(1.0, 0.0, 1.0)
+
+    @cached_property
+    def hidden(self) -> float:
+        """Share of the critical set that may be a region of which nothing is known, beside what `missed` says.
+
+        It is the part that a ball would have which nothing was run in, as large as the largest that escapes with a
+        probability of 5 %. It depends on where scenarios were run, not on what the process says of the scores.
+        """
+        ball = float(np.quantile(self._empty, 1.0 - _HIDES))
+        return ball / max(ball + self.share.value, 1e-12)
+
+    @cached_property
+    def audited_share(self) -> Estimate:
+        """Critical share of the space by the audits alone."""
+        return bounds_of_share(int(self._audited.sum()), len(self._audited))
+
+    @cached_property
+    def _audits_missed(self) -> tuple[int, int]:
+        critical = self._audits[self._audited]
+        return int((~self.found(critical)).sum()), len(critical)
+
+    @property
+    def audited_missed(self) -> Estimate:
+        """Share of the critical set that is not found by the audits alone: of those that are critical."""
+        return bounds_of_share(*self._audits_missed)
+
+    @property
+    def audited_missed_at_most(self) -> float:
+        """Bound of `audited_missed` from above that holds however often one looks before one stops."""
+        return highest_share(*self._audits_missed)
 
     def share_in(self, other: CriticalSet) -> Estimate:
         """Share of the critical set that lies in another set of the same space.
@@ -198,24 +250,28 @@ class CriticalSet:
         Parameters
         ----------
         other : CriticalSet
-            From another score of scenarios of the same space, with the same seed; taken for independent.
+            From another score of scenarios of the same space, with the same seed; drawn independently.
 
         Returns
         -------
         Estimate
         """
-        both = (self._drawn & other._drawn).mean(axis=0)
+        at, weights, drawn, surplus = self._joint
+        limit = other._limit(at)
+        with one_thread():
+            too = other._drawn(at, limit, 5)
         # As for the share of the space: few places give the spread, all places the mean.
-        weights = np.full(len(self._at), 1.0 / len(self._at))
-        weights[: len(self._drawn)] -= 1.0 / len(self._drawn)
         (mine, likely), (others, likely_too) = self._groups, other._groups
-        places = coo_array((weights, (mine, others)), shape=(len(likely), len(likely_too)))
-        both += (likely * (places.tocsr() @ likely_too)).sum(axis=0)
-        shares = np.clip(both / np.maximum(self._shares, 1e-12), 0.0, 1.0)
-        return _estimate(shares)
+        places = coo_array((self._places.weights, (mine, others)), shape=(len(likely), len(likely_too)))
+        both = (likely * np.asarray(places.tocsr() @ likely_too)).sum(axis=0)
+        both += weights @ ((drawn & too) - (drawn - surplus) * ndtr(limit))
+        there = self._all > 0.0
+        return Estimate.of_draws(np.clip(both[there] / self._all[there], 0.0, 1.0) if there.any() else np.ones(1))
 
     def overlooked(self, size: float = REGION) -> float:
         """Probability, by the process, that no scenario was run in some critical region.
+
+        Before anything critical was met it is that of a region at a random place, as `unvisited` says.
 
         Parameters
         ----------
@@ -226,61 +282,53 @@ class CriticalSet:
         -------
         float
         """
-        count, edges = len(self._drawn), self._edges
+        if not self._critical.any():
+            return self.unvisited(size)
+        _, weights, drawn, _ = self._joint
+        edges = self._edges
         ran = np.broadcast_to(self._critical[:, None], (len(self._critical), _DRAWS))
-        critical = np.concatenate([self._drawn, ran])
+        weights = np.concatenate([weights, np.zeros(len(ran))])
         overlooked = 0
-        for one in critical.T:
+        for one in np.concatenate([drawn, ran]).T:
             kept = edges[:, one[edges[0]] & one[edges[1]]]
             graph = coo_array((np.ones(kept.shape[1]), (kept[0], kept[1])), shape=(len(one), len(one)))
             label = connected_components(graph, directed=False)[1]
-            sizes = np.bincount(label[:count][one[:count]], minlength=label.max() + 1)
+            sizes = np.bincount(label, weights=weights * one, minlength=label.max() + 1)
             hit = np.zeros(len(sizes), dtype=np.bool_)
-            hit[label[count:][self._critical]] = True
-            overlooked += bool(((sizes >= max(size * count, 1.0)) & ~hit).any())
+            hit[label[len(drawn) :][self._critical]] = True
+            overlooked += bool(((sizes >= size) & ~hit).any())
         return overlooked / _DRAWS
 
     def unvisited(self, size: float = REGION) -> float:
         """Share of the space around which a ball of a given size holds none of the scenarios that were run.
 
-        It needs no assumption about the scores: a critical ball of this size at a random place is met with a
+        It needs no assumption about the scores: a critical ball of this size around a random place is met with a
         probability of one minus this share.
 
         Parameters
         ----------
         size : float, default 0.01
-            Share of the space that the ball takes; it keeps to one choice of each parameter with names.
+            Share of the space that the ball takes; what would lie outside the space does not count.
 
         Returns
         -------
         float
         """
-        numbers = [one for one in self._space.parameters if not one.choices and one.size != 1]
-        dims, choices = len(numbers), math.prod(len(one.choices) or 1 for one in self._space.parameters)
-        ball = np.pi ** (dims / 2) / math.gamma(dims / 2 + 1)
-        radius = (size * choices / ball) ** (1 / dims) if dims else 0.0
-        # Choices are at a distance of 1 from each other.
-        return float(np.mean(cKDTree(self._ran).query(self._at)[0] > min(radius, 0.999)))
+        return float((self._empty > size).mean())
+
+    @cached_property
+    def _empty(self) -> FloatArray:
+        with one_thread():
+            return self._places.empty(self._ran)
 
     @cached_property
     def _edges(self) -> IntArray:
         """Pairs of neighbours among the places and the scenarios that were run, shape (2, E)."""
-        nodes = np.concatenate([self._at[: len(self._drawn)], self._ran])
+        nodes = np.concatenate([self._places.encoded[self._joint[0]], self._ran])
         found = cKDTree(nodes).query(nodes, k=min(2 * nodes.shape[1] + 1, len(nodes)))[1]
         near = np.asarray(found, dtype=np.int64)[:, 1:]
         return np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
 
 
-def _places(space: ParameterSpace, seed: int) -> FloatArray:
-    """Concrete scenarios that stand for the space, each as often as it is likely."""
-    with_all = space.snap(qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])).random(_PLACES))
-    return with_all[space.admits(with_all)]
-
-
 def _found(mean: FloatArray, seen: FloatArray) -> BoolArray:
     return np.where(seen == 0.0, mean <= 0.0, seen > 0.0)
-
-
-def _estimate(draws: FloatArray) -> Estimate:
-    low, high = np.quantile(draws, _INTERVAL)
-    return Estimate(float(draws.mean()), float(low), float(high))

@@ -10,5 +10,8 @@ from .explorer import ExplorationResult as ExplorationResult
 from .explorer import ScenarioExplorer as ScenarioExplorer
 from .exploring import explore as explore
 from .exploring import explore_configuration as explore_configuration
+from .judging import audits_of as audits_of
+from .judging import chosen_blindly as chosen_blindly
+from .judging import critical_set_of as critical_set_of
 from .objective import Objective as Objective
 from .objective import on_front as on_front

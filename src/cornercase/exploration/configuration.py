@@ -15,7 +15,7 @@ from cornercase.metrics import METRICS, require_another
 from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import MOST_WORKERS
-from cornercase.study import StudyMeta
+from cornercase.study import MOST_AUDITS, StudyMeta
 
 # Whole numbers, and the least that each may be.
 _LEAST: Final = {"budget": 1, "batch": 1, "patience": 1, "seed": 0, "retries": 0, "repeats": 1}
@@ -58,6 +58,8 @@ class Configuration:
         How often a scenario is run again after the simulator died or hung.
     repeats : int
         How often each scenario is run, for a simulator that does not give the same twice; the median counts.
+    audit : float
+        Share of the scenarios that are drawn at random to judge the search, and that it is never told.
     time_step, duration : float
         s.
     on_collision : {"continue", "stop"}
@@ -89,6 +91,7 @@ class Configuration:
     timeout: float | None = None
     retries: int = 1
     repeats: int = 1
+    audit: float = 0.0
     time_step: float = 0.05
     duration: float = 60.0
     on_collision: str = "continue"
@@ -109,6 +112,9 @@ class Configuration:
         taken["pareto"] = flag("pareto", self.pareto)
         taken["on_collision"] = text("on_collision", self.on_collision, ("continue", "stop"))
         taken |= {name: number(name, given[name], above=0.0) for name in ("time_step", "duration")}
+        taken["audit"] = number("audit", self.audit, least=0.0)
+        if self.audit > MOST_AUDITS:
+            raise InputError(f"`audit` {self.audit:g}: give a share of the scenarios up to {MOST_AUDITS:g}.")
         if self.critical is not None:
             taken["critical"] = number("critical", self.critical)
         if self.max_seconds is not None:
@@ -216,6 +222,7 @@ class Configuration:
             budget=self.budget,
             batch=self.batch,
             repeats=self.repeats,
+            audit=self.audit,
         )
 
 

@@ -17,13 +17,14 @@ from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.alike import tell_alike
 from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.judging import audits_of
 from cornercase.exploration.objective import Best, Objective
 from cornercase.exploration.running import ScenarioRunner, StageClock
 from cornercase.exploration.stopping import Stopping
 from cornercase.metrics import features_of
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
-from cornercase.study import Row, Study
+from cornercase.study import Row, Study, count_audits
 
 
 @dataclass(frozen=True)
@@ -112,9 +113,17 @@ class ScenarioExplorer:
         self._space = configuration.logical.space
         self._objective = configuration.objective() if objective is None else objective
         threshold = configuration.threshold(self._objective)
-        self._stopping = Stopping(configuration.criteria(), self._space, threshold, configuration.seed)
+        self._stopping = Stopping(
+            configuration.criteria(),
+            self._space,
+            threshold,
+            configuration.seed,
+            configuration.optimizer,
+            audited=configuration.audit > 0.0,
+        )
         self._clock = StageClock(study)
         self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock)
+        self._audits = audits_of(self._space, configuration.seed)
         self._best, self._stale = Best(self._objective), 0
         self._wants_features = "features" in optimizer.needs
 
@@ -153,16 +162,30 @@ class ScenarioExplorer:
             if (reason := self._reason(done, time.monotonic() - begun)) is not None:
                 return reason
             with self._clock("optimize"):
-                points = self._optimizer.ask(min(self._configuration.batch, self._configuration.budget - done))
+                points = self._round(done)
             if len(points) == 0:
                 return f"all {done} scenarios of the space were run"
             number += 1
-            points = self._space.snap(points)
             with self._clock("store"):
                 rows = self._study.propose(number, points, self._space.values(points))
             self._tell(rows, self._simulate(rows, bar))
             done += len(rows)
             self._clock.note()
+
+    def _round(self, done: int) -> FloatArray:
+        """Points of the next round, snapped: those of the search, and audits among them; none when there are no more."""
+        wanted = min(self._configuration.batch, self._configuration.budget - done)
+        audits = [self._study.meta.is_audit(done + k + 1) for k in range(wanted)]
+        searched = iter(self._optimizer.ask(wanted - sum(audits)) if not all(audits) else ())
+        first, last = (count_audits(self._study.meta.audit, count) for count in (done, done + wanted))
+        drawn = iter(self._audits.ask(last)[first:])
+        points = []
+        for audit in audits:
+            point = next(drawn if audit else searched, None)
+            if point is None:
+                break
+            points.append(point)
+        return self._space.snap(np.array(points).reshape(-1, self._space.dimension))
 
     def _reason(self, done: int, seconds: float) -> str | None:
         """Say which criterion ends the search; None for none."""
@@ -201,19 +224,25 @@ class ScenarioExplorer:
         return scores
 
     def _tell(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> None:
-        """Give the scores of one round to all who learn from them."""
+        """Give the scores of one round to all who learn from them; those of audits only to who judges."""
         failed = np.full_like(self._objective.uncritical, np.nan)
         missing = failed if self._objective.pareto else np.nan
         scores = np.array([by_scenario.get(row.id, missing) for row in rows])
         points = np.array([row.point for row in rows])
+        audits = np.array([self._study.meta.is_audit(row.id) for row in rows], dtype=np.bool_)
+        with self._clock("judge"):
+            self._stopping.tell(points[~audits], scores[~audits])
+            self._stopping.tell_audits(points[audits], scores[audits])
+        told = [row for row, audit in zip(rows, audits, strict=True) if not audit]
+        if not told:
+            return
+        points, scores = points[~audits], scores[~audits]
         # Some take the features of the recordings too.
         tell: Callable[..., None] = self._optimizer.tell
-        known = (points, scores, self._features(rows, by_scenario)) if self._wants_features else (points, scores)
+        known = (points, scores, self._features(told, by_scenario)) if self._wants_features else (points, scores)
         with self._clock("optimize"):
             tell(*known)
         self._stale = 0 if self._best.add(scores) else self._stale + 1
-        with self._clock("judge"):
-            self._stopping.tell(points, scores)
 
     def _features(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> FloatArray:
         """What happened in the scenarios of one round, of the recordings that are stored, shape (m, f)."""

@@ -46,6 +46,7 @@ def explore(
     timeout: float | None = None,
     retries: int = 1,
     repeats: int = 1,
+    audit: float = 0.0,
     time_step: float = 0.05,
     duration: float = 60.0,
     on_collision: str = "continue",
@@ -100,6 +101,8 @@ def explore(
         How often a scenario is run again after the simulator died or hung.
     repeats : int, default 1
         How often each scenario is run; its score is the median.
+    audit : float, default 0.0
+        Share of the scenarios, up to 0.5, that are drawn at random and kept from the search, to judge what it found.
     time_step, duration : float
         s.
     on_collision : {"continue", "stop"}
@@ -148,6 +151,7 @@ def explore(
         timeout=timeout,
         retries=retries,
         repeats=repeats,
+        audit=audit,
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,

@@ -12,15 +12,16 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.evidence import REGION, CriticalSet
+from cornercase.exploration.judging import chosen_blindly
 from cornercase.scenario import ParameterSpace
 
 _LEAST: Final = 40
 """Scenarios below which nothing is said about a critical set."""
 
-_FORM = re.compile(r"(?P<what>[a-z]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
+_FORM = re.compile(r"(?P<what>[a-z-]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
 
 _SIZED = ("overlooked", "unvisited")
-_KINDS = ("missed", "interval", *_SIZED)
+_KINDS = ("missed", "interval", "audited-missed", *_SIZED)
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,11 @@ class Criterion:
 
     Attributes
     ----------
-    what : {"missed", "interval", "overlooked", "unvisited"}
-        The upper end of the 90 % interval of the share of the critical set that is missed; the width of that of the
-        critical share of the space; the probability that a critical region was overlooked; the share of the space
-        around which nothing was run.
+    what : {"missed", "interval", "audited-missed", "overlooked", "unvisited"}
+        The upper end of the 90 % interval of the share of the critical set that is missed, and what a region that
+        nothing points to could add to it; the width of the interval of the critical share of the space; what is missed
+        at most by the audits; the probability that a critical region was overlooked; the share of the space around
+        which nothing was run.
     below : float
     size : float
         Share of the space from which a region counts.
@@ -62,8 +64,8 @@ class Criterion:
         match = _FORM.fullmatch(text.replace(" ", ""))
         if match is None or match["what"] not in _KINDS:
             raise InputError(
-                f"`stop_when` {text}: write it as missed<0.01, interval<0.05, overlooked(0.01)<0.05 or"
-                " unvisited(0.01)<0.05, in quotes."
+                f"`stop_when` {text}: write it as missed<0.01, interval<0.05, overlooked(0.01)<0.05,"
+                " unvisited(0.01)<0.05 or audited-missed<0.1, in quotes."
             )
         if match["size"] is not None and match["what"] not in _SIZED:
             raise InputError(f"`stop_when` {text}: only overlooked and unvisited take a size.")
@@ -71,17 +73,21 @@ class Criterion:
         return cls(match["what"], _share(match["below"], text), size)
 
     def value(self, known: CriticalSet) -> float:
-        """Value of the quantity, from 0 to 1."""
+        """Value of the quantity, from 0 to 1; 1 where nothing can be said of it."""
         if self.what == "missed":
-            return known.missed.high
+            return 1.0 if known.doubt else min(known.missed.high + known.hidden, 1.0)
+        if self.what == "audited-missed":
+            return known.audited_missed_at_most
         if self.what == "interval":
-            return known.share.high - known.share.low
+            return 1.0 if known.doubt else known.share.high - known.share.low
         return known.overlooked(self.size) if self.what == "overlooked" else known.unvisited(self.size)
 
     def words(self, value: float) -> str:
         """Say what was reached."""
         if self.what == "missed":
             return f"at most {value:.2%} of the critical set is missed"
+        if self.what == "audited-missed":
+            return f"by the audits at most {value:.2%} of the critical set is missed"
         if self.what == "interval":
             return f"the critical share is known within {value:.2%}"
         if self.what == "unvisited":
@@ -100,26 +106,46 @@ class Stopping:
     threshold : float or None
         Oriented score up to which a scenario is critical.
     seed : int
+    optimizer : str
+        Name of the search, which says what of it fills the space.
+    audited : bool, default False
+        Whether there are audits.
 
     Raises
     ------
     InputError
-        There are criteria but no threshold.
+        There are criteria but no threshold, or one that needs audits.
     """
 
     def __init__(
-        self, criteria: Sequence[Criterion], space: ParameterSpace, threshold: float | None, seed: int
+        self,
+        criteria: Sequence[Criterion],
+        space: ParameterSpace,
+        threshold: float | None,
+        seed: int,
+        optimizer: str,
+        audited: bool = False,
     ) -> None:
+        if not audited and any(one.what == "audited-missed" for one in criteria):
+            raise InputError("`stop_when`: audited-missed needs audits; ask for some with `audit`, as 0.1.")
         if criteria and threshold is None:
             raise InputError("`stop_when`: say with `critical` what is critical.")
         self._criteria, self._space, self._threshold, self._seed = tuple(criteria), space, threshold, seed
+        self._optimizer = optimizer
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
+        self._audits, self._audited = self._points, self._scores
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take oriented scores, shape (m,), of points, shape (m, d); NaN for a scenario that failed."""
         if self._criteria:
             self._points = np.concatenate([self._points, points])
             self._scores = np.concatenate([self._scores, scores])
+
+    def tell_audits(self, points: FloatArray, scores: FloatArray) -> None:
+        """Take audits as in `tell`."""
+        if self._criteria:
+            self._audits = np.concatenate([self._audits, points])
+            self._audited = np.concatenate([self._audited, scores])
 
     @property
     def ready(self) -> bool:
@@ -131,7 +157,15 @@ class Stopping:
         if not self.ready or self._threshold is None:
             return None
         try:
-            known = CriticalSet(self._space, self._points, self._scores, self._threshold, self._seed)
+            known = CriticalSet(
+                self._space,
+                self._points,
+                self._scores,
+                self._threshold,
+                self._seed,
+                filling=chosen_blindly(self._optimizer, self._space, self._seed, self._points),
+                audits=(self._audits, self._audited),
+            )
         except ValueError:
             return None
         values = [criterion.value(known) for criterion in self._criteria]

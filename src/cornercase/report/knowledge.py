@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.evidence import REGION, CriticalSet, Estimate, Sensitivity, estimate_sensitivity
-from cornercase.exploration import Objective, on_front
+from cornercase.evidence import REGION, Estimate, Sensitivity, bounds_of_share, estimate_sensitivity
+from cornercase.exploration import Objective, critical_set_of, on_front
 from cornercase.study import Study
 
 
@@ -30,6 +30,8 @@ class CriticalKnowledge:
         Number of critical scenarios that were run.
     known : CriticalSetKnowledge or None
         None where too few scenarios were run to say something of the others.
+    audit : AuditKnowledge or None
+        None without audits.
     """
 
     threshold: float
@@ -37,6 +39,7 @@ class CriticalKnowledge:
     unit: str
     scenarios: int
     known: CriticalSetKnowledge | None
+    audit: AuditKnowledge | None = None
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,10 @@ class CriticalSetKnowledge:
         a region of this size holds nothing that was run.
     region : float
         Share of the space.
+    hidden : float
+        Share of the critical set that a region could have which nothing was run in.
+    doubt : str or None, default None
+        Why the intervals of `share` and `missed` cannot be trusted; None where they can.
     """
 
     share: Estimate
@@ -59,6 +66,28 @@ class CriticalSetKnowledge:
     overlooked: float
     unvisited: float
     region: float
+    hidden: float
+    doubt: str | None = None
+
+
+@dataclass(frozen=True)
+class AuditKnowledge:
+    """What the audits of a study say: scenarios that were drawn at random, and that the search was not told.
+
+    Attributes
+    ----------
+    scenarios, critical : int
+        Number of audits that were run, and of those of them that are critical.
+    share : Estimate
+        Critical share of the space.
+    missed : Estimate or None
+        Share of the critical set that was not found; None where too few scenarios were run to say what was.
+    """
+
+    scenarios: int
+    critical: int
+    share: Estimate
+    missed: Estimate | None
 
 
 @dataclass(frozen=True)
@@ -104,7 +133,8 @@ def find_knowledge(study: Study) -> Knowledge:
         return Knowledge({rows[k].id: {name: float(each[k]) for name, each in scores.items()} for k in front})
     sensitivity = None
     with suppress(ValueError):
-        sensitivity = estimate_sensitivity(study.space, study.points(), oriented, meta.seed)
+        searched = ~study.audits()
+        sensitivity = estimate_sensitivity(study.space, study.points()[searched], oriented[searched], meta.seed)
     return Knowledge(None, _of_critical(study, objective, oriented), sensitivity)
 
 
@@ -113,14 +143,22 @@ def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> Cr
     if meta.critical is None:
         return None
     threshold = objective.flip(meta.critical)
-    known = None
+    audits = study.audits()
+    known, missed = None, None
     with suppress(ValueError):
-        found = CriticalSet(study.space, study.points(), oriented, threshold, meta.seed)
-        known = CriticalSetKnowledge(found.share, found.missed, found.overlooked(), found.unvisited(), REGION)
+        found = critical_set_of(study, oriented, threshold)
+        known = CriticalSetKnowledge(
+            found.share, found.missed, found.overlooked(), found.unvisited(), REGION, found.hidden, found.doubt
+        )
+        missed = found.audited_missed
+    hits = int((oriented[audits] <= threshold).sum())
+    drawn = int(audits.sum())
+    audit = AuditKnowledge(drawn, hits, bounds_of_share(hits, drawn), missed) if drawn else None
     return CriticalKnowledge(
         threshold=float(meta.critical),
         lower_is_critical=bool(objective.weights) or objective.metrics[0].lower_is_critical,
         unit=objective.unit,
         scenarios=int((oriented <= threshold).sum()),
         known=known,
+        audit=audit,
     )

@@ -286,14 +286,28 @@ def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
         }
         if (of_set := known.critical.known) is not None:
             plain["critical"] |= {
-                "share": asdict(of_set.share),
-                "missed": asdict(of_set.missed),
+                "share": _interval(of_set.share, of_set.doubt),
+                "missed": _interval(of_set.missed, of_set.doubt),
+                "hidden": of_set.hidden,
                 "overlooked": {"value": of_set.overlooked, "size": of_set.region},
                 "unvisited": {"value": of_set.unvisited, "size": of_set.region},
+            }
+            if of_set.doubt is not None:
+                plain["critical"]["no intervals since"] = of_set.doubt
+        if (audit := known.critical.audit) is not None:
+            plain["critical"]["audit"] = {
+                "scenarios": audit.scenarios,
+                "critical": audit.critical,
+                "share": asdict(audit.share),
+                "missed": audit.missed and asdict(audit.missed),
             }
     if known.sensitivity is not None:
         plain["sensitivity"] = _sensitivity(known.sensitivity)
     return plain
+
+
+def _interval(found: Estimate, doubt: str | None) -> dict[str, float | None]:
+    return asdict(found) if doubt is None else {"value": found.value, "low": None, "high": None}
 
 
 def _sensitivity(found: Sensitivity) -> dict[str, Any]:

@@ -5,7 +5,9 @@ from .explored import explored_scenario as explored_scenario
 from .importing import IMPORTED as IMPORTED
 from .importing import ImportResult as ImportResult
 from .importing import import_recordings as import_recordings
+from .meta import MOST_AUDITS as MOST_AUDITS
 from .meta import StudyMeta as StudyMeta
+from .meta import count_audits as count_audits
 from .opening import open_study as open_study
 from .store import Study as Study
 from .table import Row as Row

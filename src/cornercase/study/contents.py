@@ -12,7 +12,7 @@ import numpy as np
 
 from cornercase._common.arguments import whole_number
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.study.arrays import read_arrays
@@ -170,6 +170,15 @@ class StudyContents:
             In the unit cube.
         """
         return np.array([row.point for row in self.done()]).reshape(-1, self.space.dimension)
+
+    def audits(self) -> BoolArray:
+        """Tell which of the scenarios that were run are audits: drawn at random, and never told to the search.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        return np.array([self.meta.is_audit(row.id) for row in self.done()], dtype=np.bool_)
 
     def scores(self, metric: str) -> FloatArray:
         """Scores of the scenarios that were run.
@@ -375,10 +384,10 @@ class StudyContents:
         Returns
         -------
         DataFrame
-            A row for each scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``; a column
-            for each parameter; for each metric one of the score, and ``lowest …`` and ``highest …`` of its runs where
-            each scenario was run several times; ``cluster by …`` for each aspect that the study was analysed by, -1 for
-            noise; ``outcome`` once it was analysed; ``error``. Empty where there is no value. A parameter that is
+            A row for each scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
+            ``audit`` where there are audits; a column for each parameter; for each metric one of the score, and
+            ``lowest …`` and ``highest …`` of its runs where each scenario was run several times; ``cluster by …`` for
+            each aspect that the study was analysed by, -1 for noise; ``outcome`` once it was analysed; ``error``. Empty where there is no value. A parameter that is
             called like another column is found as ``parameter …``.
         """
         with self.snapshot():
@@ -397,7 +406,8 @@ class StudyContents:
                 for name, each in clusters.items():
                     whole = all(one.ndim == 1 and one.dtype.kind == "i" and len(one) == len(each[0]) for one in each)
                     require(whole and set(each[0].tolist()) <= ids, f"its clusters by {name} are of other scenarios")
-                return scenario_table(rows, self.space, scores, clusters, self.outcomes())
+                audits = [self.meta.is_audit(row.id) for row in rows] if self.meta.audit else None
+                return scenario_table(rows, self.space, scores, clusters, self.outcomes(), audits)
 
     def export(self, folder: Path | str, parquet: bool = False) -> None:
         """Write everything as CSV: one table of scenarios, and recording and courses of each.

@@ -27,6 +27,7 @@ _DIFFERENT: Final = {
     "batch": "another batch size",
     "settings": "other simulator settings",
     "repeats": "another number of repeats",
+    "audit": "another share of audits",
 }
 
 
@@ -35,8 +36,28 @@ _TYPES: Final[dict[str, Any]] = (
     | dict.fromkeys(("seed", "budget", "batch", "repeats"), int)
     | dict.fromkeys(("settings", "weights"), dict)
     | dict.fromkeys(("metrics", "files"), list)
-    | {"critical": (int, float), "pareto": bool}
+    | {"critical": (int, float), "audit": (int, float), "pareto": bool}
 )
+
+
+MOST_AUDITS: Final = 0.5
+"""Greatest share of the scenarios of a study that may be audits."""
+
+
+def count_audits(share: float, scenarios: int) -> int:
+    """Count the audits among the first scenarios of a study.
+
+    Parameters
+    ----------
+    share : float
+        Of audits among all.
+    scenarios : int
+
+    Returns
+    -------
+    int
+    """
+    return math.floor(share * scenarios + 1e-9)
 
 
 @dataclass(frozen=True)
@@ -71,6 +92,8 @@ class StudyMeta:
         Seed of the search, number of scenarios in all, and in each round.
     repeats : int
         How often each scenario is run.
+    audit : float
+        Share of the scenarios that are drawn at random to judge the search, and that it is never told.
     files : tuple of str
         Imported recordings, in the order of the scenarios' ids.
     version : str
@@ -93,6 +116,7 @@ class StudyMeta:
     budget: int = 0
     batch: int = 0
     repeats: int = 1
+    audit: float = 0.0
     files: tuple[str, ...] = ()
     version: str = __version__
 
@@ -122,8 +146,23 @@ class StudyMeta:
             "weights": dict(self.weights) or None,
             "pareto": self.pareto or None,
             "repeats": self.repeats if self.repeats > 1 else None,
+            "audit": self.audit or None,
             "files": list(self.files) or None,
         }
+
+    def is_audit(self, scenario: int) -> bool:
+        """Tell whether a scenario is an audit: the last one with which their share of all is reached again.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        bool
+        """
+        return count_audits(self.audit, scenario) > count_audits(self.audit, scenario - 1)
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> StudyMeta:
@@ -157,6 +196,8 @@ class StudyMeta:
         numbers = (given.get("critical", 0.0), *given.get("weights", {}).values())
         if not all(math.isfinite(float(one)) for one in numbers):
             raise ValueError("its critical or its weights are not finite")
+        if not 0.0 <= given.get("audit", 0.0) <= MOST_AUDITS:
+            raise ValueError("its audit is no share")
         if not isinstance(given.get("settings", {}).get("drivers", {}), dict):
             raise ValueError("its drivers are no names by entity")
         given |= {name: tuple(given[name]) for name in ("metrics", "files") if name in given}

@@ -1,7 +1,8 @@
 """The schema of a study file, and the way from an earlier version to it.
 
-Version 3 holds the arrays of an analysis in pieces, and of the distances one half. Version 2 holds each array as one
-value, and judges the bounds of clusters by the scenarios that they were found from.
+Version 4 says which share of the scenarios are audits. Version 3 holds the arrays of an analysis in pieces, and of the
+distances one half. Version 2 holds each array as one value, and judges the bounds of clusters by the scenarios that
+they were found from.
 Version 1 has fewer tables and grew over time: a file of it may lack what its first releases did not know.
 """
 
@@ -20,7 +21,7 @@ from cornercase.metrics import METRICS
 from cornercase.study.arrays import write_arrays
 from cornercase.study.codec import pack_arrays, unpack_arrays
 
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 4
 
 SCHEMA: Final = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -195,4 +196,9 @@ def _judged_reduction(info: dict[str, Any]) -> dict[str, Any]:
     return info | graded
 
 
-_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1, 2: _from_2}
+def _from_3(connection: sqlite3.Connection) -> None:
+    """Say that no scenario is an audit."""
+    connection.execute("INSERT OR IGNORE INTO meta VALUES ('audit', 'null')")
+
+
+_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1, 2: _from_2, 3: _from_3}

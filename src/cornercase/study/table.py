@@ -47,6 +47,7 @@ def scenario_table(
     scores: Mapping[str, FloatArray],
     clusters: Mapping[str, tuple[IntArray, IntArray]],
     outcomes: Mapping[int, str],
+    audits: Sequence[bool] | None = None,
 ) -> pd.DataFrame:
     """Put together what is known of each scenario, a row for each.
 
@@ -60,6 +61,8 @@ def scenario_table(
         By aspect, ids of scenarios and their clusters.
     outcomes : mapping of int to str
         By id.
+    audits : sequence of bool, length n, optional
+        Which scenarios are audits, where there are any.
 
     Returns
     -------
@@ -85,6 +88,8 @@ def scenario_table(
     found["error"] = pd.Series([row.error for row in rows], dtype=object)
     first: dict[str, Any] = {"id": ids, "round": np.array([row.round for row in rows], dtype=np.int64)}
     first["state"] = [row.state for row in rows]
+    if audits is not None:
+        first["audit"] = list(audits)
     varied = {parameter.name: [parameter.read(row.values) for row in rows] for parameter in space.parameters}
     # A parameter may have the name of another column.
     varied = {f"parameter {name}" if name in first or name in found else name: each for name, each in varied.items()}

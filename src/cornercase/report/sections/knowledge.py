@@ -50,15 +50,24 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterat
     found = known.known
     assert found is not None
 
-    def share(estimate: Estimate) -> list[str]:
-        return [f"{estimate.value:.2%}", f"{estimate.low:.2%} to {estimate.high:.2%}"]
+    def share(estimate: Estimate, given: bool = True) -> list[str]:
+        return [f"{estimate.value:.2%}", f"{estimate.low:.2%} to {estimate.high:.2%}" if given else "not given"]
 
     yield f"<p>A scenario is critical where {escape(criterion)}: {known.scenarios} of the {run} that were run.</p>"
     yield make_table(
         ["what", "estimate", "90 % interval"],
         [
-            ["critical share of the space", *share(found.share)],
-            ["share of the critical set that is missed", *share(found.missed)],
+            ["critical share of the space", *share(found.share, found.doubt is None)],
+            ["share of the critical set that is missed", *share(found.missed, found.doubt is None)],
+            ["part of the critical set that a region could be which holds nothing run", f"{found.hidden:.2%}", ""],
+            *(
+                [
+                    [f"critical share by {known.audit.scenarios} audits alone", *share(known.audit.share)],
+                    ["missed by the audits alone", *(share(known.audit.missed) if known.audit.missed else ["", ""])],
+                ]
+                if known.audit
+                else []
+            ),
             [
                 f"probability that a region of {found.region:.0%} of the space was overlooked",
                 f"{found.overlooked:.2%}",
@@ -71,9 +80,11 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterat
             ],
         ],
     )
+    if found.doubt is not None:
+        yield f"<p>No interval of the share and of what is missed is given: {escape(found.doubt)}.</p>"
     yield (
-        "<p>All but the last figure come from a Gaussian process of the scores, corrected by how well it predicts each"
-        " scenario that was run from all others.</p>"
+        "<p>The share, what is missed and what is overlooked come from a Gaussian process of the scores, corrected"
+        " by how well it predicts the scenarios that fill the space from all others, and the audits; the rest needs no process.</p>"
     )
 
 

@@ -1,0 +1,157 @@
+"""How often what is said of a critical set is so: functions whose critical sets are known, one judgement after another.
+
+python benchmarks/calibration.py [--half test] [--cases 60] [--dims 1 3 6 10] [--json FILE]
+
+A case is a function of a family, a number of dimensions, a critical share between 0.5 and 40 %, and a space that is
+continuous or has steps and choices. Each search runs on each case. The families of the two halves differ: constants may
+be chosen with one of them, and what the docs say is of the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import qmc
+
+from cornercase.optimizers import create_optimizer
+from cornercase.scenario import Parameter, ParameterSpace
+
+Floats = npt.NDArray[np.float64]
+Function = Callable[[Floats], Floats]
+
+SEARCHES: Final = ("sobol", "random", "bayes", "bayes:filling=0", "level-set", "evolutionary")
+SHARES: Final = (0.005, 0.01, 0.03, 0.1, 0.2, 0.4)
+ROUND: Final = 10
+
+
+def waves(rng: np.random.Generator, dims: int) -> Function:
+    """Draw of a smooth process, of which some dimensions matter more than others."""
+    widths = np.exp(rng.normal(np.log(0.35 * np.sqrt(dims)), 0.5, dims))
+    frequencies = rng.standard_t(5.0, (400, dims)) / widths
+    phases, weights = rng.uniform(0.0, 2 * np.pi, 400), rng.normal(size=400) / 20.0
+    return lambda points: np.cos(points @ frequencies.T + phases) @ weights
+
+
+def bumps(rng: np.random.Generator, dims: int) -> Function:
+    """Sum of bumps, high and low."""
+    centres, sizes = rng.random((4 + 2 * dims, dims)), rng.normal(size=4 + 2 * dims)
+    width = 0.25 * np.sqrt(dims)
+
+    def of(points: Floats) -> Floats:
+        apart = ((points[:, None] - centres) ** 2).sum(axis=2) / width**2
+        return np.asarray(-np.exp(-apart) @ sizes)
+
+    return of
+
+
+def shell(rng: np.random.Generator, dims: int) -> Function:
+    """Low on a thin shell around a place."""
+    centre, radius = rng.uniform(0.2, 0.8, dims), rng.uniform(0.25, 0.5) * np.sqrt(dims)
+    stretch = rng.uniform(0.5, 1.5, dims)
+    return lambda points: np.abs(np.linalg.norm((points - centre) * stretch, axis=1) - radius)
+
+
+def islands(rng: np.random.Generator, dims: int) -> Function:
+    """Two to four balls in a plateau that says nothing of them."""
+    count = int(rng.integers(2, 5))
+    centres, sizes = rng.random((count, dims)), rng.uniform(0.5, 1.5, count)
+
+    def of(points: Floats) -> Floats:
+        apart = np.linalg.norm(points[:, None] - centres, axis=2) / sizes
+        return np.asarray(np.minimum(apart.min(axis=1), 0.35 * np.sqrt(dims)))
+
+    return of
+
+
+def steps(rng: np.random.Generator, dims: int) -> Function:
+    """Smooth, but with a jump along two slanted planes."""
+    smooth, planes = waves(rng, dims), rng.normal(size=(2, dims))
+    at, high = (planes * rng.uniform(0.3, 0.7, (2, dims))).sum(axis=1), rng.normal(0.0, 1.5, 2)
+    return lambda points: np.asarray(smooth(points) + (points @ planes.T > at) @ high)
+
+
+def capped(rng: np.random.Generator, dims: int) -> Function:
+    """A valley in few dimensions, at its cap nearly everywhere, with noise as of time steps."""
+    some = rng.permutation(dims)[: max(1, dims // 2)]
+    slope, centre = rng.normal(size=len(some)), rng.uniform(0.2, 0.8, len(some))
+    curved = rng.uniform(0.5, 2.0, len(some))
+
+    def of(points: Floats) -> Floats:
+        at = points[:, some] - centre
+        valley = np.abs(at @ slope) + (curved * at**2).sum(axis=1)
+        grain = 0.02 * np.sin(1e4 * (points @ np.arange(1.0, dims + 1.0)))
+        return np.asarray(np.minimum(valley + grain, 0.6 * np.sqrt(len(some))))
+
+    return of
+
+
+FAMILIES: Final[dict[str, dict[str, Callable[[np.random.Generator, int], Function]]]] = {
+    "train": {"waves": waves, "bumps": bumps, "shell": shell},
+    "test": {"islands": islands, "steps": steps, "capped": capped},
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A function, and what of it is critical."""
+
+    family: str
+    dims: int
+    aimed: float
+    finite: bool
+    seed: int
+    space: ParameterSpace
+    function: Function
+    threshold: float
+    everywhere: Floats
+
+    @property
+    def critical(self) -> npt.NDArray[np.bool_]:
+        return self.function(self.everywhere) <= self.threshold
+
+
+def space_of(dims: int, finite: bool) -> ParameterSpace:
+    """A cube; with steps, and with one choice among three where there are dimensions to spare."""
+    if not finite:
+        return ParameterSpace.from_ranges([f"p{k}=0:1" for k in range(dims)])
+    count = {1: 2000, 2: 50, 3: 20}.get(dims, 6)
+    ranges = [Parameter(f"p{k}", 0.0, count - 1.0, 1.0) for k in range(dims)]
+    if dims > 2:
+        ranges[0] = Parameter("p0", 0, 2, None, ("x", "y", "z"))
+    return ParameterSpace(ranges)
+
+
+def cases(half: str, count: int, dims: Sequence[int], first: int = 0) -> Iterator[Case]:
+    """Cases of one half, whose shares, dimensions and families take turns."""
+    families = list(FAMILIES[half].items())
+    for number in range(first, first + count):
+        rng = np.random.default_rng([number, 0 if half == "train" else 1])
+        name, family = families[number % len(families)]
+        d, finite = int(dims[(number // len(families)) % len(dims)]), bool(rng.random() < 0.3)
+        share = float(rng.choice(SHARES))
+        space = space_of(d, finite)
+        everywhere = space.snap(qmc.Sobol(d, seed=rng).random(2**15))
+        for _ in range(20):
+            function = family(rng, d)
+            values = function(everywhere)
+            threshold = float(np.quantile(values, share))
+            true = (values <= threshold).mean()
+            # A plateau or a jump may lie at this share.
+            if 0.5 * share <= true <= 2.0 * share:
+                yield Case(name, d, share, finite, number, space, function, threshold, everywhere)
+                break
+
+
+def explored(case: Case, search: str, budget: int) -> tuple[Floats, Floats]:
+    """Points and scores of a search."""
+    optimizer = create_optimizer(search, case.space, case.seed, threshold=case.threshold, budget=budget)
+    points, scores = np.zeros((0, case.dims)), np.zeros(0)
+    while len(points) < budget and len(new := optimizer.ask(min(ROUND, budget - len(points)))):
+        values = case.function(new)
+        optimizer.tell(new, values)
+        points, scores = np.concatenate([points, new]), np.concatenate([scores, values])
+    return points, scores

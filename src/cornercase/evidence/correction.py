@@ -1,0 +1,84 @@
+"""From what a surrogate says of scenarios to the probability that they are critical, by its own record."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.special import log_ndtr, ndtr
+
+from cornercase._common.typing import BoolArray, FloatArray
+
+# Places of the grid on which the posterior is known, and how far it reaches in deviations of the prior.
+_STEPS: Final = 49
+_REACH: Final = 4.0
+# Scenarios of one kind up to which each is looked at by itself.
+_MANY: Final = 128
+
+
+class Correction:
+    """Posterior of a and b in the probability ``p = Φ(-(a + b t))`` that a scenario is critical.
+
+    What t is does not matter, as long as the lower it is, the likelier a scenario is critical: the mean of a Gaussian
+    process over its standard deviation, or what another classifier says as a normal deviate. Before anything is known,
+    a and the logarithm of b are normal, of deviation 1 around what leaves t as it is.
+
+    Parameters
+    ----------
+    t : ndarray of float64, shape (n,)
+        What was said of scenarios without knowing their scores.
+    critical : ndarray of bool, shape (n,)
+        What they were.
+    weights : ndarray of float64, shape (n,)
+        As how many independent scenarios each of them counts.
+
+    Notes
+    -----
+    Correction of probabilities: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the
+    normal distribution function, and all of the posterior on a grid.
+    """
+
+    def __init__(self, t: FloatArray, critical: BoolArray, weights: FloatArray) -> None:
+        a, log_b = (each.ravel() for each in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
+        likely = -0.5 * (a**2 + log_b**2)
+        slope = np.exp(log_b)
+        for side, these in ((1.0, critical), (-1.0, ~critical)):
+            order = np.argsort(t[these], kind="stable")
+            # Of many the neighbours count together.
+            for some in np.array_split(order, min(_MANY, max(len(order), 1))):
+                weight = weights[these][some].sum()
+                if weight > 0.0:
+                    middle = weights[these][some] @ t[these][some] / weight
+                    likely += weight * log_ndtr(-side * (a + slope * middle))
+        share = np.exp(likely - likely.max())
+        self._a, self._b, self._likely = a, slope, share / share.sum()
+
+    def draws(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Draw a and b from their posterior.
+
+        Parameters
+        ----------
+        count : int
+        rng : Generator
+
+        Returns
+        -------
+        a, b : ndarray of float64, shape (count,)
+        """
+        # One in each of so many equal shares of the posterior, in a random order.
+        at = (rng.permutation(count) + rng.random(count)) / count
+        found = np.minimum(np.searchsorted(np.cumsum(self._likely), at), len(self._a) - 1)
+        return self._a[found], self._b[found]
+
+    def probability(self, t: FloatArray) -> FloatArray:
+        """Give the probability of scenarios to be critical at the mean of a and b.
+
+        Parameters
+        ----------
+        t : ndarray of float64, shape (n,)
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+        """
+        return np.asarray(ndtr(-(self._likely @ self._a + (self._likely @ self._b) * t)))

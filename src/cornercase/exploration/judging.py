@@ -1,0 +1,100 @@
+"""What of a study may judge a search, since the search did not choose it by what it had learned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cornercase._common.rows import row_keys
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.evidence import CriticalSet
+from cornercase.optimizers import GridOptimizer, RandomOptimizer, SobolOptimizer
+from cornercase.scenario import ParameterSpace
+from cornercase.study import Study
+
+# Keeps the audits apart from all that is drawn with the seed of the search.
+_AUDITS = 0xA0D17
+
+
+def audits_of(space: ParameterSpace, seed: int) -> RandomOptimizer:
+    """Sequence of the audits of a study: independent points of the space, each once.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+    seed : int
+        Of the study.
+
+    Returns
+    -------
+    RandomOptimizer
+        It is never told anything, so that what it draws depends on nothing else.
+    """
+    return RandomOptimizer(space, int(np.random.SeedSequence([seed, _AUDITS]).generate_state(1)[0]))
+
+
+def chosen_blindly(optimizer: str, space: ParameterSpace, seed: int, points: FloatArray) -> BoolArray:
+    """Tell which points fill the space, whatever the scores are.
+
+    Those are the first ones of the sequence that the searches fill the space with, as far as all of it was run: which
+    points these are does not depend on scores, also where a search came to one of them by itself. Of a grid it is all.
+
+    Parameters
+    ----------
+    optimizer : str
+        Name of the search, with its options.
+    space : ParameterSpace
+    seed : int
+        Of the search.
+    points : ndarray of float64, shape (n, d)
+        All that the search was told.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    name = optimizer.partition(":")[0]
+    if name == GridOptimizer.name:
+        return np.ones(len(points), dtype=np.bool_)
+    kind = RandomOptimizer if name == RandomOptimizer.name else SobolOptimizer
+    keys = row_keys(space.snap(points))
+    ran, filling = set(keys), set[bytes]()
+    for key in row_keys(kind(space, seed).ask(len(points))):
+        if key not in ran:
+            break
+        filling.add(key)
+    return np.array([key in filling for key in keys], dtype=np.bool_)
+
+
+def critical_set_of(study: Study, scores: FloatArray, threshold: float) -> CriticalSet:
+    """Estimate the critical set of a study; its audits judge, and say nothing of what is found.
+
+    Parameters
+    ----------
+    study : Study
+    scores : ndarray of float64, shape (n,)
+        Oriented, of all scenarios that were run, audits too.
+    threshold : float
+        Oriented score up to which a scenario is critical.
+
+    Returns
+    -------
+    CriticalSet
+
+    Raises
+    ------
+    ValueError
+        There are fewer than 10 scores without audits, or all are the same.
+    """
+    meta, audits, points = study.meta, study.audits(), study.points()
+    # Also what failed was chosen by the sequence.
+    rows = [row for row in study.rows() if not meta.is_audit(row.id)]
+    blindly = chosen_blindly(meta.optimizer, study.space, meta.seed, np.array([row.point for row in rows]))
+    return CriticalSet(
+        study.space,
+        points[~audits],
+        scores[~audits],
+        threshold,
+        meta.seed,
+        filling=blindly[[row.state == "done" for row in rows]],
+        audits=(points[audits], scores[audits]),
+    )
