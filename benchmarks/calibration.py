@@ -111,6 +111,7 @@ class Case:
 
     @property
     def critical(self) -> npt.NDArray[np.bool_]:
+        """Which of the places are critical."""
         return self.function(self.everywhere) <= self.threshold
 
 

@@ -150,3 +150,111 @@ def test_criteria_are_read():
     ):
         with pytest.raises(InputError, match="`stop_when`"):
             Criterion.parse(text)
+
+
+def test_before_anything_critical_was_met_the_share_is_bounded_by_what_was_run():
+    points = qmc.Sobol(3, seed=0).random(64)[:40]
+    known = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD)
+    # The rule of three.
+    assert known.share.low == 0.0
+    assert known.share.high == pytest.approx(3 / 40, rel=0.05)
+    # Of what is chosen by scores nothing follows.
+    blindly = np.arange(40) < 20
+    fewer = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD, filling=blindly)
+    assert fewer.share.high == pytest.approx(3 / 20, rel=0.1)
+    assert known.overlooked() == known.unvisited() > 0.2
+    for text in ("interval<0.05", "overlooked<0.05", "missed<0.05"):
+        one = Criterion.parse(text)
+        assert one.value(known) >= one.below
+
+
+def test_two_sets_are_drawn_independently():
+    points = qmc.Sobol(3, seed=0).random(64)
+    rng = np.random.default_rng(3)
+    scores = rng.normal(size=(2, 64))
+    one, other = (CriticalSet(CUBE, points, each, 0.0) for each in scores)
+    # Of noise the share of one in another is that of the other, whatever is drawn.
+    assert one.share_in(other).value == pytest.approx(other.share.value, abs=0.03)
+    # Also of the same scores, drawn twice: nothing foretells where they are critical.
+    assert one.share_in(one).value < 0.7
+
+
+def test_a_scenario_of_a_finite_space_is_critical_or_not_in_one_draw():
+    space = ParameterSpace([Parameter("a", 0, 4, 1.0), Parameter("b", 0, 5, 1.0)])
+    points = space.lattice()
+    known = CriticalSet(space, points[::2], np.random.default_rng(0).normal(size=15), 0.0)
+    at, weights, drawn, _ = known._joint
+    places = known._places.points[at]
+    assert len(np.unique(places, axis=0)) == len(places) == len(drawn) == 30
+    assert weights.sum() == pytest.approx(1.0)
+    # What was run is known: the shares differ by whole scenarios that were not.
+    shares = known._all * 30
+    assert shares.min() >= known._critical.sum() - 0.5
+    assert shares.max() <= known._critical.sum() + 15.5
+
+
+@pytest.mark.parametrize("seed", [3, 7, 8])
+def test_draws_without_a_critical_place_do_not_count_as_nothing_missed(seed):
+    rng = np.random.default_rng(seed)
+    points, scores = rng.random((60, 3)), rng.normal(size=60)
+    # One scenario is critical, by noise: hardly anything else is found, so nearly all that there is is missed.
+    known = CriticalSet(CUBE, points, scores, float(np.sort(scores)[:2].mean()))
+    assert known.found(EVERYWHERE).mean() < 0.01
+    assert known.missed.low > 0.5
+
+
+def test_a_ball_keeps_to_the_space_in_ten_dimensions():
+    space = ParameterSpace.from_ranges([f"p{k}=0:1" for k in range(10)])
+    points = qmc.Sobol(10, seed=1).random(128)
+    known = CriticalSet(space, points, points.sum(axis=1), 4.0)
+    rng = np.random.default_rng(0)
+    for size in (0.01, 0.05):
+        # Balls around random places, as large as the share of the space that they really take.
+        at, around = rng.random((300, 10)), rng.random((4000, 10))
+        apart = np.sort(np.linalg.norm(at[:, None] - around, axis=2), axis=1)[:, int(size * 4000)]
+        met = (np.linalg.norm(at[:, None] - points, axis=2) <= apart[:, None]).any(axis=1)
+        assert known.unvisited(size) == pytest.approx(1.0 - met.mean(), abs=0.08)
+
+
+def test_audits_correct_what_is_said_and_never_say_what_is_found():
+    points = qmc.Sobol(3, seed=3).random(64)
+    audits = np.random.default_rng(5).random((200, 3))
+    alone = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD, audits=(audits, two_regions(audits)))
+    np.testing.assert_array_equal(known.found(EVERYWHERE), alone.found(EVERYWHERE))
+    missed = (TRUE & ~known.found(EVERYWHERE)).sum() / TRUE.sum()
+    assert known.missed.high - known.missed.low < alone.missed.high - alone.missed.low
+    assert known.missed.low - 0.02 <= missed <= known.missed.high + 0.02
+    assert known.audited_missed.low <= missed <= known.audited_missed.high < known.audited_missed_at_most
+    hits = (two_regions(audits) <= THRESHOLD).sum()
+    assert known.audited_share.value == hits / 200
+
+
+def test_where_too_little_was_chosen_blindly_no_interval_is_given_and_it_says_why():
+    points = qmc.Sobol(3, seed=3).random(64)
+    scores, first = two_regions(points), np.arange(64)
+    known = CriticalSet(CUBE, points, scores, THRESHOLD, filling=first < 15)
+    assert known.doubt is not None
+    assert "only 15" in known.doubt
+    assert known.missed_doubt == known.doubt
+    assert Criterion.parse("interval<0.5").value(known) == Criterion.parse("missed<0.9").value(known) == 1.0
+    few = CriticalSet(CUBE, points, scores, THRESHOLD, filling=(scores > THRESHOLD) | (first < 1))
+    assert few.doubt is None
+    assert few.missed_doubt is not None
+    assert "are critical" in few.missed_doubt
+    audits = np.random.default_rng(5).random((60, 3))
+    both = (audits, two_regions(audits))
+    assert CriticalSet(CUBE, points, scores, THRESHOLD, filling=first < 0, audits=both).missed_doubt is None
+
+
+def test_a_region_that_nothing_points_to_keeps_the_search_going():
+    points = qmc.Sobol(3, seed=3).random(128)
+    known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
+    # A ball of the size that escapes one time in twenty, beside the share that is known.
+    centres = np.random.default_rng(0).random((400, 3))
+    ball = known.hidden * known.share.value / (1.0 - known.hidden)
+    assert known.unvisited(ball) == pytest.approx(0.05, abs=0.01)
+    apart = np.sort(np.linalg.norm(centres[:, None] - EVERYWHERE[:4096], axis=2), axis=1)[:, round(ball * 4096)]
+    escapes = ~(np.linalg.norm(centres[:, None] - points, axis=2) < apart[:, None]).any(axis=1)
+    assert escapes.mean() < 0.1
+    assert Criterion.parse("missed<0.1").value(known) == pytest.approx(known.missed.high + known.hidden)

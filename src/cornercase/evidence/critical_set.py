@@ -28,6 +28,9 @@ _JOINT, _DRAWS = 1500, 400
 _GROUPS: Final = 1024
 # Deviation of what is all but certain, so that some of those places are looked at too.
 _LEAST: Final = 0.02
+# Scenarios chosen without looking at scores, and critical ones among them, from which intervals are given. Where there
+# were fewer critical ones, intervals of what is missed were too narrow on the first half of benchmarks/calibration.py.
+_FEWEST, _FEWEST_HITS = 20, 3
 # Probability with which a region of the size that is called hidden, at a random place, holds nothing that was run.
 _HIDES: Final = 0.05
 
@@ -190,10 +193,27 @@ class CriticalSet:
         """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""
         return np.array([self._outcome.get(key, 0.0) for key in row_keys(self._space.snap(points))])
 
-    @cached_property
+    @property
     def doubt(self) -> str | None:
-        """Why the intervals of `share` and `missed` cannot be trusted; None where they can."""
-        return None
+        """Why no interval can be given of `share` and `missed`; None where one can.
+
+        What a search chose by scores tells nothing of how often it is wrong elsewhere.
+        """
+        drawn = int(self._filling.sum()) + len(self._audits)
+        if drawn >= _FEWEST:
+            return None
+        return f"only {drawn} scenarios were chosen without looking at scores; {_FEWEST} are needed, audits are such"
+
+    @property
+    def missed_doubt(self) -> str | None:
+        """Why no interval can be given of `missed`; None where one can."""
+        hits = int(self._critical[self._filling].sum() + self._audited.sum())
+        if self.doubt is not None or hits >= _FEWEST_HITS:
+            return self.doubt
+        return (
+            f"only {hits} of the scenarios that were chosen without looking at scores are critical; {_FEWEST_HITS} are"
+            " needed"
+        )
 
     @cached_property
     def share(self) -> Estimate:

@@ -173,7 +173,7 @@ class ScenarioExplorer:
             self._clock.note()
 
     def _round(self, done: int) -> FloatArray:
-        """Points of the next round, snapped: those of the search, and audits among them; none when there are no more."""
+        """Points of the next round, snapped: of the search, with audits among them; none when there are no more."""
         wanted = min(self._configuration.batch, self._configuration.budget - done)
         audits = [self._study.meta.is_audit(done + k + 1) for k in range(wanted)]
         searched = iter(self._optimizer.ask(wanted - sum(audits)) if not all(audits) else ())

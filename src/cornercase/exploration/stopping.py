@@ -75,7 +75,7 @@ class Criterion:
     def value(self, known: CriticalSet) -> float:
         """Value of the quantity, from 0 to 1; 1 where nothing can be said of it."""
         if self.what == "missed":
-            return 1.0 if known.doubt else min(known.missed.high + known.hidden, 1.0)
+            return 1.0 if known.missed_doubt else min(known.missed.high + known.hidden, 1.0)
         if self.what == "audited-missed":
             return known.audited_missed_at_most
         if self.what == "interval":

@@ -57,8 +57,8 @@ class CriticalSetKnowledge:
         Share of the space.
     hidden : float
         Share of the critical set that a region could have which nothing was run in.
-    doubt : str or None, default None
-        Why the intervals of `share` and `missed` cannot be trusted; None where they can.
+    share_doubt, missed_doubt : str or None, default None
+        Why the intervals of `share` and `missed` cannot be given; None where they can.
     """
 
     share: Estimate
@@ -67,7 +67,8 @@ class CriticalSetKnowledge:
     unvisited: float
     region: float
     hidden: float
-    doubt: str | None = None
+    share_doubt: str | None = None
+    missed_doubt: str | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,14 @@ def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> Cr
     with suppress(ValueError):
         found = critical_set_of(study, oriented, threshold)
         known = CriticalSetKnowledge(
-            found.share, found.missed, found.overlooked(), found.unvisited(), REGION, found.hidden, found.doubt
+            found.share,
+            found.missed,
+            found.overlooked(),
+            found.unvisited(),
+            REGION,
+            found.hidden,
+            found.doubt,
+            found.missed_doubt,
         )
         missed = found.audited_missed
     hits = int((oriented[audits] <= threshold).sum())

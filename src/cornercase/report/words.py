@@ -286,14 +286,12 @@ def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
         }
         if (of_set := known.critical.known) is not None:
             plain["critical"] |= {
-                "share": _interval(of_set.share, of_set.doubt),
-                "missed": _interval(of_set.missed, of_set.doubt),
+                "share": _interval(of_set.share, of_set.share_doubt),
+                "missed": _interval(of_set.missed, of_set.missed_doubt),
                 "hidden": of_set.hidden,
                 "overlooked": {"value": of_set.overlooked, "size": of_set.region},
                 "unvisited": {"value": of_set.unvisited, "size": of_set.region},
             }
-            if of_set.doubt is not None:
-                plain["critical"]["no intervals since"] = of_set.doubt
         if (audit := known.critical.audit) is not None:
             plain["critical"]["audit"] = {
                 "scenarios": audit.scenarios,
@@ -306,8 +304,8 @@ def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
     return plain
 
 
-def _interval(found: Estimate, doubt: str | None) -> dict[str, float | None]:
-    return asdict(found) if doubt is None else {"value": found.value, "low": None, "high": None}
+def _interval(found: Estimate, doubt: str | None) -> dict[str, float | str | None]:
+    return asdict(found) if doubt is None else {"value": found.value, "low": None, "high": None, "since": doubt}
 
 
 def _sensitivity(found: Sensitivity) -> dict[str, Any]:

@@ -387,8 +387,8 @@ class StudyContents:
             A row for each scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
             ``audit`` where there are audits; a column for each parameter; for each metric one of the score, and
             ``lowest …`` and ``highest …`` of its runs where each scenario was run several times; ``cluster by …`` for
-            each aspect that the study was analysed by, -1 for noise; ``outcome`` once it was analysed; ``error``. Empty where there is no value. A parameter that is
-            called like another column is found as ``parameter …``.
+            each aspect that the study was analysed by, -1 for noise; ``outcome`` once it was analysed; ``error``. Empty
+            where there is no value. A parameter that is called like another column is found as ``parameter …``.
         """
         with self.snapshot():
             scores = {}

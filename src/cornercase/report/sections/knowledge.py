@@ -57,8 +57,8 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterat
     yield make_table(
         ["what", "estimate", "90 % interval"],
         [
-            ["critical share of the space", *share(found.share, found.doubt is None)],
-            ["share of the critical set that is missed", *share(found.missed, found.doubt is None)],
+            ["critical share of the space", *share(found.share, found.share_doubt is None)],
+            ["share of the critical set that is missed", *share(found.missed, found.missed_doubt is None)],
             ["part of the critical set that a region could be which holds nothing run", f"{found.hidden:.2%}", ""],
             *(
                 [
@@ -80,11 +80,13 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterat
             ],
         ],
     )
-    if found.doubt is not None:
-        yield f"<p>No interval of the share and of what is missed is given: {escape(found.doubt)}.</p>"
+    if found.missed_doubt is not None:
+        both = "the share and of " if found.share_doubt is not None else ""
+        yield f"<p>No interval of {both}what is missed is given: {escape(found.missed_doubt)}.</p>"
     yield (
         "<p>The share, what is missed and what is overlooked come from a Gaussian process of the scores, corrected"
-        " by how well it predicts the scenarios that fill the space from all others, and the audits; the rest needs no process.</p>"
+        " by how well it predicts the scenarios that fill the space from all others, and the audits; the rest needs no"
+        " process.</p>"
     )
 
 
