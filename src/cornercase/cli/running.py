@@ -78,7 +78,7 @@ def explore(
             "--stop-when",
             metavar="WHAT<X",
             help="Stop when so much is known of the critical set: missed<0.01, interval<0.05,"
-            " overlooked(0.01)<0.05, unvisited(0.01)<0.05; of several all.",
+            " overlooked(0.01)<0.05, unvisited(0.01)<0.05, audited-missed<0.1; of several all.",
         ),
     ] = None,
     budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=1)] = 200,

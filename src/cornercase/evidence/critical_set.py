@@ -95,7 +95,7 @@ class CriticalSet:
         self._places = Places.of(space, seed)
         self._ran = encoded(space, points)
         self._process = boundary_process(self._ran, scores, threshold)
-        mean, self._t = self._told(self._places.encoded)
+        mean, self._t = self._foretold(self._places.encoded)
         self._outcome = dict(zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True))
         self._certain = self._seen(self._places.points)
         self._is_found = _found(mean, self._certain)
@@ -107,7 +107,7 @@ class CriticalSet:
             self._correction = self._learned()
             self._a, self._b = self._correction.draws(_DRAWS, np.random.default_rng([seed, 3]))
 
-    def _told(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _foretold(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean of the process at encoded places, and mean over standard deviation of a score there."""
         mean, deviation = self._process.predict(at)
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
@@ -117,7 +117,7 @@ class CriticalSet:
         mean, deviation = self._process.leave_one_out()
         t, critical = (mean / deviation)[self._filling], self._critical[self._filling]
         if len(self._audits):
-            t = np.concatenate([t, self._told(encoded(self._space, self._audits))[1]])
+            t = np.concatenate([t, self._foretold(encoded(self._space, self._audits))[1]])
             critical = np.concatenate([critical, self._audited])
         return Correction(t, critical, np.ones(len(t)))
 
@@ -187,7 +187,7 @@ class CriticalSet:
         """
         if not len(points):
             return np.zeros(0, dtype=np.bool_)
-        return _found(self._told(encoded(self._space, points))[0], self._seen(points))
+        return _found(self._foretold(encoded(self._space, points))[0], self._seen(points))
 
     def _seen(self, points: FloatArray) -> FloatArray:
         """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""

@@ -233,13 +233,13 @@ class ScenarioExplorer:
         with self._clock("judge"):
             self._stopping.tell(points[~audits], scores[~audits])
             self._stopping.tell_audits(points[audits], scores[audits])
-        told = [row for row, audit in zip(rows, audits, strict=True) if not audit]
-        if not told:
+        searched = [row for row, audit in zip(rows, audits, strict=True) if not audit]
+        if not searched:
             return
         points, scores = points[~audits], scores[~audits]
         # Some take the features of the recordings too.
         tell: Callable[..., None] = self._optimizer.tell
-        known = (points, scores, self._features(told, by_scenario)) if self._wants_features else (points, scores)
+        known = (points, scores, self._features(searched, by_scenario)) if self._wants_features else (points, scores)
         with self._clock("optimize"):
             tell(*known)
         self._stale = 0 if self._best.add(scores) else self._stale + 1
