@@ -5,15 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 from typer.testing import CliRunner
 
 from cornercase import NoticeWarning, estimate, explore
 from cornercase._common.errors import InputError
 from cornercase.cli import app
 from cornercase.evidence import ImportanceSampling
-from cornercase.exploration import Configuration, ProbabilityEstimator
+from cornercase.exploration import Configuration, ProbabilityEstimator, ScenarioExplorer
+from cornercase.optimizers import OPTIMIZERS
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import Study
+from fake_simulators import NoisySimulator
 from synthetic import LOGICAL, Synthetic, about
 
 # Scenarios with a > 0.9 fail, and the others are 10 |a - b| m apart; a goes by steps of 0.01.
@@ -157,3 +160,27 @@ def test_what_cannot_be_estimated_is_refused(explored, tmp_path, given, words):
         estimate(file, output, scenario=scenario, **more)
     assert file.exists()
     assert not (tmp_path / "e.db").exists()
+
+
+def test_of_repeated_runs_is_told_how_many_are_critical_and_how_open_that_is(tmp_path):
+    meta = about(LOGICAL.space, "distance", critical=30.0, repeats=6)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        configuration = Configuration(
+            LOGICAL, "Ego", "C", ("distance",), optimizer="sobol", critical=30.0, budget=6, repeats=6
+        )
+        simulator = NoisySimulator()
+        ScenarioExplorer(configuration, simulator, OPTIMIZERS.create("sobol", space=LOGICAL.space, seed=0), study).run()
+        runs = study.critical_runs()
+        table = study.table()
+    assert runs is not None
+    for k in range(6):
+        given = [one for one in simulator.given[6 * k : 6 * k + 6] if one is not None]
+        met = sum(one <= 30.0 for one in given)
+        assert runs[k, 0] == met / len(given)
+        # What is critical less often than `low` says would give so many in one of twenty cases.
+        if met:
+            assert binom.sf(met - 1, len(given), runs[k, 1]) == pytest.approx(0.05)
+        if met < len(given):
+            assert binom.cdf(met, len(given), runs[k, 2]) == pytest.approx(0.05)
+    assert table["critical runs"].tolist() == runs[:, 0].tolist()
+    assert table["critical runs to"].tolist() == runs[:, 2].tolist()

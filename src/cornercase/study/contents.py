@@ -21,12 +21,14 @@ from cornercase.study.damage import damage_told, loaded, require
 from cornercase.study.database import Database
 from cornercase.study.export import write_scenarios, write_table
 from cornercase.study.meta import StudyMeta
+from cornercase.study.repeated_runs import shares_of_runs
 from cornercase.study.table import Row, scenario_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _SHOWN: Final = 10
+_CRITICAL_RUNS: Final = ("critical runs", "critical runs from", "critical runs to")
 # SQLite counts no further.
 _LARGEST_ID: Final = 2**63 - 1
 
@@ -237,6 +239,29 @@ class StudyContents:
             scores = [loaded(text) for _, text in found]
             return np.array([[min(one), max(one)] for one in scores], dtype=np.float64)
 
+    def critical_runs(self) -> FloatArray | None:
+        """Probability that a run of each scenario is critical, where each was run several times.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, 3), or None
+            Share of its runs that were critical, and its 90 % interval: whether a scenario is critical is open where
+            that holds 0.5. None where each was run once, or nothing says of one score what is critical.
+        """
+        if self.meta.critical is None or self.meta.weights or self.meta.pareto:
+            return None
+        metric = METRICS.create(self.meta.metrics[0])
+        found = self._database.found(
+            "SELECT id, scores FROM scenarios LEFT JOIN repeats ON id = scenario AND metric = ?"
+            " WHERE state = 'done' ORDER BY id",
+            metric.name,
+        )
+        if all(text is None for _, text in found):
+            return None
+        with damage_told(self.path):
+            scores = [[metric.oriented(float(score)) for score in loaded(text)] for _, text in found]
+            return shares_of_runs(scores, metric.oriented(self.meta.critical))
+
     def course(self, scenario: int, metric: str) -> FloatArray:
         """Course of a metric in one scenario.
 
@@ -386,9 +411,10 @@ class StudyContents:
         DataFrame
             A row for each scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
             ``audit`` where there are audits; a column for each parameter; for each metric one of the score, and
-            ``lowest …`` and ``highest …`` of its runs where each scenario was run several times; ``cluster by …`` for
-            each aspect that the study was analysed by, -1 for noise; ``outcome`` once it was analysed; ``error``. Empty
-            where there is no value. A parameter that is called like another column is found as ``parameter …``.
+            ``lowest …`` and ``highest …`` of its runs where each scenario was run several times, and ``critical runs``
+            as in `critical_runs`; ``cluster by …`` for each aspect that the study was analysed by, -1 for noise;
+            ``outcome`` once it was analysed; ``error``. Empty where there is no value. A parameter that is called like
+            another column is found as ``parameter …``.
         """
         with self.snapshot():
             scores = {}
@@ -396,6 +422,10 @@ class StudyContents:
                 scores[name] = self.scores(name)
                 if (spread := self.spread(name)) is not None:
                     scores[f"lowest {name}"], scores[f"highest {name}"] = spread.T
+            # A metric of another package may not be there; then nothing says in which direction it is critical.
+            with suppress(InputError):
+                if (runs := self.critical_runs()) is not None:
+                    scores |= dict(zip(_CRITICAL_RUNS, runs.T, strict=True))
             clusters = {}
             for name in self.analyses():
                 arrays, _ = self.analysis(name, "ids", "labels")
