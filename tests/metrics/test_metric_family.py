@@ -276,6 +276,7 @@ def test_deceleration_to_safety_time_is_infinite_where_the_time_gap_is_gone():
     close(now(Dst(2.9), FOLLOWER, LEADER), 100.0 / (2 * (30 - 29)))
 
 
+@quick
 @given(
     gap=st.floats(1, 80),
     ego=st.floats(0, 40),
