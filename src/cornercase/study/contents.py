@@ -422,8 +422,7 @@ class StudyContents:
                 scores[name] = self.scores(name)
                 if (spread := self.spread(name)) is not None:
                     scores[f"lowest {name}"], scores[f"highest {name}"] = spread.T
-            # A metric of another package may not be there; then nothing says in which direction it is critical.
-            with suppress(InputError):
+            with suppress(InputError):  # A metric of another package may not be there.
                 if (runs := self.critical_runs()) is not None:
                     scores |= dict(zip(_CRITICAL_RUNS, runs.T, strict=True))
             clusters = {}
