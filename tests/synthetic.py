@@ -57,8 +57,9 @@ class Synthetic(Simulator):
                 heading=still,
                 speed=still,
                 acceleration=still,
-                length=np.full(2, 4.0),
-                width=np.full(2, 2.0),
+                # So small that they never touch: in a contact the distance would count as 0.
+                length=np.full(2, 1e-6),
+                width=np.full(2, 1e-6),
                 center_x=np.zeros(2),
             )
 

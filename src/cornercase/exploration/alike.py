@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS
 from cornercase.study import Study
 
@@ -29,7 +30,11 @@ def tell_alike(study: Study) -> dict[str, str]:
     if len(study.done()) < _ENOUGH:
         return found
     for name in study.meta.metrics:
-        scores = study.scores(name)
+        try:
+            scores = study.scores(name)
+        except InputError:
+            # Not measured of all scenarios.
+            continue
         if np.ptp(scores) > 0.0:
             continue
         unit = METRICS.create(name).unit
