@@ -17,6 +17,10 @@ from cornercase.metrics import Feature
 
 _TREES: Final = 64
 _FOLDS: Final = 5
+# Trees of each member by which members are weighed, rounds of doing so, and scenarios that speak for each beforehand.
+_FEW_TREES, _WEIGHINGS, _BEFOREHAND = 24, 30, 2.0
+# The least probability that a member is taken to mean.
+_LEAST: Final = 0.01
 # How much the process matters far from the threshold, where it cannot know all scenarios exactly.
 _FAR: Final = 0.02
 # Features that hardly follow the parameters, or say again what others do: with them trees find the boundary less well.
@@ -26,7 +30,7 @@ _NOT_LEARNED: Final = frozenset(
 
 
 class Committee:
-    """Tells which scenarios are critical by three members, whose probabilities are averaged.
+    """Tells which scenarios are critical by the weighed probabilities of three members.
 
     The first member learns from what happened in the runs. A score jumps where a scenario goes another way, such as
     where the other goes first; features of the recordings, as how near both come and when, tell the ways apart. So
@@ -34,6 +38,9 @@ class Committee:
     learn from the foretold features and the parameters what is critical. Where there are no features, the score stands
     for them. The second member is a random forest of the parameters, which follows jumps too; the third the
     `boundary_process`, which knows smooth boundaries best.
+
+    The members are weighed by what they say of the scenarios that are known, each told by others: such that their
+    weighed mean is most likely.
 
     `fit` does all. What is costly can be had apart: `learn` learns the kernels, `know` takes scenarios in.
 
@@ -97,6 +104,8 @@ class Committee:
         self._near = nearness(scores)
         self._process = boundary_process(points, scores, self._threshold)
         self._foretold = Foretold(points, self._learned_from(scores, features))
+        self._take(points, scores, features)
+        self._weights = _weights(self._left_out(_FEW_TREES), self._critical)
         return self
 
     def know(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
@@ -116,11 +125,15 @@ class Committee:
         """
         values = near_threshold(scores, self._threshold, self._process.near)
         self._process.know(points, values, (1.0 - values**2 + _FAR) ** 2)
-        self._foretold = Foretold(points, self._learned_from(scores, features), self._foretold.kernel)
+        self._foretold = Foretold(points, self._learned_from(scores, features), self._foretold.kernels)
+        self._take(points, scores, features)
+        self._trees, self._forest = self._grown(np.arange(len(points)), _TREES)
+        return self
+
+    def _take(self, points: FloatArray, scores: FloatArray, features: FloatArray | None) -> None:
+        """Keep what trees are grown from."""
         self._points, self._columns = points, np.hstack([points, self._foretold.left_out])
         self._critical, self._kinds = scores <= self._threshold, self._kinds_of(scores, features)
-        self._trees, self._forest = self._grown(np.arange(len(points)))
-        return self
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tell what would happen in scenarios.
@@ -138,10 +151,11 @@ class Committee:
         """
         kinds = self._trees.predict_proba(np.hstack([points, self._foretold.predict(points)]))
         mean, deviation = self._process.predict(points)
-        critical = self._mean(kinds, self._forest.predict_proba(points), mean, deviation)
+        noisy = np.hypot(deviation, self._process.kernel.noise)
+        by_member = [_of_kinds(self._trees, kinds), _of_sides(self._forest, points), ndtr(-mean / noisy)]
         ways = self._trees.classes_ // 2
         by_way = np.stack([kinds[:, ways == way].sum(axis=1) for way in np.unique(ways)])
-        return critical, np.minimum(by_way.max(axis=0), 1.0)
+        return self._weights @ np.stack(by_member), np.minimum(by_way.max(axis=0), 1.0)
 
     def out_of_fold(self) -> FloatArray:
         """Tell of each scenario that is known by others whether it is critical.
@@ -152,16 +166,16 @@ class Committee:
             Probability that it is critical: by trees that were grown without a fifth of the scenarios in which it is,
             and by the process of all others.
         """
-        # The process says how sure it is of the value that it would see, noise included, as in `predict`.
+        return np.asarray(self._left_out(_TREES) @ self._weights)
+
+    def _left_out(self, count: int) -> FloatArray:
+        """What each member says of each scenario, told by others, shape (n, 3); `count` trees each."""
         mean, deviation = self._process.leave_one_out()
-        found = np.empty(len(self._points))
+        found = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
         for rest, some in self._folds():
-            trees, forest = self._grown(rest)
-            kinds = trees.predict_proba(self._columns[some])
-            parts = forest.predict_proba(self._points[some])
-            noise = self._process.kernel.noise
-            alone = np.sqrt(np.maximum(deviation[some] ** 2 - noise**2, 0.0))
-            found[some] = self._mean(kinds, parts, mean[some], alone, trees, forest)
+            trees, forest = self._grown(rest, count)
+            found[some, 0] = _of_kinds(trees, trees.predict_proba(self._columns[some]))
+            found[some, 1] = _of_sides(forest, self._points[some])
         return found
 
     def _folds(self) -> Iterator[tuple[IntArray, IntArray]]:
@@ -174,26 +188,12 @@ class Committee:
         folds = StratifiedKFold(min(_FOLDS, fewest), shuffle=True, random_state=self._seed)
         return iter(folds.split(self._points, self._critical))
 
-    def _grown(self, some: IntArray) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
+    def _grown(self, some: IntArray, count: int) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
         """Trees of the foretold features, which tell kinds, and a forest of the parameters, which tells critical."""
-        trees = ExtraTreesClassifier(_TREES, random_state=self._seed).fit(self._columns[some], self._kinds[some])
-        forest = RandomForestClassifier(_TREES, random_state=self._seed).fit(self._points[some], self._critical[some])
-        return trees, forest
-
-    def _mean(
-        self,
-        kinds: FloatArray,
-        parts: FloatArray,
-        mean: FloatArray,
-        deviation: FloatArray,
-        trees: ExtraTreesClassifier | None = None,
-        forest: RandomForestClassifier | None = None,
-    ) -> FloatArray:
-        """Mean of what the members say: probabilities by the classes of both forests, and a process."""
-        by_trees = kinds[:, (trees or self._trees).classes_ % 2 == 1].sum(axis=1)
-        by_forest = parts[:, (forest or self._forest).classes_].sum(axis=1)
-        by_process = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
-        return np.asarray(np.clip((by_trees + by_forest + by_process) / 3.0, 0.0, 1.0))
+        # Of all features the best one is taken at each fork: few of them tell the ways of a scenario apart.
+        trees = ExtraTreesClassifier(count, max_features=None, random_state=self._seed)
+        forest = RandomForestClassifier(count, random_state=self._seed)
+        return trees.fit(self._columns[some], self._kinds[some]), forest.fit(self._points[some], self._critical[some])
 
     def _learned_from(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
         if features is None or not self._inputs:
@@ -208,3 +208,24 @@ class Committee:
             for k, j in enumerate(self._branches):
                 kinds += 2 ** (k + 1) * (features[:, j] > 0.0)
         return kinds
+
+
+def _of_kinds(trees: ExtraTreesClassifier, kinds: FloatArray) -> FloatArray:
+    """Probability of being critical, of probabilities of kinds."""
+    return np.asarray(np.minimum(kinds[:, trees.classes_ % 2 == 1].sum(axis=1), 1.0))
+
+
+def _of_sides(forest: RandomForestClassifier, points: FloatArray) -> FloatArray:
+    """Probability of being critical, by a forest that may know one side only."""
+    return np.asarray(forest.predict_proba(points)[:, forest.classes_].sum(axis=1))
+
+
+def _weights(by_member: FloatArray, critical: BoolArray) -> FloatArray:
+    """Weights of members, with which their mean says best what is critical: as of a mixture, by its likelihood."""
+    right = np.clip(np.where(critical[:, None], by_member, 1.0 - by_member), _LEAST, 1.0)
+    weights = np.full(right.shape[1], 1.0 / right.shape[1])
+    for _ in range(_WEIGHINGS):
+        shares = weights * right
+        weights = (shares / shares.sum(axis=1, keepdims=True)).sum(axis=0) + _BEFOREHAND
+        weights /= weights.sum()
+    return weights

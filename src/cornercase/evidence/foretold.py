@@ -1,34 +1,30 @@
-"""Features of recordings, foretold by Gaussian processes that share one kernel."""
+"""Features of recordings, foretold by Gaussian processes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky
+from scipy.linalg import cholesky
 from scipy.linalg.lapack import dpotri
-from scipy.optimize import minimize
 
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
-from cornercase.evidence.kernel import Kernel, evenly
+from cornercase.evidence.kernel import Kernel, learned_kernel
 
-_ROOT5: Final = float(np.sqrt(5.0))
-_LEARNED: Final = 200
-# Wider or less noisy ones are chosen where two features say nearly the same, and then follow no other one.
-_WIDTHS, _NOISE = (2e-2, 3.0), (3e-2, 0.7)
-_BEGIN_WIDTH, _BEGIN_NOISE = 0.4, 0.1
-# Of the prior on the logarithms of the widths: its middle, and its weight per feature.
-_WIDTH, _WEIGHT = 0.5, 0.3
+_MOST_NOISE: Final = 0.5
 _LEAST: Final = 1e-9
 """Standard deviation up to which a feature is the same for all."""
+# Of the variance, beside the noise, so that points that lie close to each other can be told apart.
+_JITTER: Final = 1e-8
 
 
 class Foretold:
-    """Gaussian processes of several features with one kernel, a Matérn kernel (5/2) with a width for each dimension.
+    """A Gaussian process of each feature, with a Matérn kernel (5/2) of its own.
 
-    Features of a recording follow the parameters in like ways, so that all of them together tell the widths better
-    than each by itself.
+    Some features follow all parameters and jump, others hardly do: where the other is at some time depends on its own
+    parameters alone. So each has its own widths and its own noise.
 
     Parameters
     ----------
@@ -36,15 +32,14 @@ class Foretold:
         As `encoded`.
     features : ndarray of float64, shape (n, f)
         Finite.
-    kernel : Kernel, optional
-        Where it is known; by default it is learned.
-    start : Kernel, optional
-        Where to begin to look for it.
+    kernels : sequence of Kernel or None, optional
+        Of each feature, f of them, where they are known; None for a feature that is left out. By default they are
+        learned.
 
     Attributes
     ----------
-    kernel : Kernel
-        Of features scaled to a standard deviation of 1.
+    kernels : list of Kernel or None
+        Of each feature, scaled to a standard deviation of 1; None for one that is the same for all.
     left_out : ndarray of float64, shape (n, g)
         What each scenario's features are by the processes of all others, scaled; g <= f, since features that are the
         same for all are left out.
@@ -52,24 +47,34 @@ class Foretold:
     Notes
     -----
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 5.8, 5.9
-    and 5.12; the sizes of the processes are at their best values for the widths.
+    and 5.12.
     """
 
     def __init__(
-        self, points: FloatArray, features: FloatArray, kernel: Kernel | None = None, start: Kernel | None = None
+        self, points: FloatArray, features: FloatArray, kernels: Sequence[Kernel | None] | None = None
     ) -> None:
         spread = features.std(axis=0)
-        varied = spread > _LEAST
-        scaled = (features[:, varied] - features[:, varied].mean(axis=0)) / spread[varied]
+        scaled = (features - features.mean(axis=0)) / np.maximum(spread, _LEAST)
         self._points = points
         # Sums in one order, whatever the number of threads.
         with one_thread():
-            self.kernel = _learned(points, scaled, start) if kernel is None else kernel
-            covariance = self.kernel.covariance(points, points)
-            covariance[np.diag_indices(len(points))] += self.kernel.noise**2
-            inverse = _inverse(cholesky(covariance, lower=True, overwrite_a=True, check_finite=False))
-            self._weights = inverse @ scaled
-        self.left_out = scaled - self._weights / np.diag(inverse)[:, None]
+            if kernels is None:
+                varied = (spread > _LEAST).tolist()
+                self.kernels = [
+                    learned_kernel(points, scaled[:, j], _MOST_NOISE) if one else None for j, one in enumerate(varied)
+                ]
+            else:
+                self.kernels = list(kernels)
+            self._known = [j for j, kernel in enumerate(self.kernels) if kernel is not None]
+            self._weights = np.empty((len(points), len(self._known)))
+            self.left_out = np.empty_like(self._weights)
+            for k, (kernel, values) in enumerate(self._each(scaled)):
+                inverse = _inverse(kernel, points)
+                self._weights[:, k] = inverse @ values
+                self.left_out[:, k] = values - self._weights[:, k] / np.diag(inverse)
+
+    def _each(self, scaled: FloatArray) -> list[tuple[Kernel, FloatArray]]:
+        return [(kernel, scaled[:, j]) for j in self._known if (kernel := self.kernels[j]) is not None]
 
     def predict(self, points: FloatArray) -> FloatArray:
         """Foretell the features at points.
@@ -83,59 +88,20 @@ class Foretold:
         ndarray of float64, shape (m, g)
             Scaled as `left_out`.
         """
+        weights = self._weights.astype(np.float32)
+        found = np.empty((len(points), len(self._known)))
         with one_thread():
-            return np.asarray(self.kernel.single_covariance(points, self._points) @ self._weights.astype(np.float32))
+            for k, j in enumerate(self._known):
+                if (kernel := self.kernels[j]) is not None:
+                    found[:, k] = kernel.single_covariance(points, self._points) @ weights[:, k]
+        return found
 
 
-def _learned(points: FloatArray, values: FloatArray, start: Kernel | None) -> Kernel:
-    """Kernel of the greatest marginal likelihood of all features times a wide prior on the widths."""
-    dims = points.shape[1]
-    if not values.shape[1]:
-        return Kernel(np.full(dims, _BEGIN_WIDTH), 1.0, _BEGIN_NOISE)
-    some = evenly(len(points), _LEARNED)
-    squares = ((points.T[:, some, None] - points.T[:, None, some]) ** 2).reshape(dims, -1)
-    bounds = np.log([*[_WIDTHS] * dims, _NOISE])
-    begin = np.append(np.full(dims, _BEGIN_WIDTH), _BEGIN_NOISE)
-    if start is not None:
-        begin = np.append(start.widths, start.noise)
-    found = minimize(
-        _loss, np.clip(np.log(begin), *bounds.T), (squares, values[some] - values[some].mean(axis=0)), jac=True,
-        method="L-BFGS-B", bounds=[(low, high) for low, high in bounds.tolist()], options={"maxiter": 40},
-    )  # fmt: skip
-    *widths, noise = np.exp(found.x).tolist()
-    return Kernel(np.array(widths), 1.0, noise)
-
-
-def _loss(parameters: FloatArray, squares: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
-    """Negative logarithm of the marginal likelihood and the prior, and its gradient; squares of shape (e, n n)."""
-    *logs, log_noise = parameters
-    count, several = values.shape
-    narrow, noise2 = np.exp(-2.0 * np.array(logs)), np.exp(2.0 * log_noise)
-    scaled = _ROOT5 * np.sqrt(narrow @ squares)
-    fall = np.exp(-scaled)
-    slope = (1.0 + scaled) * fall
-    covariance = (slope + scaled * scaled * fall / 3.0).reshape(count, count)
-    covariance[np.diag_indices(count)] += noise2
-    try:
-        lower = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
-    except LinAlgError:
-        return 1e25, np.zeros_like(parameters)
-    # Of a copy: NumPy's logarithm of a strided array depends, in its last digit, on where its result lies in memory.
-    determinant = np.log(np.diag(lower).copy()).sum()
-    inverse = _inverse(lower)
-    weights = inverse @ values
-    sizes = np.maximum((values * weights).sum(axis=0) / count, 1e-12)
-    outer = several * inverse - (weights / sizes) @ weights.T
-    gradient = np.empty_like(parameters)
-    gradient[:-1] = squares @ (outer.ravel() * slope) * narrow * (5.0 / 6.0)
-    gradient[-1] = noise2 * np.trace(outer)
-    away = np.array(logs) - np.log(_WIDTH)
-    gradient[:-1] += several * _WEIGHT * away
-    likelihood = -0.5 * count * np.log(sizes).sum() - several * determinant
-    return float(0.5 * several * _WEIGHT * (away @ away) - likelihood), gradient
-
-
-def _inverse(lower: FloatArray) -> FloatArray:
+def _inverse(kernel: Kernel, points: FloatArray) -> FloatArray:
+    """Inverse of the covariance of values at points, noise included."""
+    covariance = kernel.covariance(points, points)
+    covariance[np.diag_indices(len(points))] += kernel.noise**2 + _JITTER * kernel.signal**2
+    lower = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
     inverse: FloatArray = dpotri(lower, lower=1)[0]
     inverse += np.tril(inverse, -1).T
     return inverse
