@@ -12,7 +12,7 @@ from sklearn.model_selection import StratifiedKFold
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.foretold import Foretold
-from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process, near_threshold, nearness
+from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process, near_threshold
 from cornercase.metrics import Feature
 
 _TREES: Final = 64
@@ -63,7 +63,6 @@ class Committee:
         self._threshold, self._seed = threshold, seed
         self._inputs = [j for j, one in enumerate(columns) if one.name not in _NOT_LEARNED]
         self._branches = [j for j, one in enumerate(columns) if one.branch]
-        self._near: float
         self._process: GaussianProcess
         self._foretold: Foretold
 
@@ -101,7 +100,6 @@ class Committee:
         Committee
             Itself.
         """
-        self._near = nearness(scores)
         self._process = boundary_process(points, scores, self._threshold)
         self._foretold = Foretold(points, self._learned_from(scores, features))
         self._take(points, scores, features)
@@ -155,7 +153,7 @@ class Committee:
         by_member = [_of_kinds(self._trees, kinds), _of_sides(self._forest, points), ndtr(-mean / noisy)]
         ways = self._trees.classes_ // 2
         by_way = np.stack([kinds[:, ways == way].sum(axis=1) for way in np.unique(ways)])
-        return self._weights @ np.stack(by_member), np.minimum(by_way.max(axis=0), 1.0)
+        return np.asarray(self._weights @ np.stack(by_member)), np.minimum(by_way.max(axis=0), 1.0)
 
     def out_of_fold(self) -> FloatArray:
         """Tell of each scenario that is known by others whether it is critical.
@@ -197,7 +195,7 @@ class Committee:
 
     def _learned_from(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
         if features is None or not self._inputs:
-            return near_threshold(scores, self._threshold, self._near)[:, None]
+            return near_threshold(scores, self._threshold, self._process.near)[:, None]
         return features[:, self._inputs]
 
     def _kinds_of(self, scores: FloatArray, features: FloatArray | None) -> IntArray:

@@ -18,8 +18,8 @@ from cornercase.scenario import ParameterSpace
 
 _INITIAL: Final = 24
 _TREES: Final = 64
-# Scenarios on each side of the threshold from which a committee can learn it; with fewer it learns another one first.
-_FEWEST: Final = 2
+# Scenarios on each side of the threshold that a committee has to have; with fewer it learns another one first.
+_FEWEST: Final = 1
 # What not knowing which way a scenario goes counts, against not knowing whether it is critical.
 _WAY: Final = 0.5
 # From which multiple of the distance of evenly spread points more does not count.
@@ -37,8 +37,8 @@ class CommitteeOptimizer(CandidateOptimizer):
     spread out. The first 24 points, and a share of all others, are a Sobol' sequence, so that a critical region that
     nothing points to is met.
 
-    While fewer than two scenarios are critical, it looks for the scenarios with the lowest scores instead: the
-    threshold is then the second lowest score; and likewise while all but one are critical. Where scenarios fail, it
+    While no scenario is critical, it looks for lower scores: the threshold is then the lowest score so far; and
+    likewise while all are critical. Where scenarios fail, it
     learns where, and asks there less, the likelier they fail.
 
     The kernels of the committee are learned each time that there are ten scores more to learn from, or a tenth more
