@@ -164,12 +164,13 @@ class Committee:
             Probability that it is critical: by trees that were grown without a fifth of the scenarios in which it is,
             and by the process of all others.
         """
-        return np.asarray(self._left_out(_TREES) @ self._weights)
+        found: FloatArray = self._left_out(_TREES) @ self._weights
+        return found
 
     def _left_out(self, count: int) -> FloatArray:
         """What each member says of each scenario, told by others, shape (n, 3); `count` trees each."""
         mean, deviation = self._process.leave_one_out()
-        found = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
+        found: FloatArray = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
         for rest, some in self._folds():
             trees, forest = self._grown(rest, count)
             found[some, 0] = _of_kinds(trees, trees.predict_proba(self._columns[some]))

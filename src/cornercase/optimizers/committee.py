@@ -38,8 +38,8 @@ class CommitteeOptimizer(CandidateOptimizer):
     nothing points to is met.
 
     While no scenario is critical, it looks for lower scores: the threshold is then the lowest score so far; and
-    likewise while all are critical. Where scenarios fail, it
-    learns where, and asks there less, the likelier they fail.
+    likewise while all are critical. Where scenarios fail, it learns where, and asks there less, the likelier they
+    fail.
 
     The kernels of the committee are learned each time that there are ten scores more to learn from, or a tenth more
     where that is more.
