@@ -19,7 +19,8 @@ class Estimate:
     Attributes
     ----------
     value, low, high : float
-        Mean, 5 % and 95 % quantile.
+        Mean, 5 % and 95 % quantile; the interval reaches to the mean where that lies beyond, as it does for a
+        quantity that is nearly always 0.
     """
 
     value: float
@@ -38,5 +39,6 @@ class Estimate:
         -------
         Estimate
         """
-        low, high = np.quantile(draws, _INTERVAL)
-        return cls(float(draws.mean()), float(low), float(high))
+        mean = float(draws.mean())
+        low, high = np.quantile(draws, _INTERVAL).tolist()
+        return cls(mean, min(low, mean), max(high, mean))
