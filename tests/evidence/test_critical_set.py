@@ -9,7 +9,8 @@ from scipy.stats import qmc
 from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet, GaussianProcess
 from cornercase.exploration.stopping import Criterion
-from cornercase.optimizers import LevelSetOptimizer
+from cornercase.metrics import Feature
+from cornercase.optimizers import LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
 from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
@@ -258,3 +259,28 @@ def test_a_region_that_nothing_points_to_keeps_the_search_going():
     escapes = ~(np.linalg.norm(centres[:, None] - points, axis=2) < apart[:, None]).any(axis=1)
     assert escapes.mean() < 0.1
     assert Criterion.parse("missed<0.1").value(known) == pytest.approx(known.missed.high + known.hidden)
+
+
+def jumping(points):
+    """Scores that jump where the other goes first, and what tells so; critical is a thin sheet beside the jump."""
+    a, b, c = points.T
+    gap = a + 0.3 * np.sin(4 * b) - 0.6
+    first = gap > 0.0
+    near = 2.0 * np.abs(gap) + 0.4 * np.abs(c - 0.5)
+    return np.where(first, 5.0 + near, near + 0.6), np.stack([np.where(first, 3.0 + near, near), gap], axis=1)
+
+
+def test_features_of_the_recordings_find_what_one_process_of_the_scores_cannot():
+    columns = (Feature("least", "m"), Feature("gap", "s", branch=True))
+    points, everywhere = SobolOptimizer(CUBE, 1).ask(300), EVERYWHERE
+    scores, features = jumping(points)
+    scores[7], features[7] = np.nan, np.nan
+    true = jumping(everywhere)[0] <= 1.0
+    plain = CriticalSet(CUBE, points, scores, 1.0, 3).found(everywhere)
+    known = CriticalSet(CUBE, points, scores, 1.0, 3, happened=(columns, features))
+    found = known.found(everywhere)
+    assert (found == true).mean() > (plain == true).mean() + 0.03
+    missed = (true & ~found).sum() / true.sum()
+    assert missed < 0.15
+    assert known.missed.low <= missed <= known.missed.high
+    assert known.share.low <= true.mean() <= known.share.high

@@ -264,6 +264,9 @@ def _show(key: str, value: Any, indent: str = "") -> None:
         for inner, one in value.items():
             _show(inner, one, indent + "  ")
     else:
-        text = ", ".join(map(str, value)) if isinstance(value, list) else value
-        text = f"{text:.6g}" if isinstance(text, float) else "–" if text is None else text
+        text = ", ".join(map(_in_words, value)) if isinstance(value, list) else _in_words(value)
         out.print(f"{indent}{key}: {text}")
+
+
+def _in_words(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else "–" if value is None else str(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Final
 
@@ -9,17 +10,19 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from cornercase._common.rows import row_keys
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.binomial import bounds_of_share, highest_share
+from cornercase.evidence.committee import Committee
 from cornercase.evidence.correction import Correction
 from cornercase.evidence.estimate import Estimate
 from cornercase.evidence.gaussian_process import boundary_process, encoded, enough
 from cornercase.evidence.places import Places
 from cornercase.evidence.products import lower_times
+from cornercase.metrics import Feature
 from cornercase.scenario import ParameterSpace
 
 # Places for which critical sets are drawn together, and the number of draws.
@@ -33,6 +36,9 @@ _LEAST: Final = 0.02
 _FEWEST, _FEWEST_HITS = 20, 3
 # Probability with which a region of the size that is called hidden, at a random place, holds nothing that was run.
 _HIDES: Final = 0.05
+
+# The least probability that a committee is taken to mean, and the most one is as far from 1.
+_RAREST: Final = 1e-3
 
 REGION: Final = 0.01
 """Share of the space from which a region counts, unless somebody says otherwise."""
@@ -49,6 +55,10 @@ class CriticalSet:
     A critical scenario counts as found when it was run, or when the mean of the process there is beyond the
     threshold. Audits never say what is found.
 
+    With features of the recordings a `Committee` predicts in place of the process, of which it has one as a member;
+    found is then what it says is critical with a probability of one half or more. The process still says how places
+    go together.
+
     Parameters
     ----------
     space : ParameterSpace
@@ -63,6 +73,8 @@ class CriticalSet:
         Which of them fill the space, whatever the scores are; by default all.
     audits : tuple of (ndarray of float64, shape (m, d), ndarray of float64, shape (m,)), optional
         Points that were drawn from the space at random, and their oriented scores, which no search was told.
+    happened : tuple of (sequence of Feature, ndarray of float64, shape (n, f)), optional
+        Features, and what they are in the recordings of `points`; NaN for a scenario that failed.
 
     Raises
     ------
@@ -85,16 +97,20 @@ class CriticalSet:
         *,
         filling: BoolArray | None = None,
         audits: tuple[FloatArray, FloatArray] | None = None,
+        happened: tuple[Sequence[Feature], FloatArray] | None = None,
     ) -> None:
-        self._filling = np.ones(int(np.isfinite(scores).sum()), dtype=np.bool_)
-        if filling is not None:
-            self._filling = filling[np.isfinite(scores)]
+        ended = np.isfinite(scores)
+        self._filling = np.ones(int(ended.sum()), dtype=np.bool_) if filling is None else filling[ended]
         points, scores = enough(points, scores)
         self._space, self._seed = space, seed
         self._critical = scores <= threshold
         self._places = Places.of(space, seed)
         self._ran = encoded(space, points)
         self._process = boundary_process(self._ran, scores, threshold)
+        self._committee: Committee | None = None
+        if happened is not None and 0 < self._critical.sum() < len(scores):
+            columns, values = happened
+            self._committee = Committee(threshold, columns, seed).fit(self._ran, scores, values[ended])
         mean, self._t = self._foretold(self._places.encoded)
         self._outcome = dict(zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True))
         self._certain = self._seen(self._places.points)
@@ -108,14 +124,21 @@ class CriticalSet:
             self._a, self._b = self._correction.draws(_DRAWS, np.random.default_rng([seed, 3]))
 
     def _foretold(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean of the process at encoded places, and mean over standard deviation of a score there."""
+        """What is below 0 at encoded places that are found, and how many deviations it is from there."""
+        if self._committee is not None:
+            t = _deviate(self._committee.predict(at)[0])
+            return t, t
         mean, deviation = self._process.predict(at)
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
 
     def _learned(self) -> Correction:
         """Learn from predictions of what the search did not choose by what it knew."""
-        mean, deviation = self._process.leave_one_out()
-        t, critical = (mean / deviation)[self._filling], self._critical[self._filling]
+        if self._committee is not None:
+            t = _deviate(self._committee.out_of_fold())
+        else:
+            mean, deviation = self._process.leave_one_out()
+            t = mean / deviation
+        t, critical = t[self._filling], self._critical[self._filling]
         if len(self._audits):
             t = np.concatenate([t, self._foretold(encoded(self._space, self._audits))[1]])
             critical = np.concatenate([critical, self._audited])
@@ -348,6 +371,11 @@ class CriticalSet:
         found = cKDTree(nodes).query(nodes, k=min(2 * nodes.shape[1] + 1, len(nodes)))[1]
         near = np.asarray(found, dtype=np.int64)[:, 1:]
         return np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
+
+
+def _deviate(probability: FloatArray) -> FloatArray:
+    """Normal deviate above which a scenario of that probability is not critical, negative where it likely is."""
+    return np.asarray(-ndtri(np.clip(probability, _RAREST, 1.0 - _RAREST)))
 
 
 def _found(mean: FloatArray, seen: FloatArray) -> BoolArray:

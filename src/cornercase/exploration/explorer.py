@@ -231,17 +231,18 @@ class ScenarioExplorer:
         points = np.array([row.point for row in rows])
         audits = np.array([self._study.meta.is_audit(row.id) for row in rows], dtype=np.bool_)
         with self._clock("judge"):
-            self._stopping.tell(points[~audits], scores[~audits])
             self._stopping.tell_audits(points[audits], scores[audits])
         searched = [row for row, audit in zip(rows, audits, strict=True) if not audit]
         if not searched:
             return
         points, scores = points[~audits], scores[~audits]
         # Some take the features of the recordings too.
+        features = (self._features(searched, by_scenario),) if self._wants_features else ()
+        with self._clock("judge"):
+            self._stopping.tell(points, scores, *features)
         tell: Callable[..., None] = self._optimizer.tell
-        known = (points, scores, self._features(searched, by_scenario)) if self._wants_features else (points, scores)
         with self._clock("optimize"):
-            tell(*known)
+            tell(points, scores, *features)
         self._stale = 0 if self._best.add(scores) else self._stale + 1
 
     def _features(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> FloatArray:

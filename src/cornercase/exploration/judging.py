@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from cornercase._common.errors import InputError
 from cornercase._common.rows import row_keys
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.evidence import CriticalSet
-from cornercase.optimizers import GridOptimizer, RandomOptimizer, SobolOptimizer
+from cornercase.metrics import features_of, known_features
+from cornercase.optimizers import GridOptimizer, RandomOptimizer, SobolOptimizer, optimizer_needs
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
 
@@ -65,6 +67,25 @@ def chosen_blindly(optimizer: str, space: ParameterSpace, seed: int, points: Flo
     return np.array([key in filling for key in keys], dtype=np.bool_)
 
 
+def learns_from_features(optimizer: str) -> bool:
+    """Tell whether a search learns from features of recordings; then what is found is told by them too.
+
+    Parameters
+    ----------
+    optimizer : str
+        Name of the search, with its options.
+
+    Returns
+    -------
+    bool
+        False for one that is not known here.
+    """
+    try:
+        return "features" in optimizer_needs(optimizer)
+    except InputError:
+        return False
+
+
 def critical_set_of(study: Study, scores: FloatArray, threshold: float) -> CriticalSet:
     """Estimate the critical set of a study; its audits judge, and say nothing of what is found.
 
@@ -89,6 +110,10 @@ def critical_set_of(study: Study, scores: FloatArray, threshold: float) -> Criti
     # Also what failed was chosen by the sequence.
     rows = [row for row in study.rows() if not meta.is_audit(row.id)]
     blindly = chosen_blindly(meta.optimizer, study.space, meta.seed, np.array([row.point for row in rows]))
+    happened = None
+    if learns_from_features(meta.optimizer):
+        recordings = (study.recording(row.id) for row in rows if row.state == "done")
+        happened = known_features(), features_of(recordings, meta.ego, meta.other)
     return CriticalSet(
         study.space,
         points[~audits],
@@ -97,4 +122,5 @@ def critical_set_of(study: Study, scores: FloatArray, threshold: float) -> Criti
         meta.seed,
         filling=blindly[[row.state == "done" for row in rows]],
         audits=(points[audits], scores[audits]),
+        happened=happened,
     )

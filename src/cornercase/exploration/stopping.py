@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.evidence import REGION, CriticalSet
 from cornercase.exploration.judging import chosen_blindly
+from cornercase.metrics import known_features
 from cornercase.scenario import ParameterSpace
 
 _LEAST: Final = 40
@@ -134,10 +135,15 @@ class Stopping:
         self._optimizer = optimizer
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._audits, self._audited = self._points, self._scores
+        self._features: list[FloatArray] = []
 
-    def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take oriented scores, shape (m,), of points, shape (m, d); NaN for a scenario that failed."""
+    def tell(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
+        """Take oriented scores, shape (m,), of points, shape (m, d); NaN for a scenario that failed.
+
+        Where the search learns from features of the recordings, of shape (m, f), they judge it too.
+        """
         if self._criteria:
+            self._features += [] if features is None else [features]
             self._points = np.concatenate([self._points, points])
             self._scores = np.concatenate([self._scores, scores])
 
@@ -165,6 +171,7 @@ class Stopping:
                 self._seed,
                 filling=chosen_blindly(self._optimizer, self._space, self._seed, self._points),
                 audits=(self._audits, self._audited),
+                happened=(known_features(), np.concatenate(self._features)) if self._features else None,
             )
         except ValueError:
             return None
