@@ -41,6 +41,7 @@ from threadpoolctl import threadpool_limits
 
 from cornercase import LogicalScenario
 from cornercase.evidence import CriticalSet
+from cornercase.exploration import chosen_blindly
 from cornercase.metrics import METRICS, features_of, known_features
 from cornercase.optimizers import (
     BayesOptimizer,
@@ -235,21 +236,28 @@ class Judge:
         both = float((told & self.true).sum())
         return {"recall": both / max(self.true.sum(), 1), "precision": both / max(told.sum(), 1)}
 
-    def row(self, points: npt.NDArray[np.float64], seed: int) -> dict[str, float]:
+    def row(self, kind: str, points: npt.NDArray[np.float64], seed: int) -> dict[str, float]:
         """All figures about scenarios that were run."""
         places = self.places(points)
         hit = set(self.regions[places]) & self.large
         row = {"regions": len(hit) / max(len(self.large), 1), "best": float(np.nanmin(self.scores[places]))}
         row |= self.found(places, seed)
         try:
-            known = CriticalSet(self.space, points, self.scores[places], self.case.critical, seed)
+            known = CriticalSet(
+                self.space, points, self.scores[places], self.case.critical, seed,
+                filling=chosen_blindly(kind.partition(",")[0], self.space, seed, points),
+                happened=(known_features(), self.features[places]) if kind == "committee" else None,
+            )  # fmt: skip
         except ValueError:
-            return row | {"share": 1.0, "missed": 1.0}
+            return row | {"share": np.nan, "missed": np.nan}
         within = known.share.low <= self.true.mean() <= known.share.high
         # What is said to be missed is what the set itself does not find, whoever judges the search.
         open_ = 1.0 - self.agreement(known.found(self.lattice))["recall"]
         missed = known.missed.low <= open_ <= known.missed.high
-        return row | {"share": float(within), "missed": float(missed), "most missed": known.missed.high}
+        # Where no interval is given, none can be wrong.
+        row["share"] = np.nan if known.doubt else float(within)
+        row["missed"] = np.nan if known.missed_doubt else float(missed)
+        return row | {"most missed": 1.0 if known.missed_doubt else min(known.missed.high + known.hidden, 1.0)}
 
     def found(self, places: npt.NDArray[np.int64], seed: int) -> dict[str, float]:
         """Recall and precision of what was run at places, and elsewhere of what the best classifier of it tells."""
@@ -284,10 +292,10 @@ def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...], share: fl
             spent, proposals = spent + time.process_time() - begin, proposals + len(new)
             points = np.concatenate([points, new])
             if kind == "level-set" and stop is None and len(points) >= 40 and len(points) % 20 == 0:
-                row = judge.row(points, seed)
+                row = judge.row(kind, points, seed)
                 if row.get("most missed", 1.0) < STOP:
                     stop = {"scenarios": len(points), "missed": 1.0 - row["recall"]}
-        rows.append({"size": size, "seconds": spent / max(proposals, 1), **judge.row(points, seed)})
+        rows.append({"size": size, "seconds": spent / max(proposals, 1), **judge.row(kind, points, seed)})
     return {"search": kind, "seed": seed, "rows": rows, "stop": stop, "places": judge.places(points).tolist()}
 
 
@@ -408,11 +416,13 @@ def main() -> None:
             needed[name] = grid_needed(judge, *goal)
             print(f"a grid needs {needed[name] or 'more than all'} scenarios for what level-set finds with {sizes[at]}")
     flat = [(run, row) for runs in every.values() for run in runs for row in run["rows"]]
-    print("\nTruth within the 90 % interval, share of the runs")
+    print("\nTruth within the 90 % interval, share of the runs for which one is given")
     print(f"{'search':18} {'critical share':>15} {'missed share':>13}")
     for kind in (*(options.search or SEARCHES), "all"):
         mine = [row for run, row in flat if kind in ("all", run["search"])]
-        print(f"{kind:18} {np.mean([r['share'] for r in mine]):15.3f} {np.mean([r['missed'] for r in mine]):13.3f}")
+        held = [np.array([row[what] for row in mine]) for what in ("share", "missed")]
+        held = [one[np.isfinite(one)] for one in held]
+        print(f"{kind:18}", *(f"{one.mean():.3f} of {len(one):<4}" if len(one) else "none given  " for one in held))
     stops = [run["stop"] for runs in every.values() for run in runs if run["stop"]]
     total = sum(run["search"] == "level-set" for runs in every.values() for run in runs)
     print(f"\nmissed<{STOP:g} stops {len(stops)} of {total} runs of level-set, after "
