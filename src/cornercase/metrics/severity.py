@@ -8,9 +8,8 @@ from types import MappingProxyType
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.geometry import boxes_overlap
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.boxes import boxes, relative_velocity
+from cornercase.metrics._parts.boxes import relative_velocity, touching
 from cornercase.metrics._parts.numbers import checked
 from cornercase.metrics.base import Metric
 from cornercase.metrics.ttc import Ttc
@@ -75,7 +74,7 @@ class DeltaV(Metric):
         change = _change(recording, ego, other, self.masses)
         if self.predicted:
             return change
-        touch = boxes_overlap(boxes(recording, ego), boxes(recording, other))
+        touch = touching(recording, ego, other)
         begins = np.where(touch & ~np.append(False, touch[:-1]), np.arange(len(touch)), 0)
         return np.where(touch, change[np.maximum.accumulate(begins)], np.nan)
 
@@ -135,7 +134,7 @@ def velocity_change(recording: Recording, ego: str, other: str) -> float | None:
         That of the lighter one, at the first instant of a contact; None without a contact. 0 where their velocities at
         that time are not known.
     """
-    touch = boxes_overlap(boxes(recording, ego), boxes(recording, other))
+    touch = touching(recording, ego, other)
     times = [one.time for one in recording.collisions if set(one.entities) == {ego, other}]
     if times:
         # Of the instant of a recorded contact on, though boxes may overlap from the next one only.

@@ -6,9 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.geometry import box_corners
-from cornercase._common.typing import FloatArray
+from cornercase._common.geometry import box_corners, boxes_overlap
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.recordings import Recording
+
+_CLOSE: Final = 1e-9
+"""Share of a distance that is rounding."""
 
 _ALIKE: Final = 1e-9
 """Relative speeds in m/s that are rounding: they take 30 years for a metre."""
@@ -19,6 +22,24 @@ def boxes(recording: Recording, name: str) -> FloatArray:
     i = recording.index(name)
     center = recording.center(name)
     return box_corners(center[:, 0], center[:, 1], recording.heading[i], recording.length[i], recording.width[i])
+
+
+def touching(recording: Recording, one: str, other: str) -> BoolArray:
+    """Whether two entities' bounding boxes touch, shape (T,); not where one of them does not exist."""
+    rows = [recording.index(one), recording.index(other)]
+    centers = recording.center(one), recording.center(other)
+    apart = np.hypot(*(centers[1] - centers[0]).T)
+    # Boxes that touch have centres no farther apart than half of both diagonals; mostly none do, and it is soon said.
+    reach = 0.5 * np.hypot(recording.length[rows], recording.width[rows]).sum()
+    near = np.flatnonzero(apart <= reach * (1.0 + _CLOSE))
+    touch = np.zeros(len(apart), dtype=np.bool_)
+    if len(near):
+        some = (
+            box_corners(*center[near].T, recording.heading[i, near], recording.length[i], recording.width[i])
+            for i, center in zip(rows, centers, strict=True)
+        )
+        touch[near] = boxes_overlap(*some)
+    return touch
 
 
 def velocity(recording: Recording, name: str) -> FloatArray:
