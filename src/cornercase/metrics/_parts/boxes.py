@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.geometry import box_corners, boxes_overlap
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.recordings import Recording
 
 _CLOSE: Final = 1e-9
@@ -19,9 +19,7 @@ _ALIKE: Final = 1e-9
 
 def boxes(recording: Recording, name: str) -> FloatArray:
     """Corners of an entity's bounding box in m, shape (T, 4, 2), NaN where it does not exist."""
-    i = recording.index(name)
-    center = recording.center(name)
-    return box_corners(center[:, 0], center[:, 1], recording.heading[i], recording.length[i], recording.width[i])
+    return _corners(recording, recording.index(name), recording.center(name), slice(None))
 
 
 def touching(recording: Recording, one: str, other: str) -> BoolArray:
@@ -34,12 +32,14 @@ def touching(recording: Recording, one: str, other: str) -> BoolArray:
     near = np.flatnonzero(apart <= reach * (1.0 + _CLOSE))
     touch = np.zeros(len(apart), dtype=np.bool_)
     if len(near):
-        some = (
-            box_corners(*center[near].T, recording.heading[i, near], recording.length[i], recording.width[i])
-            for i, center in zip(rows, centers, strict=True)
-        )
-        touch[near] = boxes_overlap(*some)
+        mine, others = (_corners(recording, i, center, near) for i, center in zip(rows, centers, strict=True))
+        touch[near] = boxes_overlap(mine, others)
     return touch
+
+
+def _corners(recording: Recording, row: int, center: FloatArray, at: IntArray | slice) -> FloatArray:
+    x, y, heading = center[at, 0], center[at, 1], recording.heading[row, at]
+    return box_corners(x, y, heading, recording.length[row], recording.width[row])
 
 
 def velocity(recording: Recording, name: str) -> FloatArray:
