@@ -21,8 +21,6 @@ _FOLDS: Final = 5
 _FEW_TREES, _WEIGHINGS, _BEFOREHAND = 24, 30, 2.0
 # The least probability that a member is taken to mean.
 _LEAST: Final = 0.01
-# How much the process matters far from the threshold, where it cannot know all scenarios exactly.
-_FAR: Final = 0.02
 # Features that hardly follow the parameters, or say again what others do: with them trees find the boundary less well.
 _NOT_LEARNED: Final = frozenset(
     {"crossing-distance", "nearest-way", "turn-time", "turn-way", "duration", "way", "contact"}
@@ -42,7 +40,7 @@ class Committee:
     The members are weighed by what they say of the scenarios that are known, each told by others: such that their
     weighed mean is most likely.
 
-    `fit` does all. What is costly can be had apart: `learn` learns the kernels, `know` takes scenarios in.
+    `fit` does all; `know` takes further scenarios in for less.
 
     Parameters
     ----------
@@ -51,6 +49,11 @@ class Committee:
     columns : sequence of Feature, optional
         What each column of the features is.
     seed : int, default 0
+
+    Attributes
+    ----------
+    process : GaussianProcess
+        The third member.
 
     Notes
     -----
@@ -63,11 +66,11 @@ class Committee:
         self._threshold, self._seed = threshold, seed
         self._inputs = [j for j, one in enumerate(columns) if one.name not in _NOT_LEARNED]
         self._branches = [j for j, one in enumerate(columns) if one.branch]
-        self._process: GaussianProcess
+        self.process: GaussianProcess
         self._foretold: Foretold
 
     def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
-        """Learn the kernels, and know scenarios.
+        """Learn the kernels of the processes and the weights of the members, and know scenarios.
 
         Parameters
         ----------
@@ -83,31 +86,14 @@ class Committee:
         Committee
             Itself.
         """
-        return self.learn(points, scores, features).know(points, scores, features)
-
-    def learn(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
-        """Learn the kernels of the processes.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, e)
-        scores : ndarray of float64, shape (n,)
-            Finite; not all the same.
-        features : ndarray of float64, shape (n, f), optional
-
-        Returns
-        -------
-        Committee
-            Itself.
-        """
-        self._process = boundary_process(points, scores, self._threshold)
+        self.process = boundary_process(points, scores, self._threshold)
         self._foretold = Foretold(points, self._learned_from(scores, features))
-        self._take(points, scores, features)
+        self._grow(points, scores, features)
         self._weights = _weights(self._left_out(_FEW_TREES), self._critical)
         return self
 
     def know(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
-        """Take scenarios in, instead of those before.
+        """Take scenarios in, instead of those before, with the kernels and the weights at hand.
 
         Parameters
         ----------
@@ -121,17 +107,16 @@ class Committee:
         Committee
             Itself.
         """
-        values = near_threshold(scores, self._threshold, self._process.near)
-        self._process.know(points, values, (1.0 - values**2 + _FAR) ** 2)
+        self.process.know_scores(points, scores, self._threshold)
         self._foretold = Foretold(points, self._learned_from(scores, features), self._foretold.kernels)
-        self._take(points, scores, features)
-        self._trees, self._forest = self._grown(np.arange(len(points)), _TREES)
+        self._grow(points, scores, features)
         return self
 
-    def _take(self, points: FloatArray, scores: FloatArray, features: FloatArray | None) -> None:
-        """Keep what trees are grown from."""
+    def _grow(self, points: FloatArray, scores: FloatArray, features: FloatArray | None) -> None:
+        """Grow the trees, of all scenarios that are known now."""
         self._points, self._columns = points, np.hstack([points, self._foretold.left_out])
         self._critical, self._kinds = scores <= self._threshold, self._kinds_of(scores, features)
+        self._trees, self._forest = self._grown(np.arange(len(points)), _TREES)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tell what would happen in scenarios.
@@ -148,8 +133,8 @@ class Committee:
             Probability of the likeliest way that it can go, of those that the features tell apart.
         """
         kinds = self._trees.predict_proba(np.hstack([points, self._foretold.predict(points)]))
-        mean, deviation = self._process.predict(points)
-        noisy = np.hypot(deviation, self._process.kernel.noise)
+        mean, deviation = self.process.predict(points)
+        noisy = np.hypot(deviation, self.process.kernel.noise)
         by_member = [_of_kinds(self._trees, kinds), _of_sides(self._forest, points), ndtr(-mean / noisy)]
         ways = self._trees.classes_ // 2
         by_way = np.stack([kinds[:, ways == way].sum(axis=1) for way in np.unique(ways)])
@@ -169,7 +154,7 @@ class Committee:
 
     def _left_out(self, count: int) -> FloatArray:
         """What each member says of each scenario, told by others, shape (n, 3); `count` trees each."""
-        mean, deviation = self._process.leave_one_out()
+        mean, deviation = self.process.leave_one_out()
         found: FloatArray = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
         for rest, some in self._folds():
             trees, forest = self._grown(rest, count)
@@ -196,7 +181,7 @@ class Committee:
 
     def _learned_from(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
         if features is None or not self._inputs:
-            return near_threshold(scores, self._threshold, self._process.near)[:, None]
+            return near_threshold(scores, self._threshold, self.process.near)[:, None]
         return features[:, self._inputs]
 
     def _kinds_of(self, scores: FloatArray, features: FloatArray | None) -> IntArray:

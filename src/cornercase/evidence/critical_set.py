@@ -36,7 +36,6 @@ _LEAST: Final = 0.02
 _FEWEST, _FEWEST_HITS = 20, 3
 # Probability with which a region of the size that is called hidden, at a random place, holds nothing that was run.
 _HIDES: Final = 0.05
-
 # The least probability that a committee is taken to mean, and the most one is as far from 1.
 _RAREST: Final = 1e-3
 
@@ -106,11 +105,13 @@ class CriticalSet:
         self._critical = scores <= threshold
         self._places = Places.of(space, seed)
         self._ran = encoded(space, points)
-        self._process = boundary_process(self._ran, scores, threshold)
         self._committee: Committee | None = None
         if happened is not None and 0 < self._critical.sum() < len(scores):
             columns, values = happened
             self._committee = Committee(threshold, columns, seed).fit(self._ran, scores, values[ended])
+            self._process = self._committee.process
+        else:
+            self._process = boundary_process(self._ran, scores, threshold)
         mean, self._t = self._foretold(self._places.encoded)
         self._outcome = dict(zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True))
         self._certain = self._seen(self._places.points)

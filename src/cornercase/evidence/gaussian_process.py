@@ -151,11 +151,7 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     if start.kernel.noise > 0.99 * _NOISE:
         found.append(tried(start.near, _MUCH, start))
     best = max(found, key=itemgetter(0))[1]
-    if len(some) == len(points):
-        return best
-    values = near_threshold(scores, threshold, best.near)
-    # The slope of the hyperbolic tangent says how near a score is to the threshold.
-    return best.know(points, values, (1.0 - values**2 + _FAR) ** 2)
+    return best if len(some) == len(points) else best.know_scores(points, scores, threshold)
 
 
 class GaussianProcess:
@@ -248,6 +244,24 @@ class GaussianProcess:
         with one_thread():
             self._take(posterior(self.kernel, points, values - self._mean, matters))
         return self
+
+    def know_scores(self, points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:
+        """Take scores in as `near_threshold` gives them, those near the threshold above all.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        scores : ndarray of float64, shape (n,)
+        threshold : float
+
+        Returns
+        -------
+        GaussianProcess
+            Itself.
+        """
+        values = near_threshold(scores, threshold, self.near)
+        # The slope of the hyperbolic tangent says how near a score is to the threshold.
+        return self.know(points, values, (1.0 - values**2 + _FAR) ** 2)
 
     def extended(self, points: FloatArray, values: FloatArray) -> GaussianProcess:
         """Process of the same kernel that knows more values.

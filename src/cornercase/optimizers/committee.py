@@ -18,12 +18,8 @@ from cornercase.scenario import ParameterSpace
 
 _INITIAL: Final = 24
 _TREES: Final = 64
-# Scenarios on each side of the threshold that a committee has to have; with fewer it learns another one first.
-_FEWEST: Final = 1
 # What not knowing which way a scenario goes counts, against not knowing whether it is critical.
 _WAY: Final = 0.5
-# From which multiple of the distance of evenly spread points more does not count.
-_APART: Final = 1.0
 # Candidates near a scenario that is critical, as a share, and how far from it they are.
 _NEAR, _STEP = 0.5, 0.1
 
@@ -94,16 +90,17 @@ class CommitteeOptimizer(CandidateOptimizer):
 
     def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
         self._committee = Committee(_level(scores, self.threshold), self._features if self._told is not None else ())
-        self._committee.learn(encoded(self._space, points), scores, self._known_features(len(points)))
+        self._committee.fit(encoded(self._space, points), scores, self._known_features(len(points)))
 
     def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         known, every = self._points[self._known], self._scores[self._known]
-        candidates = self._candidates(known[every <= max(self.threshold, np.sort(every)[_FEWEST - 1])], filling, n)
+        candidates = self._candidates(known[every <= max(self.threshold, every.min())], filling, n)
         if len(candidates) <= n:
             return candidates
-        committee = self._committee.know(encoded(self._space, known), every, self._known_features(len(known)))
+        if len(points):
+            self._committee.know(encoded(self._space, known), every, self._known_features(len(known)))
         places = encoded(self._space, candidates)
-        gain = acquisition(*committee.predict(places)) * (1.0 - self._failing(places))
+        gain = acquisition(*self._committee.predict(places)) * (1.0 - self._failing(places))
         known = np.concatenate([self._points, filling])
         return candidates[_spread(places, gain, encoded(self._space, known), n)]
 
@@ -149,12 +146,9 @@ def acquisition(critical: FloatArray, branch: FloatArray) -> FloatArray:
 
 
 def _level(scores: FloatArray, threshold: float) -> float:
-    """Threshold with some scenarios on each side of it: the one that is asked for, where it has."""
-    ordered = np.sort(scores)
-    if len(ordered) < 2 * _FEWEST:
-        return threshold
-    low, high = ordered[_FEWEST - 1], ordered[-_FEWEST - 1]
-    return float(min(max(threshold, low), high))
+    """Threshold with scenarios on each side of it: the one that is asked for, where it has."""
+    lowest, below_highest = np.sort(scores)[[0, -2]]
+    return float(min(max(threshold, lowest), below_highest))
 
 
 def _spread(places: FloatArray, gain: FloatArray, known: FloatArray, n: int) -> IntArray:
@@ -163,7 +157,7 @@ def _spread(places: FloatArray, gain: FloatArray, known: FloatArray, n: int) -> 
     Those are the `known` ones, shape (k, e), and the ones that were chosen before it. What is as far as evenly spread
     points are from each other is far enough.
     """
-    enough = _APART * len(known) ** (-1.0 / places.shape[1])
+    enough = len(known) ** (-1.0 / places.shape[1])
     apart = np.minimum(cKDTree(known).query(places)[0], enough)
     chosen: list[int] = []
     for _ in range(n):
