@@ -44,6 +44,8 @@ class ReportData:
         Critical scenarios; none where no threshold says what is critical.
     gaps : mapping of str to Gaps
         By aspect, what the kept scenarios leave out; empty before the study was reduced.
+    outcomes : mapping of int to str
+        How scenarios ended, by id; empty before the study was analysed.
     """
 
     study: str
@@ -58,6 +60,7 @@ class ReportData:
     influential: tuple[int, ...]
     critical: BoolArray
     gaps: Mapping[str, Gaps]
+    outcomes: Mapping[int, str]
 
     @property
     def parameters(self) -> Sequence[Parameter]:
@@ -150,6 +153,7 @@ def read_report_data(study: Study) -> ReportData:
         influential=_influential(values, scores[metrics[0].name]),
         critical=_critical(study, len(rows)),
         gaps={} if summary.reduced is None else _gaps(study, summary.analyses, summary.reduced.ids),
+        outcomes=study.outcomes(),
     )
 
 

@@ -1,0 +1,160 @@
+"""What the page of a study knows, as plain values that a browser reads."""
+
+from __future__ import annotations
+
+import base64
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase.clustering import Analysis
+from cornercase.report.data import ReportData
+from cornercase.report.words import judge_clusters, name_kind
+from cornercase.study import Row
+
+FORMAT: Final = 1
+"""Version of what `page_contents` returns."""
+
+# Points of a course in the page's lines; the replay has all.
+_POINTS: Final = 48
+_GREATEST: Final = 65534
+
+
+def page_contents(data: ReportData) -> dict[str, Any]:
+    """Give everything of a study that the page shows, but the recordings.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+
+    Returns
+    -------
+    dict of str to object
+        As JSON, with None for what is not known.
+    """
+    meta, rows = data.summary.meta, [*data.rows, *data.failed]
+    rows.sort(key=lambda row: row.id)
+    place = {row.id: k for k, row in enumerate(rows)}
+    done = [place[row.id] for row in data.rows]
+
+    def of_done(values: Sequence[Any], otherwise: Any = None) -> list[Any]:
+        found = [otherwise] * len(rows)
+        for k, value in zip(done, values, strict=True):
+            found[k] = value
+        return found
+
+    kept = {} if data.summary.reduced is None else {one.id: one for one in data.summary.reduced.kept}
+    outcomes = data.outcomes
+    named = sorted(set(outcomes.values()))
+    return {
+        "format": FORMAT,
+        "title": meta.title,
+        "study": data.study,
+        "ego": meta.ego,
+        "other": meta.other,
+        "searched": data.summary.searched,
+        "parameters": [
+            {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}
+            for one in data.parameters
+        ],
+        "metrics": [
+            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical} for one in data.metrics
+        ],
+        "critical": _critical(data),
+        "influential": list(data.influential),
+        "outcomes": named,
+        "scenarios": {
+            "id": [row.id for row in rows],
+            "round": [row.round for row in rows],
+            "failed": [int(row.state == "failed") for row in rows],
+            "values": [[_value(one.read(row.values), one.choices) for row in rows] for one in data.parameters],
+            "scores": {name: of_done([_number(one) for one in scores]) for name, scores in data.scores.items()},
+            "critical": of_done(data.critical.astype(int).tolist(), 0),
+            "collides": of_done([int(data.collides(row.id)) for row in data.rows], 0),
+            "outcome": [named.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
+            "kept": [int(row.id in kept) for row in rows],
+            "audit": [int(meta.is_audit(row.id)) for row in rows],
+        },
+        "kept": {
+            str(one.id): {"role": one.role, "cluster": one.cluster, "file": one.file, "why": one.why}
+            for one in kept.values()
+        },
+        "errors": {str(row.id): row.error or "" for row in data.failed},
+        "kinds": {name: _kinds(one, place, len(rows)) for name, one in data.summary.analyses.items()},
+        "courses": {name: _courses(data, name, rows) for name in data.scores},
+    }
+
+
+def _critical(data: ReportData) -> dict[str, Any] | None:
+    known = data.summary.knowledge.critical
+    if known is None:
+        return None
+    return {"threshold": known.threshold, "lower_is_critical": known.lower_is_critical, "unit": known.unit}
+
+
+def _kinds(analysis: Analysis, place: Mapping[int, int], count: int) -> dict[str, Any]:
+    labels: list[int | None] = [None] * count
+    embedding = analysis.clustering.embedding
+    places: list[list[float | None]] = [[None] * count for _ in range(min(3, embedding.shape[1]))]
+    for scenario, label, point in zip(analysis.ids.tolist(), analysis.labels.tolist(), embedding, strict=True):
+        labels[place[scenario]] = label
+        for column, value in zip(places, point.tolist(), strict=False):
+            column[place[scenario]] = round(value, 5)
+    return {
+        "labels": labels,
+        "embedding": places,
+        "names": {str(one.cluster): name_kind(one) for one in analysis.profiles},
+        "examples": {str(one.cluster): one.example for one in analysis.profiles if one.example is not None},
+        "judged": judge_clusters(analysis),
+    }
+
+
+def _courses(data: ReportData, name: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """Courses at evenly spread times of each scenario, as whole numbers of 16 bits: 65535 where there is none."""
+    known = data.courses[name]
+    low = min((float(np.nanmin(one)) for one in known.values()), default=0.0)
+    high = max((float(np.nanmax(one)) for one in known.values()), default=1.0)
+    found = np.full((len(rows), _POINTS), _GREATEST + 1, dtype="<u2")
+    begin, end = [0.0] * len(rows), [0.0] * len(rows)
+    for k, row in enumerate(rows):
+        if row.id in known:
+            time = data.recordings[row.id].time
+            begin[k], end[k] = float(time[0]), float(time[-1])
+            values = np.interp(np.linspace(time[0], time[-1], _POINTS), time, known[row.id])
+            found[k] = np.rint((values - low) / max(high - low, 1e-12) * _GREATEST)
+    return {
+        "points": _POINTS,
+        "low": low,
+        "high": high,
+        "begin": begin,
+        "end": end,
+        "values": pack(found.tobytes()),
+    }
+
+
+def pack(data: bytes) -> str:
+    """Compress bytes, and write them as text.
+
+    Parameters
+    ----------
+    data : bytes
+        The bytes.
+
+    Returns
+    -------
+    str
+        In zlib's format, in base64.
+    """
+    return base64.b64encode(zlib.compress(data, 9)).decode()
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def _value(value: float | str, choices: Sequence[str]) -> float:
+    return float(choices.index(str(value)) if choices else value)
