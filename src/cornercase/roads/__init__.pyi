@@ -8,3 +8,6 @@ from .lane_path import LanePath as LanePath
 from .notices import name_without_effect as name_without_effect
 from .opendrive import RoadNetwork as RoadNetwork
 from .reference_line import read_number as read_number
+from .sketch import Region as Region
+from .sketch import RoadSketch as RoadSketch
+from .sketch import lane_borders as lane_borders

@@ -138,17 +138,17 @@ class Road:
 
     def center(self, section: int, lane: int, s: FloatArray) -> FloatArray:
         """Lateral coordinate t of a lane's centre in a section, shape (N,)."""
-        inner, outer = self._edges(section, lane, s)
+        inner, outer = self.edges(section, lane, s)
         return 0.5 * (inner + outer)
 
     def width(self, section: int, lane: int, s: FloatArray) -> FloatArray:
         """Width of a lane in a section, shape (N,)."""
-        inner, outer = self._edges(section, lane, s)
+        inner, outer = self.edges(section, lane, s)
         return np.asarray(np.abs(outer - inner))
 
     def slant(self, section: int, lane: int, s: FloatArray) -> FloatArray:
         """Angle in rad from the direction of the reference line to that of a lane's centre in a section, shape (N,)."""
-        inner, outer = self._edges(section, lane, s, rate=True)
+        inner, outer = self.edges(section, lane, s, rate=True)
         slope = 0.5 * (inner + outer)
         if not slope.any():
             return slope
@@ -162,8 +162,8 @@ class Road:
         section = self.section_at(s)
         for k in np.unique(section):
             rows, lanes = section == k, self.sections[int(k)][1]
-            right[rows] = self._edges(int(k), min((*lanes, 0)), s[rows])[1]
-            left[rows] = self._edges(int(k), max((*lanes, 0)), s[rows])[1]
+            right[rows] = self.edges(int(k), min((*lanes, 0)), s[rows])[1]
+            left[rows] = self.edges(int(k), max((*lanes, 0)), s[rows])[1]
         return right, left
 
     def along(self, lane: int, s: FloatArray) -> BoolArray:
@@ -172,8 +172,8 @@ class Road:
         reverse = np.array([lane in lanes and lanes[lane].reverse for _, lanes in self.sections])
         return usual ^ reverse[self.section_at(s)]
 
-    def _edges(self, section: int, lane: int, s: FloatArray, rate: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Lateral coordinates t of a lane's edges in a section, or their `rate` by s, each (N,)."""
+    def edges(self, section: int, lane: int, s: FloatArray, rate: bool = False) -> tuple[FloatArray, FloatArray]:
+        """Lateral coordinates t of a lane's edges in a section, or their `rate` by s, the inner first, each (N,)."""
         start, lanes = self.sections[section]
         sign = 1 if lane > 0 else -1
         zero = evaluate_polynomials(differentiated(self.offsets) if rate else self.offsets, s)

@@ -1,0 +1,68 @@
+"""The road that a scene is drawn on: where it is looked for, and how the page holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.recordings import Recording
+from cornercase.roads import Region, RoadSketch
+
+MARGIN: Final = 40.0
+"""How far around the recordings the road is drawn, in m."""
+
+
+def recorded_region(recordings: Iterable[Recording], margin: float = MARGIN) -> Region | None:
+    """Find the region that recordings lie in.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        They are read one after the other.
+    margin : float, default 40
+        How much is added on each side, in m.
+
+    Returns
+    -------
+    tuple of float or None
+        None where nothing exists in them.
+    """
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for recording in recordings:
+        for k, values in enumerate((recording.x, recording.y)):
+            low[k] = min(low[k], np.min(values, initial=np.inf, where=np.isfinite(values)))
+            high[k] = max(high[k], np.max(values, initial=-np.inf, where=np.isfinite(values)))
+    if not np.isfinite(low).all():
+        return None
+    return (*(low - margin).tolist(), *(high + margin).tolist())
+
+
+def pack_roads(sketch: RoadSketch) -> dict[str, Any]:
+    """Write what is drawn of roads for the page.
+
+    Parameters
+    ----------
+    sketch : RoadSketch
+
+    Returns
+    -------
+    dict of str to object
+        ``origin`` in m; ``areas`` and ``lines``, each a list of kinds and numbers: x and y of each point in cm, the
+        first from the origin, each other one from the point before.
+    """
+    every = [*sketch.areas, *sketch.lines]
+    origin = np.rint(every[0][1][0]) if every else np.zeros(2)
+
+    def packed(points: FloatArray) -> list[int]:
+        whole: IntArray = np.rint((points - origin) * 100.0).astype(np.int64)
+        steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), dtype=np.int64))
+        return [int(one) for one in steps[(steps != 0).any(axis=1) | (np.arange(len(steps)) == 0)].ravel()]
+
+    return {
+        "origin": origin.tolist(),
+        "areas": [[kind, packed(points)] for kind, points in sketch.areas],
+        "lines": [[kind, packed(points)] for kind, points in sketch.lines],
+    }
