@@ -23,6 +23,9 @@ _APPLICATION: Final = 0x434F524E  # "CORN"
 # s between transactions of which it is waited for that they are on the disk.
 _SECONDS_BETWEEN_FORCED: Final = 1.0
 
+# s that a note waits for the transactions of an explorer, which take milliseconds.
+_PATIENCE_BESIDE: Final = 5.0
+
 
 class Database:
     """A study's file that is open.
@@ -238,6 +241,40 @@ def _sentences(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be used as a study ({error}).") from error
 
 
+@contextmanager
+def written_beside(path: Path) -> Iterator[sqlite3.Connection]:
+    """Give a connection for one short transaction beside those of an explorer, whose lock is not needed for it.
+
+    SQLite lets one of them write at a time, and each waits for the other. Only to migrate a file of an earlier schema
+    version the lock is taken.
+
+    Parameters
+    ----------
+    path : Path
+
+    Yields
+    ------
+    sqlite3.Connection
+
+    Raises
+    ------
+    InputError
+        There is no study, or it cannot be written.
+    """
+    reader = Database.open(path, readonly=True)
+    with closing(reader.connection):
+        # A reader of an earlier version has a migrated copy.
+        is_copy = reader.found("PRAGMA database_list")[0][2] == ""
+    if is_copy:
+        Database.open(path, readonly=False).close()
+    with _sentences(path), closing(_connected(path, _PATIENCE_BESIDE)) as connection:
+        connection.execute("PRAGMA trusted_schema = OFF")
+        _require_plain(path, connection)
+        connection.execute("PRAGMA synchronous = FULL")
+        with connection:
+            yield connection
+
+
 def _require_study(path: Path, connection: sqlite3.Connection) -> None:
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     if application != _APPLICATION:
@@ -275,11 +312,11 @@ def _of_today(connection: sqlite3.Connection) -> sqlite3.Connection:
     return copy
 
 
-def _connected(path: Path) -> sqlite3.Connection:
+def _connected(path: Path, patience: float = 30.0) -> sqlite3.Connection:
     # A reader of a file in WAL mode has to make its shared memory beside it. Where it cannot, nobody writes either.
     alone = not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
     location = f"{path.resolve().as_uri()}?{'immutable=1' if alone else 'mode=rw'}"
-    return sqlite3.connect(location, uri=True, timeout=30.0)
+    return sqlite3.connect(location, uri=True, timeout=patience)
 
 
 def _locked(path: Path) -> BaseFileLock:

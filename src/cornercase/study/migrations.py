@@ -1,9 +1,9 @@
 """The schema of a study file, and the way from an earlier version to it.
 
-Version 4 says which share of the scenarios are audits. Version 3 holds the arrays of an analysis in pieces, and of the
-distances one half. Version 2 holds each array as one value, and judges the bounds of clusters by the scenarios that
-they were found from.
-Version 1 has fewer tables and grew over time: a file of it may lack what its first releases did not know.
+Version 5 has notes. Version 4 says which share of the scenarios are audits. Version 3 holds the arrays of an analysis
+in pieces, and of the distances one half. Version 2 holds each array as one value, and judges the bounds of clusters by
+the scenarios that they were found from. Version 1 has fewer tables and grew over time: a file of it may lack what its
+first releases did not know.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cornercase.metrics import METRICS
 from cornercase.study.arrays import write_arrays
 from cornercase.study.codec import pack_arrays, unpack_arrays
 
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 
 SCHEMA: Final = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -35,6 +35,7 @@ CREATE TABLE repeats (
     scenario INTEGER NOT NULL REFERENCES scenarios, metric TEXT NOT NULL, scores TEXT NOT NULL,
     PRIMARY KEY (scenario, metric)) WITHOUT ROWID;
 CREATE TABLE outcomes (scenario INTEGER PRIMARY KEY REFERENCES scenarios, outcome TEXT NOT NULL);
+CREATE TABLE notes (scenario INTEGER PRIMARY KEY REFERENCES scenarios, note TEXT NOT NULL);
 CREATE TABLE analyses (name TEXT PRIMARY KEY, info TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE arrays (
     analysis TEXT NOT NULL REFERENCES analyses, name TEXT NOT NULL, part INTEGER NOT NULL, data BLOB NOT NULL,
@@ -42,7 +43,7 @@ CREATE TABLE arrays (
 CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROWID;
 """
 
-TABLES: Final = ("meta", "scenarios", "courses", "repeats", "outcomes", "analyses", "arrays", "elapsed")
+TABLES: Final = ("meta", "scenarios", "courses", "repeats", "outcomes", "notes", "analyses", "arrays", "elapsed")
 """Tables of a study, of any version; those that refer to others come after them."""
 
 _ARRAYS_OF_2: Final = """CREATE TABLE arrays (
@@ -201,4 +202,10 @@ def _from_3(connection: sqlite3.Connection) -> None:
     connection.execute("INSERT OR IGNORE INTO meta VALUES ('audit', 'null')")
 
 
-_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1, 2: _from_2, 3: _from_3}
+def _from_4(connection: sqlite3.Connection) -> None:
+    """Add the table of notes, which the step from version 1 has added already."""
+    (statement,) = (one for one in SCHEMA.split(";") if "CREATE TABLE notes" in one)
+    connection.execute(statement.replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
+
+
+_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1, 2: _from_2, 3: _from_3, 4: _from_4}

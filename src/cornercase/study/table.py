@@ -48,6 +48,7 @@ def scenario_table(
     clusters: Mapping[str, tuple[IntArray, IntArray]],
     outcomes: Mapping[int, str],
     audits: Sequence[bool] | None = None,
+    notes: Mapping[int, str] | None = None,
 ) -> pd.DataFrame:
     """Put together what is known of each scenario, a row for each.
 
@@ -63,6 +64,8 @@ def scenario_table(
         By id.
     audits : sequence of bool, length n, optional
         Which scenarios are audits, where there are any.
+    notes : mapping of int to str, optional
+        By id.
 
     Returns
     -------
@@ -84,6 +87,8 @@ def scenario_table(
         found[f"cluster by {name}"] = column.array
     if outcomes:
         found["outcome"] = pd.Series([outcomes.get(row.id) for row in rows], dtype=object)
+    if notes:
+        found["note"] = pd.Series([notes.get(row.id) for row in rows], dtype=object)
     # As objects, so that None stays None, whatever the version of pandas makes of texts.
     found["error"] = pd.Series([row.error for row in rows], dtype=object)
     first: dict[str, Any] = {"id": ids, "round": np.array([row.round for row in rows], dtype=np.int64)}

@@ -1,0 +1,309 @@
+"""What a study holds of its scenarios one by one."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.arguments import whole_number
+from cornercase._common.errors import InputError
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.metrics import METRICS
+from cornercase.recordings import Recording
+from cornercase.study.codec import unpack_arrays, unpack_recording
+from cornercase.study.damage import damage_told, loaded, require
+from cornercase.study.database import Database
+from cornercase.study.meta import StudyMeta
+from cornercase.study.notes import LONGEST_NOTE
+from cornercase.study.repeated_runs import shares_of_runs
+from cornercase.study.table import Row
+
+# SQLite counts no further.
+_LARGEST_ID: Final = 2**63 - 1
+
+
+class ScenarioContents:
+    """What a study holds of its scenarios, while others write to it or not.
+
+    Parameters
+    ----------
+    database : Database
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    meta : StudyMeta
+        What the study is about.
+    space : ParameterSpace
+        What is varied.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.path = database.path
+        self.meta = StudyMeta.from_json(
+            {key: loaded(value) for key, value in database.found("SELECT key, value FROM meta")}
+        )
+        self.space = self.meta.space
+
+    @property
+    def readonly(self) -> bool:
+        """Whether the study is open for reading only."""
+        return self._database.readonly
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def rows(self) -> list[Row]:
+        """List all scenarios.
+
+        Returns
+        -------
+        list of Row
+            In the order in which they were proposed.
+        """
+        found = self._database.found("SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id")
+        with damage_told(self.path):
+            rows = [self._row(*one) for one in found]
+            require(len({row.id for row in rows}) == len(rows), "a scenario is there twice")
+            return rows
+
+    def _row(self, number: int, turn: int, point: bytes, values: str, state: str, error: str | None) -> Row:
+        require(isinstance(number, int) and number > 0, f"a scenario is numbered {str(number)[:60]!r}")
+        row = Row(number, turn, np.frombuffer(point, "<f8").copy(), loaded(values), state, error)
+        require(row.point.shape == (self.space.dimension,), f"the scenario {number} has another number of parameters")
+        require(bool(np.isfinite(row.point).all()), f"the scenario {number} lies nowhere in the space")
+        plain = all(isinstance(one, str | int | float) for one in row.values.values())
+        require(plain, f"the scenario {number} has values that are neither numbers nor texts")
+        for parameter in self.space.parameters:
+            value = parameter.read(row.values)
+            if parameter.choices:
+                require(
+                    str(value) in parameter.choices, f"the scenario {number} has none of {parameter.name}'s choices"
+                )
+            else:
+                require(np.isfinite(float(value)), f"the scenario {number} has no number for {parameter.name}")
+        require(isinstance(turn, int) and isinstance(error, str | None), f"the scenario {number} is damaged")
+        return row
+
+    def rows_of(self, turn: int) -> list[Row]:
+        """List the scenarios of a round.
+
+        Parameters
+        ----------
+        turn : int
+            Number of the round.
+
+        Returns
+        -------
+        list of Row
+            In the order in which they were proposed.
+        """
+        question = "SELECT id, round, point, parameters, state, error FROM scenarios WHERE round = ? ORDER BY id"
+        found = self._database.found(question, turn)
+        with damage_told(self.path):
+            return [self._row(*one) for one in found]
+
+    def done(self) -> list[Row]:
+        """List the scenarios that were run.
+
+        Returns
+        -------
+        list of Row
+        """
+        return [row for row in self.rows() if row.state == "done"]
+
+    def failed(self) -> list[Row]:
+        """List the scenarios that could not be run.
+
+        Returns
+        -------
+        list of Row
+        """
+        return [row for row in self.rows() if row.state == "failed"]
+
+    def points(self) -> FloatArray:
+        """Points of the scenarios that were run.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, d)
+            In the unit cube.
+        """
+        return np.array([row.point for row in self.done()]).reshape(-1, self.space.dimension)
+
+    def audits(self) -> BoolArray:
+        """Tell which of the scenarios that were run are audits: drawn at random, and never told to the search.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        return np.array([self.meta.is_audit(row.id) for row in self.done()], dtype=np.bool_)
+
+    def scores(self, metric: str) -> FloatArray:
+        """Scores of the scenarios that were run.
+
+        Parameters
+        ----------
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            In the metric's unit.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric.
+        """
+        self._require_metric(metric)
+        found = self._database.found(
+            "SELECT id, score FROM scenarios LEFT JOIN courses ON id = scenario AND metric = ?"
+            " WHERE state = 'done' ORDER BY id",
+            metric,
+        )
+        with damage_told(self.path):
+            require(len(dict(found)) == len(found), f"a scenario has two scores by {metric}")
+            return np.array([float(score) for _, score in found], dtype=np.float64)
+
+    def spread(self, metric: str) -> FloatArray | None:
+        """Lowest and highest score of the runs of each scenario that was run.
+
+        Parameters
+        ----------
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (n, 2), or None
+            None where each scenario was run once.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric.
+        """
+        self._require_metric(metric)
+        found = self._database.found(
+            "SELECT id, scores FROM scenarios LEFT JOIN repeats ON id = scenario AND metric = ?"
+            " WHERE state = 'done' ORDER BY id",
+            metric,
+        )
+        if all(text is None for _, text in found):
+            return None
+        with damage_told(self.path):
+            require(len(dict(found)) == len(found), f"a scenario has two sets of scores by {metric}")
+            scores = [loaded(text) for _, text in found]
+            return np.array([[min(one), max(one)] for one in scores], dtype=np.float64)
+
+    def critical_runs(self) -> FloatArray | None:
+        """Probability that a run of each scenario is critical, where each was run several times.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, 3), or None
+            Share of its runs that were critical, and its 90 % interval: whether a scenario is critical is open where
+            that holds 0.5. None where each was run once, or nothing says of one score what is critical.
+        """
+        if self.meta.critical is None or self.meta.weights or self.meta.pareto:
+            return None
+        metric = METRICS.create(self.meta.metrics[0])
+        found = self._database.found(
+            "SELECT id, scores FROM scenarios LEFT JOIN repeats ON id = scenario AND metric = ?"
+            " WHERE state = 'done' ORDER BY id",
+            metric.name,
+        )
+        if all(text is None for _, text in found):
+            return None
+        with damage_told(self.path):
+            scores = [[metric.oriented(float(score)) for score in loaded(text)] for _, text in found]
+            return shares_of_runs(scores, metric.oriented(self.meta.critical))
+
+    def course(self, scenario: int, metric: str) -> FloatArray:
+        """Course of a metric in one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            In the metric's unit.
+
+        Raises
+        ------
+        InputError
+            The scenario was not run, its id is no whole number, or the study has no such metric.
+        """
+        self._require_metric(metric)
+        one = whole_number("scenario", scenario, most=_LARGEST_ID)
+        found = self._database.found("SELECT course FROM courses WHERE scenario = ? AND metric = ?", one, metric)
+        if not found:
+            raise InputError(f"{self.path}: the scenario {one} was not run.")
+        with damage_told(self.path):
+            course = np.asarray(unpack_arrays(found[0][0])["course"])
+            require(course.ndim == 1 and course.dtype.kind in "fiu", f"the course of {metric} in the scenario {one}")
+            return course
+
+    def recording(self, scenario: int) -> Recording:
+        """Recording of one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        InputError
+            The scenario was not run, or its id is no whole number.
+        """
+        one = whole_number("scenario", scenario, most=_LARGEST_ID)
+        found = self._database.found("SELECT recording FROM scenarios WHERE id = ? AND recording IS NOT NULL", one)
+        if not found:
+            raise InputError(f"{self.path}: the scenario {one} was not run.")
+        with damage_told(self.path):
+            return unpack_recording(found[0][0])
+
+    def outcomes(self) -> dict[int, str]:
+        """How scenarios ended, in words.
+
+        Returns
+        -------
+        dict of int to str
+            By id; those of all scenarios that had been run when the study was analysed.
+        """
+        found = self._database.found("SELECT scenario, outcome FROM outcomes ORDER BY scenario")
+        return {scenario: str(outcome) for scenario, outcome in found}
+
+    def notes(self) -> dict[int, str]:
+        """What people wrote about scenarios.
+
+        Returns
+        -------
+        dict of int to str
+            By id; only those that have a note.
+        """
+        found = self._database.found("SELECT scenario, note FROM notes ORDER BY scenario")
+        with damage_told(self.path):
+            for scenario, note in found:
+                require(isinstance(note, str) and len(note) <= LONGEST_NOTE, f"the note on the scenario {scenario}")
+            return dict(found)
+
+    def _require_metric(self, metric: str) -> None:
+        if metric not in self.meta.metrics:
+            raise InputError(
+                f"{self.path}: holds no course of the metric '{metric}'; it has {', '.join(self.meta.metrics)}."
+            )
