@@ -24,7 +24,21 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 _STYLES: Final = ("style.css",)
-_SCRIPTS: Final = ("store.js", "recordings.js", "views.js", "views/space.js", "main.js")
+_SCRIPTS: Final = (
+    "store.js",
+    "recordings.js",
+    "colours.js",
+    "describe.js",
+    "plot.js",
+    "points.js",
+    "ranges.js",
+    "filters.js",
+    "link.js",
+    "theme.js",
+    "views.js",
+    "views/space.js",
+    "main.js",
+)
 # The page loads nothing from anywhere: what is in it is all that it may run.
 _POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:;"

@@ -17,9 +17,16 @@ async function begin() {
   const contents = JSON.parse(document.getElementById("contents").textContent);
   const store = new Store(contents);
   const recordings = new EmbeddedRecordings(contents.recordings);
-  await loadPlotly();
-  showViews(document.getElementById("views"), store);
-  window.cornercase = { store, recordings };
+  setTheme(rememberedTheme());
+  showTools(document.getElementById("tools"), store);
+  const bar = new FilterBar(document.getElementById("filters"), store);
+  const link = new Link(store, bar);
+  // The link comes first, so that what the address says is there when the replay begins.
+  if (typeof showReplay === "function") showReplay(document.getElementById("replay"), store, recordings);
+  const views = new Views(document.getElementById("views"), store);
+  window.cornercase = { ...window.cornercase, store, recordings, bar, link, views, settled: () => views.settled() };
+  // The page can be used when filters, table and the views on the screen are there; what needs Plotly comes after.
+  await views.settled();
   document.documentElement.dataset.ready = "true";
 }
 

@@ -3,14 +3,21 @@
 // What the page knows and what its reader chose: views read it, change it, and are told when it changed.
 //
 // Events: "contents" (scenarios came, live), "shown" (filters), "selected" (one of the two scenarios of the replay),
-// "options" (metric, aspect, colour, axes), "theme".
+// "options" (metric, aspect, colour, axes), "hovered" (the scenario under the pointer), "theme".
 class Store {
   constructor(contents) {
     this.listeners = new Map();
     this.filters = new Map();
-    this.options = { metric: contents.metrics[0].name, aspect: Store.firstAspect(contents), colour: null };
+    // Every brush is a range of a column, so that all views show the brushes of each other.
+    this.ranges = new Map();
+    const aspect = Store.firstAspect(contents);
+    // One kind would give all points one colour.
+    const kinds = new Set(aspect === null ? [] : contents.kinds[aspect].labels.filter((one) => one !== null));
+    this.options = { metric: contents.metrics[0].name, aspect, colour: kinds.size > 1 ? "kind" : "metric" };
     this.selected = null;
     this.beside = null;
+    this.hovered = null;
+    this.version = 0;
     this.setContents(contents, false);
   }
 
@@ -23,6 +30,7 @@ class Store {
   // Scenarios are rows 0 to n - 1 here; people know them by their ids.
   setContents(contents, tell = true) {
     this.contents = contents;
+    this.version += 1;
     this.n = contents.scenarios.id.length;
     this.rows = new Map(contents.scenarios.id.map((id, row) => [id, row]));
     this.columns = new Map();
@@ -51,21 +59,37 @@ class Store {
     this.applyFilters();
   }
 
+  // Ranges as [column, low, high]; where both are null the column is free again.
+  setRanges(ranges) {
+    for (const [column, low, high] of ranges) {
+      if (low === null && high === null) {
+        this.ranges.delete(column);
+        this.filters.delete(`range ${column}`);
+        continue;
+      }
+      this.ranges.set(column, [low ?? -Infinity, high ?? Infinity]);
+      const test = (row) => {
+        const value = this.column(column)[row];
+        return value >= (low ?? -Infinity) && value <= (high ?? Infinity);
+      };
+      this.filters.set(`range ${column}`, { test, label: rangeText(this, column), column });
+    }
+    this.applyFilters();
+  }
+
   clearFilters() {
     this.filters.clear();
+    this.ranges.clear();
     this.applyFilters();
     this.tell("cleared");
   }
 
   applyFilters(tell = true) {
-    const tests = [...this.filters.values()].map((filter) => filter.test);
-    let count = 0;
-    for (let row = 0; row < this.n; row++) {
-      const shown = tests.every((test) => test(row)) ? 1 : 0;
-      this.shown[row] = shown;
-      count += shown;
+    this.shown.fill(1);
+    for (const { test } of this.filters.values()) {
+      for (let row = 0; row < this.n; row++) if (this.shown[row] && !test(row)) this.shown[row] = 0;
     }
-    this.shownCount = count;
+    this.shownCount = this.shown.reduce((sum, one) => sum + one, 0);
     if (tell) this.tell("shown");
   }
 
@@ -75,6 +99,13 @@ class Store {
     if (this[slot] === found) return;
     this[slot] = found;
     this.tell("selected", slot);
+  }
+
+  // The row under the pointer, or null.
+  hover(row) {
+    if (this.hovered === row) return;
+    this.hovered = row;
+    this.tell("hovered");
   }
 
   set(options) {
@@ -91,11 +122,13 @@ class Store {
   }
 
   readColumn(name) {
-    const { scenarios, parameters } = this.contents;
+    const { scenarios, parameters, kinds } = this.contents;
     if (name === "id" || name === "round") return Float64Array.from(scenarios[name]);
     const [kind, key] = Store.split(name);
-    const values =
-      kind === "score" ? scenarios.scores[key] : scenarios.values[parameters.findIndex((one) => one.name === key)];
+    let values = null;
+    if (kind === "score") values = scenarios.scores[key];
+    else if (kind === "component") values = kinds[this.options.aspect].embedding[Number(key) - 1];
+    else values = scenarios.values[parameters.findIndex((one) => one.name === key)];
     return Float64Array.from(values, (value) => value ?? NaN);
   }
 
@@ -107,10 +140,29 @@ class Store {
   // What an axis is called, with its unit, and the names of its numbers where they stand for choices.
   axis(name) {
     const [kind, key] = Store.split(name);
-    if (!key) return { title: name, choices: [] };
+    if (!key) return { title: name === "id" ? "scenario [id]" : `${name} [1]`, choices: [] };
+    if (kind === "component") return { title: `component ${key} [–]`, choices: [] };
     const one = (kind === "score" ? this.contents.metrics : this.contents.parameters).find((each) => each.name === key);
-    const unit = one.unit && one.unit !== "1" ? ` [${one.unit}]` : "";
-    return { title: key + unit, choices: one.choices ?? [] };
+    return { title: `${key} [${one.unit || "1"}]`, unit: one.unit, choices: one.choices ?? [] };
+  }
+
+  // Whether there is such a column: addresses are written by people, too.
+  has(name) {
+    const [kind, key] = Store.split(name);
+    if (!key) return name === "id" || name === "round";
+    const list = { score: this.contents.metrics, parameter: this.contents.parameters }[kind] ?? [];
+    return list.some((each) => each.name === key);
+  }
+
+  metricOf(name = this.options.metric) {
+    return this.contents.metrics.find((each) => each.name === name);
+  }
+
+  // Score from which a scenario is critical; null where nothing says so, or it speaks of another metric.
+  threshold(name = this.options.metric) {
+    const { critical, searched } = this.contents;
+    const own = critical && searched === name;
+    return own ? critical.threshold : null;
   }
 
   // Cluster of a scenario by the aspect that is looked at: null where it is in none yet, -1 for noise.

@@ -1,50 +1,107 @@
 "use strict";
 
 // Views of the scenarios, each in a box of its own. A view is an object with
-//   name, title, about (what to see in it), wanted(store) (whether there is something to see),
-//   create(box, store) -> redraw(event, detail), which is called with the events of the store, only while the box is
-//   on the screen; what happened meanwhile is made up for with one event "contents" when it gets there.
+//   name, title, about (what to see in it), wanted(store) (whether there is something to see), wide (the whole row),
+//   create(box, store) -> { redraw(events) }, where `events` are the store's since it last drew.
+// All views draw in one frame after a change, those off the screen when they get there.
 const VIEWS = [];
 
-const EVENTS = ["contents", "shown", "selected", "options", "theme"];
+const EVENTS = ["contents", "shown", "selected", "options", "hovered", "theme"];
 
-function showViews(place, store) {
-  for (const view of VIEWS) {
-    if (!view.wanted(store)) continue;
-    const box = document.createElement("figure");
-    box.className = "view";
-    box.id = `view-${view.name}`;
-    const title = document.createElement("h3");
-    title.textContent = view.title;
-    const inner = document.createElement("div");
-    inner.className = "drawing";
-    const caption = document.createElement("figcaption");
-    caption.textContent = typeof view.about === "function" ? view.about(store) : view.about;
-    box.append(title, inner, caption);
-    place.append(box);
-    keepDrawn(view, box, inner, store);
+class Views {
+  constructor(place, store) {
+    this.place = place;
+    this.store = store;
+    this.boxes = new Map();
+    this.frame = null;
+    this.drawn = [];
+    this.observer = new IntersectionObserver((entries) => this.moved(entries), { rootMargin: "120px" });
+    for (const event of EVENTS) store.on(event, () => this.late(event));
+    this.makeBoxes();
+    addEventListener("beforeprint", () => this.print());
+    addEventListener("afterprint", () => this.late("contents"));
   }
-}
 
-function keepDrawn(view, box, inner, store) {
-  let redraw = null;
-  let onScreen = false;
-  let late = false;
-  const observer = new IntersectionObserver(
-    (entries) => {
-      onScreen = entries[entries.length - 1].isIntersecting;
-      if (!onScreen) return;
-      if (redraw === null) redraw = view.create(inner, store);
-      else if (late) redraw("contents");
-      late = false;
-    },
-    { rootMargin: "200px" },
-  );
-  observer.observe(box);
-  for (const event of EVENTS) {
-    store.on(event, (detail) => {
-      if (redraw !== null && onScreen) redraw(event, detail);
-      else late = true;
+  // Some views are wanted only once there is something to see: a study that grows is analysed later.
+  makeBoxes() {
+    const { place, store, boxes } = this;
+    VIEWS.forEach((view, order) => {
+      if (boxes.has(view.name) || !view.wanted(store)) return;
+      const box = document.createElement("figure");
+      box.className = view.wide ? "view wide" : "view";
+      box.id = `view-${view.name}`;
+      box.style.order = order;
+      const title = document.createElement("h3");
+      title.textContent = view.title;
+      const caption = document.createElement("figcaption");
+      const inner = document.createElement("div");
+      inner.className = "drawing";
+      box.append(title, caption, inner);
+      const next = [...boxes.values()].find((each) => each.order > order);
+      place.insertBefore(box, next?.box ?? null);
+      boxes.set(view.name, { view, box, inner, caption, order, made: null, onScreen: false, events: new Set() });
+      this.tellAbout(boxes.get(view.name));
+      this.observer.observe(box);
     });
+  }
+
+  tellAbout({ view, caption }) {
+    const about = typeof view.about === "function" ? view.about(this.store) : view.about;
+    const told = this.store.contents.captions?.[view.name];
+    caption.textContent = told ? `${about} ${told}` : about;
+  }
+
+  moved(entries) {
+    for (const entry of entries) {
+      const one = [...this.boxes.values()].find(({ box }) => box === entry.target);
+      one.onScreen = entry.isIntersecting;
+    }
+    this.schedule();
+  }
+
+  late(event) {
+    if (event === "contents") this.makeBoxes();
+    for (const one of this.boxes.values()) {
+      one.events.add(event);
+      if (event === "contents") this.tellAbout(one);
+    }
+    this.schedule();
+  }
+
+  schedule() {
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = null;
+      for (const one of this.boxes.values()) if (one.onScreen) this.draw(one);
+      for (const resolve of this.drawn.splice(0)) resolve();
+    });
+  }
+
+  draw(one) {
+    if (one.made === null) {
+      one.made = one.view.create(one.inner, this.store);
+      one.events = new Set(["contents"]);
+    }
+    if (!one.events.size) return;
+    const { events } = one;
+    one.events = new Set();
+    one.made.redraw(events);
+  }
+
+  // Resolves when what is on the screen shows the last change.
+  settled() {
+    this.schedule();
+    return new Promise((resolve) => this.drawn.push(resolve));
+  }
+
+  // A printer is finer than a screen, and prints what was never scrolled to.
+  print() {
+    for (const one of this.boxes.values()) this.draw(one);
+    for (const plot of PRINTED) {
+      if (plot.measure(3)) plot.redraw(new Set(["contents"]));
+    }
+  }
+
+  get(name) {
+    return this.boxes.get(name)?.made ?? null;
   }
 }

@@ -1,19 +1,142 @@
 "use strict";
 
+// Scenarios in the plane of two columns that the reader picks.
+class SpacePlot extends PointPlot {
+  constructor(box, store, columns) {
+    super(box, store, { name: "space" });
+    this.columns = columns;
+  }
+
+  title() {
+    const [x, y] = this.columns().map((column) => this.store.axis(column).title);
+    return `Scenarios by ${x} and ${y}`;
+  }
+
+  drawBase(g) {
+    const { store } = this;
+    const [xName, yName] = this.columns();
+    const [x, y] = [store.column(xName), store.column(yName)];
+    const [xAxis, yAxis] = [store.axis(xName), store.axis(yName)];
+    this.scaleX(...columnRange(store, xName), xAxis.choices);
+    this.scaleY(...columnRange(store, yName), yAxis.choices);
+    this.drawAxes(g, xAxis.title, yAxis.title);
+    drawThreshold(g, this, xName, yName);
+    this.drawPoints(g, x.map((value) => this.x.at(value)), y.map((value) => this.y.at(value)));
+  }
+
+  drawOver(g) {
+    this.drawBrush(g);
+    this.drawMarks(g);
+  }
+
+  drawBrush(g) {
+    const [xName, yName] = this.columns();
+    const [x, y] = [this.store.ranges.get(xName), this.store.ranges.get(yName)];
+    if (!x && !y) return;
+    const clip = (scale, range, least, most) =>
+      (range ?? [-Infinity, Infinity]).map((value) =>
+        Number.isFinite(value) ? Math.max(least, Math.min(most, scale.at(value))) : null);
+    const [left, right] = clip(this.x, x, this.left, this.width - this.right);
+    const [low, high] = clip(this.y, y, this.top, this.height - this.bottom);
+    const box = [left ?? this.left, high ?? this.top, right ?? this.width - this.right, low ?? this.height - this.bottom];
+    g.fillStyle = themeColours().accent;
+    g.globalAlpha = 0.07;
+    g.fillRect(box[0], box[1], box[2] - box[0], box[3] - box[1]);
+    g.globalAlpha = 1;
+    g.strokeStyle = themeColours().accent;
+    g.lineWidth = 1.2;
+    g.strokeRect(box[0], box[1], box[2] - box[0], box[3] - box[1]);
+  }
+
+  brushTo([x0, y0], [x1, y1]) {
+    const [xName, yName] = this.columns();
+    const xs = [this.x.value(x0), this.x.value(x1)].sort((one, other) => one - other);
+    const ys = [this.y.value(y0), this.y.value(y1)].sort((one, other) => one - other);
+    this.store.setRanges(xName === yName ? [[xName, ...xs]] : [[xName, ...xs], [yName, ...ys]]);
+  }
+
+  clearBrush() {
+    const names = this.columns().filter((name) => this.store.ranges.has(name));
+    if (names.length) this.store.setRanges(names.map((name) => [name, null, null]));
+  }
+}
+
+// From the least to the greatest value; of a parameter from bound to bound.
+function columnRange(store, name) {
+  const [kind, key] = Store.split(name);
+  const [low, high] = finiteRange(store.column(name));
+  if (kind !== "parameter") return [low, high];
+  const one = store.contents.parameters.find((each) => each.name === key);
+  return [Math.min(low, one.low ?? low), Math.max(high, one.high ?? high)];
+}
+
+// A line where scenarios begin to be critical, on an axis that has the score.
+function drawThreshold(g, plot, xName, yName) {
+  const { store } = plot;
+  g.strokeStyle = themeColours().danger;
+  g.lineWidth = 1.2;
+  g.setLineDash([5, 4]);
+  for (const [name, scale, across] of [[xName, plot.x, true], [yName, plot.y, false]]) {
+    const [kind, key] = Store.split(name ?? "");
+    const threshold = kind === "score" ? store.threshold(key) : null;
+    if (threshold === null || threshold < scale.low || threshold > scale.high) continue;
+    const at = Math.round(scale.at(threshold)) + 0.5;
+    if (across) line(g, at, plot.top, at, plot.height - plot.bottom);
+    else line(g, plot.left, at, plot.width - plot.right, at);
+  }
+  g.setLineDash([]);
+}
+
+function allColumns(store) {
+  const { metrics, parameters } = store.contents;
+  return [
+    ...parameters.map((one) => `parameter ${one.name}`),
+    ...metrics.map((one) => `score ${one.name}`),
+    "id",
+    "round",
+  ];
+}
+
+// The two parameters that influence the score most; with one parameter, the score over it.
+function firstColumns(store) {
+  const { parameters, metrics, influential } = store.contents;
+  const names = (influential ?? []).slice(0, 2).map((k) => `parameter ${parameters[k].name}`);
+  return names.length > 1 ? names : [names[0] ?? "id", `score ${metrics[0].name}`];
+}
+
 VIEWS.push({
   name: "space",
   title: "Parameter space",
-  about: "Each point is a scenario that was run.",
+  about: "Each point is a concrete scenario. Drag to keep a part of the space; click to see a scenario move.",
   wanted: () => true,
   create(box, store) {
-    const [first, second] = store.contents.influential.map((k) => `parameter ${store.contents.parameters[k].name}`);
-    const draw = () => {
-      const [x, y] = [store.column(first), store.column(second ?? `score ${store.options.metric}`)];
-      Plotly.react(box, [{ type: "scatter", mode: "markers", x, y }], {
-        xaxis: { title: { text: store.axis(first).title } },
-      });
+    const columns = () => {
+      const [x, y] = firstColumns(store);
+      return [store.options.x ?? x, store.options.y ?? y];
     };
-    draw();
-    return draw;
+    const options = document.createElement("div");
+    options.className = "options";
+    box.append(options);
+    const selects = ["x", "y"].map((axis, k) => {
+      const select = labelledSelect(options, axis === "x" ? "Across" : "Upwards", `space-${axis}`);
+      setOptions(select, allColumns(store).map((name) => [name, columnName(name)]), columns()[k]);
+      select.addEventListener("change", () => store.set({ [axis]: select.value }));
+      return select;
+    });
+    const plot = new SpacePlot(box, store, columns);
+    const legend = document.createElement("ul");
+    legend.className = "legend";
+    box.append(legend);
+    const menu = rangeMenu(box, store, columns);
+    return {
+      plot,
+      redraw(events) {
+        plot.redraw(events);
+        if (onlyMarks(events)) return;
+        columns().forEach((name, k) => (selects[k].value = name));
+        fillLegend(legend, store);
+        menu();
+      },
+    };
   },
 });

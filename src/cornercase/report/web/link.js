@@ -1,0 +1,103 @@
+"use strict";
+
+// What was chosen stands in the address, so that it can be sent: `#id=123&beside=45&kind=2&score=0:1.5`.
+class Link {
+  constructor(store, bar) {
+    this.store = store;
+    this.bar = bar;
+    this.waiting = null;
+    this.defaults = { ...store.options };
+    this.read();
+    for (const event of ["shown", "selected", "options"]) store.on(event, () => this.later());
+    addEventListener("hashchange", () => this.read());
+    addEventListener("popstate", () => this.read());
+  }
+
+  // The address of what is seen now, without the "#".
+  text() {
+    const { store, bar, defaults } = this;
+    const parts = [];
+    const put = (name, value) => parts.push(`${encodeURIComponent(name)}=${encodeURIComponent(value)}`);
+    if (store.selected !== null) put("id", store.selected);
+    if (store.beside !== null) put("beside", store.beside);
+    for (const [name, value] of Object.entries(store.options)) {
+      if (value !== null && value !== undefined && value !== defaults[name]) put(name, value);
+    }
+    for (const [name, value] of Object.entries(bar.values)) if (value !== "") put(name, value);
+    for (const [column, [low, high]] of store.ranges) {
+      const range = [low, high].map((one) => (Number.isFinite(one) ? String(Number(one.toPrecision(9))) : "")).join(":");
+      put(column === `score ${store.options.metric}` ? "score" : Link.nameOf(column), range);
+    }
+    return parts.join("&").replaceAll("%3A", ":").replaceAll("%20", "+");
+  }
+
+  // One entry in the history for all that changes within a moment: a brush would fill it otherwise.
+  later() {
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => this.write(), 250);
+  }
+
+  write() {
+    this.waiting = null;
+    const text = this.text();
+    if (text === location.hash.slice(1)) return;
+    const address = `${location.pathname}${location.search}${text ? `#${text}` : ""}`;
+    try {
+      history.pushState(null, "", address);
+    } catch {
+      // Pages without an address, in a frame of a notebook, have no history.
+    }
+  }
+
+  read() {
+    const { store, bar } = this;
+    if (this.waiting === null && location.hash.slice(1) === this.text()) return;
+    const found = new URLSearchParams(location.hash.slice(1));
+    const options = { ...this.defaults };
+    for (const name of Object.keys(options)) options[name] = this.option(name, found.get(name)) ?? options[name];
+    for (const name of ["x", "y"]) options[name] = this.option(name, found.get(name)) ?? undefined;
+    store.set(options);
+    const values = {};
+    for (const name of Object.keys(bar.values)) values[name] = found.get(name) ?? "";
+    const ranges = [...store.ranges.keys()].map((column) => [column, null, null]);
+    for (const [name, text] of found) {
+      const column = name === "score" ? `score ${store.options.metric}` : Link.columnOf(name);
+      if (column === null || !store.has(column)) continue;
+      const [low, high] = text.split(":").map((one) => (one === "" ? null : Number(one)));
+      if (Number.isNaN(low) || Number.isNaN(high) || high === undefined) continue;
+      ranges.push([column, low, high]);
+    }
+    store.setRanges(ranges);
+    bar.set(values);
+    for (const [slot, name] of [["selected", "id"], ["beside", "beside"]]) {
+      const id = found.get(name);
+      store.select(id === null ? null : Number(id), slot);
+    }
+    clearTimeout(this.waiting);
+    this.waiting = null;
+  }
+
+  // What the bounds of a column are called in an address: "range.ego_start", "score.ttc", "range-of.round".
+  static nameOf(column) {
+    const [kind, key] = Store.split(column);
+    if (!key) return `range-of.${kind}`;
+    return kind === "score" ? `score.${key}` : `range.${key}`;
+  }
+
+  static columnOf(name) {
+    for (const [begin, kind] of [["range.", "parameter "], ["score.", "score "], ["range-of.", ""]]) {
+      if (name.startsWith(begin)) return kind + name.slice(begin.length);
+    }
+    return null;
+  }
+
+  // The value where it is one that is there; null otherwise, as for a page of another study.
+  option(name, value) {
+    if (value === null) return null;
+    const { contents } = this.store;
+    if (name === "metric") return contents.metrics.some((one) => one.name === value) ? value : null;
+    if (name === "aspect") return value in contents.kinds ? value : null;
+    if (name === "colour") return colourOptions(this.store).some(([each]) => each === value) ? value : null;
+    return this.store.has(value) ? value : null;
+  }
+}

@@ -1,0 +1,219 @@
+"use strict";
+
+// Symbols around a place; each as large to the eye as the circle.
+function symbolPath(g, symbol, x, y, r) {
+  g.beginPath();
+  const corners = (count, size, turn, inner = null) => {
+    const all = inner === null ? count : 2 * count;
+    for (let k = 0; k < all; k++) {
+      const angle = turn + (2 * Math.PI * k) / all;
+      const far = inner !== null && k % 2 ? size * inner : size;
+      g.lineTo(x + far * Math.sin(angle), y - far * Math.cos(angle));
+    }
+    g.closePath();
+  };
+  if (symbol === "square") g.rect(x - 0.86 * r, y - 0.86 * r, 1.72 * r, 1.72 * r);
+  else if (symbol === "triangle") corners(3, 1.3 * r, 0);
+  else if (symbol === "down") corners(3, 1.3 * r, Math.PI);
+  else if (symbol === "diamond") corners(4, 1.3 * r, 0);
+  else if (symbol === "pentagon") corners(5, 1.1 * r, 0);
+  else if (symbol === "star") corners(5, 1.45 * r, 0, 0.45);
+  else if (symbol === "plus") {
+    const w = 0.36 * r;
+    const l = 1.2 * r;
+    for (const [a, b] of [[w, l], [w, w], [l, w], [l, -w], [w, -w], [w, -l], [-w, -l], [-w, -w], [-l, -w], [-l, w],
+      [-w, w], [-w, l]]) g.lineTo(x + a, y + b);
+    g.closePath();
+  } else g.arc(x, y, r, 0, 7);
+}
+
+function drawSymbol(g, { colour, symbol }, x, y, r) {
+  if (symbol === "cross") {
+    g.strokeStyle = colour;
+    g.lineWidth = Math.max(1.3, r / 2.2);
+    line(g, x - r, y - r, x + r, y + r);
+    line(g, x - r, y + r, x + r, y - r);
+    return;
+  }
+  symbolPath(g, symbol, x, y, r);
+  if (symbol === "ring") {
+    g.strokeStyle = colour;
+    g.lineWidth = 1.3;
+    g.stroke();
+  } else {
+    g.fillStyle = colour;
+    g.fill();
+  }
+}
+
+// Each look is drawn once and then copied: thousands of paths would take a frame each.
+class Stamps {
+  constructor() {
+    this.made = new Map();
+  }
+
+  get(style, r, ratio) {
+    const key = `${style.colour} ${style.symbol} ${r} ${ratio}`;
+    if (!this.made.has(key)) {
+      if (this.made.size > 500) this.made.clear();
+      const canvas = document.createElement("canvas");
+      canvas.width = canvas.height = Math.ceil((3 * r + 2) * ratio);
+      const g = canvas.getContext("2d");
+      g.scale(ratio, ratio);
+      const middle = canvas.width / ratio / 2;
+      drawSymbol(g, style, middle, middle, r);
+      this.made.set(key, canvas);
+    }
+    return this.made.get(key);
+  }
+}
+
+const STAMPS = new Stamps();
+
+// Scenarios as points: a plot that knows where they are (px, py: one place for each row, NaN for none).
+class PointPlot extends Plot {
+  radius() {
+    const { n } = this.store;
+    return n > 5000 ? 1.8 : n > 1200 ? 2.6 : 3.6;
+  }
+
+  drawPoints(g, px, py) {
+    this.px = px;
+    this.py = py;
+    const { store, ratio } = this;
+    const looks = rowLooks(store);
+    const { scenarios } = store.contents;
+    const r = this.radius();
+    const stamp = (row, style, radius = r) => {
+      if (!(px[row] > -1e6)) return;
+      const canvas = STAMPS.get(style, radius, ratio);
+      const size = canvas.width / ratio;
+      g.drawImage(canvas, px[row] - size / 2, py[row] - size / 2, size, size);
+    };
+    const ghost = { colour: themeColours().ghost, symbol: "circle" };
+    for (let row = 0; row < store.n; row++) if (!store.shown[row]) stamp(row, ghost, r * 0.75);
+    const cross = { colour: themeColours().danger, symbol: "cross" };
+    for (const row of drawingOrder(store)) {
+      if (!store.shown[row]) continue;
+      if (scenarios.failed[row]) stamp(row, cross);
+      else stamp(row, looks.styles[looks.of[row]]);
+    }
+    g.strokeStyle = themeColours().text;
+    g.lineWidth = 1.3;
+    for (let row = 0; row < store.n; row++) {
+      if (!scenarios.kept[row] || !store.shown[row] || !(px[row] > -1e6)) continue;
+      const style = looks.styles[looks.of[row]];
+      drawSymbol(g, style.symbol === "ring" ? { ...style, symbol: "circle" } : style, px[row], py[row], r * 1.25);
+      g.strokeStyle = themeColours().text;
+      g.lineWidth = 1.3;
+      g.beginPath();
+      g.arc(px[row], py[row], r * 1.25 + 3.2, 0, 7);
+      g.stroke();
+    }
+  }
+
+  placeOf(row) {
+    return this.px && this.px[row] > -1e6 ? [this.px[row], this.py[row]] : null;
+  }
+
+  rowAt(x, y, reach = 12) {
+    const { px, py, store } = this;
+    if (!px) return null;
+    let found = null;
+    let nearest = reach * reach;
+    for (let row = 0; row < store.n; row++) {
+      const distance = (px[row] - x) ** 2 + (py[row] - y) ** 2;
+      if (distance <= nearest && store.shown[row]) {
+        nearest = distance;
+        found = row;
+      }
+    }
+    return found;
+  }
+
+  drawMarks(g) {
+    const { store } = this;
+    for (const [id, dash] of [[store.selected, []], [store.beside, [3, 3]]]) {
+      const place = id === null ? null : this.placeOf(store.rows.get(id));
+      if (place === null) continue;
+      g.setLineDash([]);
+      g.lineWidth = 5;
+      g.strokeStyle = themeColours().raised;
+      g.beginPath();
+      g.arc(...place, 10, 0, 7);
+      g.stroke();
+      g.setLineDash(dash);
+      g.lineWidth = 2.4;
+      g.strokeStyle = themeColours().accent;
+      g.stroke();
+    }
+    g.setLineDash([]);
+    if (store.hovered !== null) {
+      const place = this.placeOf(store.hovered);
+      if (place === null) return;
+      g.lineWidth = 2;
+      g.strokeStyle = themeColours().text;
+      g.beginPath();
+      g.arc(...place, 7, 0, 7);
+      g.stroke();
+    }
+  }
+}
+
+// Rows as they are drawn: the most critical ones last, and so on top.
+function drawingOrder(store) {
+  const key = `${store.version} ${store.options.metric}`;
+  if (store.drawing?.key !== key) {
+    const scores = store.column(`score ${store.options.metric}`);
+    const sign = store.metricOf().lower_is_critical ? -1 : 1;
+    const keys = Float64Array.from(scores, (one) => (Number.isNaN(one) ? -Infinity : sign * one));
+    const rows = Uint32Array.from(keys, (_, row) => row).sort((one, other) => keys[one] - keys[other] || one - other);
+    store.drawing = { key, rows };
+  }
+  return store.drawing.rows;
+}
+
+// What colours and symbols mean, beneath a drawing.
+function fillLegend(list, store) {
+  const looks = rowLooks(store);
+  const { scenarios } = store.contents;
+  list.replaceChildren();
+  const add = (text, style, ring = false) => {
+    const item = document.createElement("li");
+    if (style) {
+      const canvas = document.createElement("canvas");
+      canvas.width = canvas.height = 28;
+      const g = canvas.getContext("2d");
+      g.scale(2, 2);
+      drawSymbol(g, style, 7, 7, ring ? 3 : 4);
+      if (ring) {
+        g.strokeStyle = themeColours().text;
+        g.lineWidth = 1.2;
+        g.beginPath();
+        g.arc(7, 7, 6, 0, 7);
+        g.stroke();
+      }
+      item.append(canvas);
+    }
+    item.append(text);
+    list.append(item);
+    return item;
+  };
+  if (looks.column) {
+    const bar = document.createElement("span");
+    bar.className = "bar";
+    const stops = [0, 0.25, 0.5, 0.75, 1].map((share) => scaleColour(looks.flip ? 1 - share : share));
+    bar.style.background = `linear-gradient(to right, ${stops.join(", ")})`;
+    const item = add(`${store.axis(looks.column).title}: ${formatNumber(looks.low)}`, null);
+    item.append(bar, formatNumber(looks.high));
+  } else {
+    looks.styles.forEach((style, k) => {
+      let count = 0;
+      for (let row = 0; row < store.n; row++) if (looks.of[row] === k && store.shown[row] && !scenarios.failed[row]) count += 1;
+      if (count) add(`${style.name} (${count})`, style);
+    });
+  }
+  const any = (column) => column.some((one, row) => one && store.shown[row]);
+  if (any(scenarios.kept)) add("kept", { colour: themeColours().muted, symbol: "circle" }, true);
+  if (any(scenarios.failed)) add("failed", { colour: themeColours().danger, symbol: "cross" });
+}
