@@ -6,8 +6,8 @@ function formatNumber(value) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (!Number.isFinite(value)) return value > 0 ? "∞" : "−∞";
   const size = Math.abs(value);
-  const text =
-    size !== 0 && (size >= 1e6 || size < 1e-4) ? value.toExponential(3) : String(Number(value.toPrecision(size >= 1000 ? 7 : 4)));
+  const extreme = size !== 0 && (size >= 1e6 || size < 1e-4);
+  const text = extreme ? value.toExponential(3) : String(Number(value.toPrecision(size >= 1000 ? 7 : 4)));
   return text.replace("-", "−");
 }
 

@@ -25,8 +25,8 @@ class Link {
     }
     for (const [name, value] of Object.entries(bar.values)) if (value !== "") put(name, value);
     for (const [column, [low, high]] of store.ranges) {
-      const range = [low, high].map((one) => (Number.isFinite(one) ? String(Number(one.toPrecision(9))) : "")).join(":");
-      put(column === `score ${store.options.metric}` ? "score" : Link.nameOf(column), range);
+      const range = [low, high].map((one) => (Number.isFinite(one) ? String(Number(one.toPrecision(9))) : ""));
+      put(column === `score ${store.options.metric}` ? "score" : Link.nameOf(column), range.join(":"));
     }
     return parts.join("&").replaceAll("%3A", ":").replaceAll("%20", "+");
   }

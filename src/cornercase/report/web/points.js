@@ -209,7 +209,9 @@ function fillLegend(list, store) {
   } else {
     looks.styles.forEach((style, k) => {
       let count = 0;
-      for (let row = 0; row < store.n; row++) if (looks.of[row] === k && store.shown[row] && !scenarios.failed[row]) count += 1;
+      for (let row = 0; row < store.n; row++) {
+        if (looks.of[row] === k && store.shown[row] && !scenarios.failed[row]) count += 1;
+      }
       if (count) add(`${style.name} (${count})`, style);
     });
   }

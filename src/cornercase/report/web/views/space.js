@@ -38,7 +38,8 @@ class SpacePlot extends PointPlot {
         Number.isFinite(value) ? Math.max(least, Math.min(most, scale.at(value))) : null);
     const [left, right] = clip(this.x, x, this.left, this.width - this.right);
     const [low, high] = clip(this.y, y, this.top, this.height - this.bottom);
-    const box = [left ?? this.left, high ?? this.top, right ?? this.width - this.right, low ?? this.height - this.bottom];
+    const [end, floor] = [this.width - this.right, this.height - this.bottom];
+    const box = [left ?? this.left, high ?? this.top, right ?? end, low ?? floor];
     g.fillStyle = themeColours().accent;
     g.globalAlpha = 0.07;
     g.fillRect(box[0], box[1], box[2] - box[0], box[3] - box[1]);
