@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -31,9 +32,8 @@ def demo(tmp_path_factory) -> Path:
 
 def test_demo_leaves_everything_it_promises(demo):
     page = (demo / "report.html").read_text()
-    assert "src='data:image/png" in page
-    assert "http://" not in page
-    assert "https://" not in page
+    assert 'id="contents"' in page
+    assert not re.search(r"(src|href)=.?(https?:|//)", page)
     manifest = json.loads((demo / "reduced" / "manifest.json").read_text())
     files = {path.name for path in (demo / "reduced").glob("*.xosc")}
     assert files == {item["file"] for item in manifest["scenarios"]}
@@ -41,8 +41,8 @@ def test_demo_leaves_everything_it_promises(demo):
     assert 0 < manifest["kept"] < 30
     for item in manifest["scenarios"]:
         assert {"id", "file", "cluster", "role", "why", "values", "scores"} <= set(item)
-    for figure in (demo / "report-figures").glob("*.png"):
-        assert figure.read_bytes().startswith(b"\x89PNG")
+    # Figures for a paper take a while, and are drawn when they are asked for.
+    assert not (demo / "report-figures").exists()
 
 
 def test_where_the_time_went_is_told_by_stage_and_by_function(demo, tmp_path):

@@ -176,7 +176,7 @@ def explored(tmp_path_factory):
         ["explore", X, "--space", SPACE, *common, "--budget", "120", "-o", study],
         ["analyze", study],
         ["reduce", study, "-o", folder / "reduced"],
-        ["report", study, "-o", folder / "r.html"],
+        ["report", study, "--figures", "-o", folder / "r.html"],
     ):
         done = cornercase(*command)
         assert done.returncode == 0, done.stderr

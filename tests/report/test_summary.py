@@ -18,7 +18,7 @@ from cornercase._common.errors import InputError
 from cornercase.clustering import Profile, analyze
 from cornercase.evidence import Estimate
 from cornercase.report import put_in_words, summarize, write_report
-from cornercase.report.album import draw_png
+from cornercase.report.album import draw_files
 from cornercase.report.figures.examples import draw_examples
 from cornercase.report.figures.parameter_space import draw_clusters
 from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
@@ -135,18 +135,25 @@ def test_a_range_is_told_with_its_unit(parameter, words):
 def test_a_page_is_written_of_a_study_and_of_a_path(path, tmp_path):
     pages = []
     with Study.open(path, readonly=True) as study:
-        pages.append(write_report(study, tmp_path / "one" / "r.html"))
-    pages.append(write_report(str(path), tmp_path / "two" / "r.html"))
-    one, two = (page.read_bytes() for page in pages)
+        pages.append(write_report(study, tmp_path / "one" / "r.html", figures=True))
+    pages.append(write_report(str(path), tmp_path / "two" / "r.html", figures=True))
+    one, two = ({file.name: file.read_bytes() for file in page.parent.rglob("*.*")} for page in pages)
     assert one == two
-    assert [len(list(page.with_name("r-figures").glob("*.png"))) for page in pages] == [6, 6]
+    drawn = {
+        "criticality-distance",
+        "criticality-wttc",
+        "sensitivity",
+        *(f"{what}-distance" for what in ("examples", "clusters", "courses")),
+    }
+    assert set(one) == {"r.html", "captions.txt", *(f"{name}.{ending}" for name in drawn for ending in ("png", "svg"))}
+    told = dict(line.split(": ", 1) for line in one["captions.txt"].decode().splitlines())
+    assert set(told) == drawn
 
 
 def test_kinds_are_drawn_and_named(path, tmp_path):
     kinds = summarize(path).analyses["distance"]
     assert kinds.clustering.n_clusters > 1
     page = write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
-    assert (tmp_path / "r-figures" / "examples-distance.png").exists()
     for one in kinds.profiles:
         assert one.name in unescape(page)
         assert (f"scenario {one.example}</td>" in page) == (one.cluster >= 0)
@@ -159,9 +166,9 @@ def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
         assert judge_clusters(summarize(study).analyses["distance"]) == (
             "No separate kinds: by distance all scenarios are one group."
         )
-        page = write_report(study, tmp_path / "r.html").read_text(encoding="utf-8")
+        page = write_report(study, tmp_path / "r.html", figures=tmp_path / "f").read_text(encoding="utf-8")
     assert "No separate kinds: by distance" in page
-    assert [one.name for one in (tmp_path / "r-figures").glob("*-distance.png")] == ["criticality-distance.png"]
+    assert [one.name for one in (tmp_path / "f").glob("*-distance.png")] == ["criticality-distance.png"]
 
 
 @pytest.mark.parametrize(
@@ -213,7 +220,7 @@ def test_no_name_of_a_kind_is_cut_in_figures():
         np.eye(4), np.array([0, 0, 1, 1]), np.eye(4)[:, :2], [Parameter("a", 0, 1), Parameter("b " * 40, 0, 1)], (0, 1),
         {0: f"cluster 0: {LONG}", 1: "cluster 1: Ego stands"},
     )  # fmt: skip
-    draw_png(figure)
+    draw_files(figure)
     shown = [text.get_text() for text in figure.findobj(Text)]
     assert f"cluster 0: {LONG} (2)" in [" ".join(text.split()) for text in shown]
     assert max(len(line) for text in shown for line in text.split("\n")) <= 60
@@ -225,7 +232,7 @@ def test_no_name_makes_a_huge_figure():
     for times in (1, 10_000):
         figure = Figure(figsize=(4.0, 3.0))
         figure.add_subplot().set_title("Ego yields to nobody" * times)
-        image = imread(BytesIO(draw_png(figure)))
+        image = imread(BytesIO(draw_files(figure)["png"]))
         sizes.append(image.shape)
     assert sizes[1][0] < 2 * sizes[0][0]
     assert sizes[1][1] < 2 * sizes[0][1]
@@ -236,7 +243,7 @@ def test_signs_that_the_font_lacks_are_no_reason_to_warn():
     figure.add_subplot().set_title("自车 stops for 行人")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert draw_png(figure).startswith(b"\x89PNG")
+        assert draw_files(figure)["png"].startswith(b"\x89PNG")
 
 
 def test_in_a_drawn_example_both_are_to_be_seen():

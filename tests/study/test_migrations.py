@@ -23,8 +23,7 @@ from scipy.spatial.distance import cdist
 from command_line import cornercase
 from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering
-from cornercase.report import summarize, write_report
-from cornercase.report.words import put_in_words
+from cornercase.report import put_in_words, summarize, write_report
 from cornercase.study import Study, migrations
 
 DATA = Path(__file__).parents[1] / "data"

@@ -165,17 +165,25 @@ def report(
     study: StudyFile,
     *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write.")],
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Write figures for a paper too, as PNG and SVG, in a folder beside it.")
+    ] = False,
+    figures_in: Annotated[
+        Path | None, typer.Option("--figures-in", metavar="DIR", help="Write these figures into another folder.")
+    ] = None,
     profile: Profile = None,
 ) -> None:
-    """Write one self-contained page, and its figures as PNG beside it.
+    """Write one self-contained page.
 
     \b
     Example:
       cornercase report study.db -o report.html
+      cornercase report study.db --figures -o report.html
     """
     from cornercase.report import write_report
 
-    out.print(f"The report is {write_report(study, output).resolve()}")
+    page = write_report(study, output, figures=figures if figures_in is None else figures_in)
+    out.print(f"The report is {page.resolve()}")
 
 
 @app.command()

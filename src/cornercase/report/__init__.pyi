@@ -1,5 +1,5 @@
 from .page import write_report as write_report
+from .plain import put_in_words as put_in_words
 from .summary import MetricSummary as MetricSummary
 from .summary import Summary as Summary
 from .summary import summarize as summarize
-from .words import put_in_words as put_in_words

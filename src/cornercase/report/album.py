@@ -1,12 +1,11 @@
-"""The figures of a report: in the page, and as PNG in a folder beside it."""
+"""The figures of a study for a paper: PNG and SVG in a folder."""
 
 from __future__ import annotations
 
-import base64
 import io
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,7 +13,8 @@ from matplotlib.text import Text
 
 from cornercase._common.files import portable_name, written_whole
 from cornercase._common.texts import plain_text, wrapped
-from cornercase.report.template import fill_figure
+from cornercase.report.data import ReportData
+from cornercase.report.drawings import draw_all
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,50 +22,42 @@ if TYPE_CHECKING:
 
 # Characters of a line in a figure, and lines of a text: what is longer is no reason for a huge figure.
 _LINE, _LINES = 60, 10
+# What would differ from one time to the next is left out.
+_FORMATS: Final[dict[str, dict[str, Any]]] = {
+    "png": {"dpi": 110, "metadata": {"Software": None}},
+    "svg": {"metadata": {"Date": None, "Creator": None}},
+}
+_CAPTIONS: Final = "captions.txt"
 
 
-class Album:
-    """Figures of one report.
+def write_figures(data: ReportData, folder: Path) -> None:
+    """Write all figures of a study, and ``captions.txt``, which says what is in each.
 
     Parameters
     ----------
-    page : Path
-        Of the page; the folder is called after it, with ``-figures`` at the end.
+    data : ReportData
+        What is drawn.
+    folder : Path
+        Made where it is missing; figures of the same name are replaced.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
     """
-
-    def __init__(self, page: Path) -> None:
-        self._folder = page.with_name(f"{page.stem}-figures")
-
-    def add(self, figure: Figure, name: str, caption: str) -> str:
-        """Write a figure, and give the HTML that shows it.
-
-        Parameters
-        ----------
-        figure : Figure
-            The figure.
-        name : str
-            Of the file, without ending.
-        caption : str
-            Plain text below it.
-
-        Returns
-        -------
-        str
-            HTML with the figure in it.
-
-        Raises
-        ------
-        InputError
-            It cannot be written.
-        """
-        data = draw_png(figure)
-        with written_whole(self._folder / f"{portable_name(name)}.png") as temporary:
-            temporary.write_bytes(data)
-        return fill_figure(caption, base64.b64encode(data).decode())
+    captions = []
+    for drawing in draw_all(data):
+        name = portable_name(drawing.name)
+        for ending, content in draw_files(drawing.figure).items():
+            with written_whole(folder / f"{name}.{ending}") as temporary:
+                temporary.write_bytes(content)
+        captions.append(f"{name}: {plain_text(drawing.caption)}\n")
+    with written_whole(folder / _CAPTIONS) as temporary:
+        temporary.write_text("".join(captions), encoding="utf-8", newline="\n")
 
 
-def draw_png(figure: Figure) -> bytes:
-    """Draw a figure as PNG; the same figure gives the same bytes.
+def draw_files(figure: Figure) -> dict[str, bytes]:
+    """Draw a figure as PNG and as SVG; the same figure gives the same bytes.
 
     Parameters
     ----------
@@ -74,17 +66,20 @@ def draw_png(figure: Figure) -> bytes:
 
     Returns
     -------
-    bytes
-        Content of the file.
+    dict of str to bytes
+        Content of the files by their ending.
     """
-    buffer = io.BytesIO()
     FigureCanvasAgg(figure)
     for text in figure.findobj(Text):
         # Names come from files: a dollar sign in them begins no formula.
         text.set_parse_math(False)
         text.set_text(wrapped(plain_text(text.get_text()), _LINE, _LINES))
-    with rc_context({"text.parse_math": False}), warnings.catch_warnings():
+    found = {}
+    with rc_context({"text.parse_math": False, "svg.hashsalt": "cornercase"}), warnings.catch_warnings():
         # Signs that the font lacks are drawn as boxes; the page has the names as they are.
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
-        figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None}, bbox_inches="tight", pad_inches=0.25)
-    return buffer.getvalue()
+        for ending, options in _FORMATS.items():
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=ending, bbox_inches="tight", pad_inches=0.25, **options)
+            found[ending] = buffer.getvalue()
+    return found

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase.clustering import Analysis
+from cornercase.report.answers import tell_about
 from cornercase.report.data import ReportData
 from cornercase.report.words import judge_clusters, name_kind
 from cornercase.study import Row
@@ -36,9 +37,24 @@ def page_contents(data: ReportData) -> dict[str, Any]:
     dict of str to object
         As JSON, with None for what is not known.
     """
-    meta, rows = data.summary.meta, [*data.rows, *data.failed]
-    rows.sort(key=lambda row: row.id)
-    place = {row.id: k for k, row in enumerate(rows)}
+    return knowledge_part(data) | scenario_part(data)
+
+
+def scenario_part(data: ReportData) -> dict[str, Any]:
+    """Give what the page shows of each scenario by itself: what grows with each that is run.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+
+    Returns
+    -------
+    dict of str to object
+        A part of `page_contents`.
+    """
+    meta, rows = data.summary.meta, _rows(data)
+    place = _places(rows)
     done = [place[row.id] for row in data.rows]
 
     def of_done(values: Sequence[Any], otherwise: Any = None) -> list[Any]:
@@ -47,12 +63,48 @@ def page_contents(data: ReportData) -> dict[str, Any]:
             found[k] = value
         return found
 
-    kept = {} if data.summary.reduced is None else {one.id: one for one in data.summary.reduced.kept}
+    kept = set() if data.summary.reduced is None else set(data.summary.reduced.ids)
     outcomes = data.outcomes
     named = sorted(set(outcomes.values()))
     return {
+        "outcomes": named,
+        "scenarios": {
+            "id": [row.id for row in rows],
+            "round": [row.round for row in rows],
+            "failed": [int(row.state == "failed") for row in rows],
+            "values": [[_value(one.read(row.values), one.choices) for row in rows] for one in data.parameters],
+            "scores": {name: of_done([_number(one) for one in scores]) for name, scores in data.scores.items()},
+            "critical": of_done(data.critical.astype(int).tolist(), 0),
+            "collides": of_done([int(row.id in data.collided) for row in data.rows], 0),
+            "outcome": [named.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
+            "kept": [int(row.id in kept) for row in rows],
+            "audit": [int(meta.is_audit(row.id)) for row in rows],
+        },
+        "errors": {str(row.id): row.error or "" for row in data.failed},
+        "courses": {name: _courses(data, name, rows) for name in data.scores},
+    }
+
+
+def knowledge_part(data: ReportData) -> dict[str, Any]:
+    """Give what the page shows of all scenarios together.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+
+    Returns
+    -------
+    dict of str to object
+        A part of `page_contents`.
+    """
+    meta, rows = data.summary.meta, _rows(data)
+    place = _places(rows)
+    kept = () if data.summary.reduced is None else data.summary.reduced.kept
+    return {
         "format": FORMAT,
         "title": meta.title,
+        "about": tell_about(data),
         "study": data.study,
         "ego": meta.ego,
         "other": meta.other,
@@ -66,27 +118,20 @@ def page_contents(data: ReportData) -> dict[str, Any]:
         ],
         "critical": _critical(data),
         "influential": list(data.influential),
-        "outcomes": named,
-        "scenarios": {
-            "id": [row.id for row in rows],
-            "round": [row.round for row in rows],
-            "failed": [int(row.state == "failed") for row in rows],
-            "values": [[_value(one.read(row.values), one.choices) for row in rows] for one in data.parameters],
-            "scores": {name: of_done([_number(one) for one in scores]) for name, scores in data.scores.items()},
-            "critical": of_done(data.critical.astype(int).tolist(), 0),
-            "collides": of_done([int(data.collides(row.id)) for row in data.rows], 0),
-            "outcome": [named.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
-            "kept": [int(row.id in kept) for row in rows],
-            "audit": [int(meta.is_audit(row.id)) for row in rows],
-        },
+        "answers": [],
         "kept": {
-            str(one.id): {"role": one.role, "cluster": one.cluster, "file": one.file, "why": one.why}
-            for one in kept.values()
+            str(one.id): {"role": one.role, "cluster": one.cluster, "file": one.file, "why": one.why} for one in kept
         },
-        "errors": {str(row.id): row.error or "" for row in data.failed},
         "kinds": {name: _kinds(one, place, len(rows)) for name, one in data.summary.analyses.items()},
-        "courses": {name: _courses(data, name, rows) for name in data.scores},
     }
+
+
+def _rows(data: ReportData) -> list[Row]:
+    return sorted([*data.rows, *data.failed], key=lambda row: row.id)
+
+
+def _places(rows: Sequence[Row]) -> dict[int, int]:
+    return {row.id: k for k, row in enumerate(rows)}
 
 
 def _critical(data: ReportData) -> dict[str, Any] | None:
@@ -122,7 +167,7 @@ def _courses(data: ReportData, name: str, rows: Sequence[Row]) -> dict[str, Any]
     begin, end = [0.0] * len(rows), [0.0] * len(rows)
     for k, row in enumerate(rows):
         if row.id in known:
-            time = data.recordings[row.id].time
+            time = data.times[row.id]
             begin[k], end[k] = float(time[0]), float(time[-1])
             values = np.interp(np.linspace(time[0], time[-1], _POINTS), time, known[row.id])
             found[k] = np.rint((values - low) / max(high - low, 1e-12) * _GREATEST)

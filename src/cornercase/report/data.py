@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.clustering import Analysis, read_distances
 from cornercase.exploration import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
 from cornercase.reduction import Gaps, measure_gaps
-from cornercase.report.summary import Summary, summarize_with
+from cornercase.report.summary import Summary, collide, summarize_with
 from cornercase.scenario import Parameter
 from cornercase.study import Row, Study
 
@@ -32,10 +32,14 @@ class ReportData:
     metrics : tuple of Metric
     scores : mapping of str to ndarray of float64, shape (n,)
         By metric.
-    recordings : mapping of int to Recording
-        By id.
-    courses : mapping of str to mapping of int to ndarray of float64, shape (T,)
+    times : mapping of int to ndarray of float64, shape (T,)
+        Instants of each recording by id, in s.
+    courses : mapping of str to mapping of int to ndarray of float32, shape (T,)
         Capped courses by metric and id.
+    collided : frozenset of int
+        Ids of the scenarios in which the ego and the other collide.
+    examples : mapping of int to Recording
+        Of the examples of the kinds, by id.
     values : ndarray of float64, shape (n, d)
         Parameters; of choices their number.
     influential : tuple of int
@@ -54,8 +58,10 @@ class ReportData:
     failed: tuple[Row, ...]
     metrics: tuple[Metric, ...]
     scores: Mapping[str, FloatArray]
-    recordings: Mapping[int, Recording]
-    courses: Mapping[str, Mapping[int, FloatArray]]
+    times: Mapping[int, FloatArray]
+    courses: Mapping[str, Mapping[int, Float32Array]]
+    collided: frozenset[int]
+    examples: Mapping[int, Recording]
     values: FloatArray
     influential: tuple[int, ...]
     critical: BoolArray
@@ -99,22 +105,6 @@ class ReportData:
         place = {row.id: k for k, row in enumerate(self.rows)}
         return np.array([place[scenario] for scenario in ids], dtype=np.int64)
 
-    def collides(self, scenario: int) -> bool:
-        """Say whether the ego and the other entity collide in a scenario.
-
-        Parameters
-        ----------
-        scenario : int
-            Its id.
-
-        Returns
-        -------
-        bool
-            Whether they do.
-        """
-        pair = {self.summary.meta.ego, self.summary.meta.other}
-        return any(set(collision.entities) == pair for collision in self.recordings[scenario].collisions)
-
 
 def read_report_data(study: Study) -> ReportData:
     """Read everything that a report shows.
@@ -133,13 +123,19 @@ def read_report_data(study: Study) -> ReportData:
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
     scores = {metric.name: study.scores(metric.name) for metric in metrics}
     values = np.array([[_number(one, row) for one in study.space.parameters] for row in rows], dtype=np.float64)
-    recordings: dict[int, Recording] = {}
-    courses: dict[str, dict[int, FloatArray]] = {one.name: {} for one in metrics}
+    times: dict[int, FloatArray] = {}
+    known: dict[bytes, FloatArray] = {}
+    courses: dict[str, dict[int, Float32Array]] = {one.name: {} for one in metrics}
+    collided = []
+    # One recording after the other: all of a large study would not fit into memory.
     for scenario, recording, each in study.recorded():
-        recordings[scenario] = recording
+        # Most scenarios have the same instants.
+        times[scenario] = known.setdefault(recording.time.tobytes(), recording.time)
         for one in metrics:
-            courses[one.name][scenario] = one.capped(each[one.name])
-    summary = summarize_with(study, recordings.values())
+            courses[one.name][scenario] = one.capped(each[one.name]).astype(np.float32)
+        if collide(recording, study.meta.ego, study.meta.other):
+            collided.append(scenario)
+    summary = summarize_with(study, len(collided))
     return ReportData(
         study=study.path.name,
         summary=summary,
@@ -147,14 +143,21 @@ def read_report_data(study: Study) -> ReportData:
         failed=tuple(study.failed()),
         metrics=metrics,
         scores=scores,
-        recordings=recordings,
+        times=times,
         courses=courses,
+        collided=frozenset(collided),
+        examples=_examples(study, summary.analyses),
         values=values,
         influential=_influential(values, scores[metrics[0].name]),
         critical=_critical(study, len(rows)),
         gaps={} if summary.reduced is None else _gaps(study, summary.analyses, summary.reduced.ids),
         outcomes=study.outcomes(),
     )
+
+
+def _examples(study: Study, analyses: Mapping[str, Analysis]) -> dict[int, Recording]:
+    ids = {profile.example for one in analyses.values() for profile in one.profiles}
+    return {scenario: study.recording(scenario) for scenario in sorted(one for one in ids if one is not None)}
 
 
 def _number(parameter: Parameter, row: Row) -> float:

@@ -5,18 +5,22 @@ from __future__ import annotations
 import base64
 import importlib.resources
 import json
+import time
 import zlib
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from markupsafe import Markup
 
+from cornercase._common import arguments
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
-from cornercase.report.blocks import pack_block, pack_record
 from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
+from cornercase.report.details import page_details
+from cornercase.report.packing import PackedRecordings, pack_recordings
 from cornercase.report.sections.overview import tell_provenance
 from cornercase.study import Study, open_study
 
@@ -44,10 +48,9 @@ _POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
 )
-_IN_BLOCK: Final = 16
 
 
-def write_report(study: Study | Path | str, path: Path | str) -> Path:
+def write_report(study: Study | Path | str, path: Path | str, *, figures: Path | str | bool = False) -> Path:
     """Write one page without outside references.
 
     Parameters
@@ -57,6 +60,9 @@ def write_report(study: Study | Path | str, path: Path | str) -> Path:
         drawing took.
     path : path
         Of the page.
+    figures : bool or path, default False
+        Write the figures too, as PNG and SVG, with ``captions.txt``, into this folder; True for one beside the page
+        that is called after it, with ``-figures`` at the end.
 
     Returns
     -------
@@ -66,67 +72,90 @@ def write_report(study: Study | Path | str, path: Path | str) -> Path:
     Raises
     ------
     InputError
-        No scenario has ended without failing, the page is the study itself, or it cannot be written.
+        No scenario has ended without failing, the page is the study itself, or something cannot be written.
 
     See Also
     --------
     cornercase.summarize : The same as values, for programs.
     """
-    path = Path(path)
+    path = arguments.path("path", path)
+    folder = path.with_name(f"{path.stem}-figures") if figures is True else figures
     with open_study(study, readonly=True) as opened:
         require_other_file(path, opened.path)
         if not opened.done():
             _tell_why_empty(opened)
+        begun = time.monotonic()
         data = read_report_data(opened)
+        packed = pack_recordings(opened, [row.id for row in data.rows])
+        if not opened.readonly:
+            # Kept in the study, so that the page of a study that is only read is the same each time.
+            opened.add_elapsed("draw", time.monotonic() - begun)
+            data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
+    if folder is not False:
+        from cornercase.report.album import write_figures
+
+        write_figures(data, arguments.path("figures", folder))
     with written_whole(path) as temporary:
-        temporary.write_text(fill_page(data), encoding="utf-8", newline="\n")
+        temporary.write_text(fill_page(data, packed), encoding="utf-8", newline="\n")
     return path
 
 
-def fill_page(data: ReportData) -> str:
-    """Put the page together.
+def fill_page(data: ReportData, packed: PackedRecordings) -> str:
+    """Put the page of a study together.
 
     Parameters
     ----------
     data : ReportData
         What the report shows.
+    packed : PackedRecordings
+        The recordings that it holds.
 
     Returns
     -------
     str
         HTML.
     """
-    records = {
-        row.id: pack_record(
-            row.id, data.recordings[row.id], {name: each[row.id] for name, each in data.courses.items()}
-        )
-        for row in data.rows
-    }
-    ids = list(records)
-    blocks: list[str] = []
-    index: dict[str, list[int]] = {}
-    for k in range(0, len(ids), _IN_BLOCK):
-        some = ids[k : k + _IN_BLOCK]
-        block, offsets = pack_block([records[one] for one in some])
-        index |= {str(one): [len(blocks), offset] for one, offset in zip(some, offsets, strict=True)}
-        blocks.append(base64.b64encode(block).decode())
-    contents = page_contents(data) | {"recordings": index}
-    meta = data.summary.meta
+    contents = page_contents(data) | {"recordings": packed.index}
+    return _fill(
+        live=False,
+        title=contents["title"],
+        about=contents["about"],
+        contents=contents,
+        answers=contents["answers"],
+        details=list(page_details(data)),
+        provenance=tell_provenance(data),
+        blocks=packed.blocks,
+    )
+
+
+def fill_frame(title: str) -> str:
+    """Put a page together that holds no study: it asks for one, and grows with it.
+
+    Parameters
+    ----------
+    title : str
+        Plain text.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    return _fill(
+        live=True, title=title, about="", contents=None, answers=[], details=[], provenance=Markup(), blocks=()
+    )
+
+
+def _fill(**parts: Any) -> str:
     page: str = (
         _environment()
         .get_template("page.html.j2")
         .render(
-            title=f"cornercase: {meta.title}",
-            about=f"{meta.ego} is the ego, {meta.other} the other.",
             policy=_POLICY,
-            contents=contents,
-            answers=[],
-            details=[],
-            provenance=Markup("".join(tell_provenance(data))),
-            blocks=blocks,
             plotly=_plotly(),
             styles=[Markup(_asset(name)) for name in _STYLES],
             scripts=[Markup(_asset(name)) for name in _SCRIPTS],
+            **parts,
         )
     )
     return page

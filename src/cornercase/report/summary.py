@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from cornercase._common.errors import InputError
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
 from cornercase.exploration import Objective, tell_alike
 from cornercase.metrics import METRICS
@@ -77,6 +80,8 @@ class Summary:
         What the scenarios that were run say of all others.
     reduced : ReducedSet or None
         None before the study was reduced.
+    probability : mapping of str to object, or None
+        What an estimate found, as `cornercase.exploration.Estimation.to_json` gives it; None where the study is none.
     """
 
     meta: StudyMeta
@@ -91,6 +96,7 @@ class Summary:
     seconds: Mapping[str, float]
     knowledge: Knowledge
     reduced: ReducedSet | None
+    probability: Mapping[str, Any] | None = None
 
     def __repr__(self) -> str:
         found = [f"{self.meta.title}: {self.run} scenarios run, {self.collisions} collisions"]
@@ -128,18 +134,38 @@ def summarize(study: Study | Path | str) -> Summary:
     cornercase.write_report : The same with figures, for a person.
     """
     with open_study(study, readonly=True) as opened:
-        return summarize_with(opened, (opened.recording(row.id) for row in opened.done()))
+        meta = opened.meta
+        collided = [collide(opened.recording(row.id), meta.ego, meta.other) for row in opened.done()]
+        return summarize_with(opened, sum(collided))
 
 
-def summarize_with(study: Study, recordings: Iterable[Recording]) -> Summary:
+def collide(recording: Recording, ego: str, other: str) -> bool:
+    """Say whether two entities collide.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of both.
+    ego, other : str
+        Their names.
+
+    Returns
+    -------
+    bool
+        Whether they do.
+    """
+    return any(set(hit.entities) == {ego, other} for hit in recording.collisions)
+
+
+def summarize_with(study: Study, collisions: int) -> Summary:
     """Say what was run in a study whose recordings have been read; as `summarize`.
 
     Parameters
     ----------
     study : Study
         Open.
-    recordings : iterable of Recording
-        Of all scenarios that were run.
+    collisions : int
+        Number of scenarios in which the ego and the other collide.
 
     Returns
     -------
@@ -147,21 +173,28 @@ def summarize_with(study: Study, recordings: Iterable[Recording]) -> Summary:
         Typed values.
     """
     states = [row.state for row in study.rows()]
-    pair = {study.meta.ego, study.meta.other}
     return Summary(
         meta=study.meta,
         searched=Objective.of_study(study.meta).text,
         run=states.count("done"),
         failed=states.count("failed"),
         pending=states.count("pending"),
-        collisions=sum(any(set(hit.entities) == pair for hit in one.collisions) for one in recordings),
+        collisions=collisions,
         metrics={name: _of_metric(study, name) for name in study.meta.metrics} if "done" in states else {},
         analyses=read_analyses(study),
         agreements=compare_clusterings(study),
         seconds=study.elapsed(),
         knowledge=find_knowledge(study),
         reduced=read_reduction(study),
+        probability=_probability(study),
     )
+
+
+def _probability(study: Study) -> dict[str, Any] | None:
+    # Only the study of an estimate has it.
+    with suppress(InputError):
+        return study.analysis("estimate", "ids")[1]
+    return None
 
 
 def _of_metric(study: Study, name: str) -> MetricSummary:

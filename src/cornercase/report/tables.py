@@ -10,7 +10,6 @@ from typing import Final
 from cornercase.clustering import Candidate, Clustering, Profile
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOutCritical
 from cornercase.report.words import name_cluster
-from cornercase.scenario import Value
 
 _UNKNOWN: Final = "–"
 _ARCHETYPES: Final = {
@@ -41,28 +40,14 @@ def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequenc
     left = {k % len(head) for k in text}
 
     def line(cells: Sequence[str], tag: str) -> str:
+        kind = "th scope=col" if tag == "th" else tag
         return "".join(
-            f"<{tag}{' class=text' if k in left else ''}>{escape(cell)}</{tag}>" for k, cell in enumerate(cells)
+            f"<{kind}{' class=text' if k in left else ''}>{escape(cell)}</{tag}>" for k, cell in enumerate(cells)
         )
 
     body = "".join(f"<tr>{line(cells, 'td')}</tr>" for cells in rows)
-    return f"<div class='wide'><table><tr>{line(head, 'th')}</tr>{body}</table></div>"
-
-
-def format_value(value: Value) -> str:
-    """Write the value of a parameter.
-
-    Parameters
-    ----------
-    value : float or str
-        The value.
-
-    Returns
-    -------
-    str
-        With up to six digits.
-    """
-    return value if isinstance(value, str) else f"{value:.6g}"
+    # Who has no mouse scrolls a wide table by keys, for which it has to take the focus.
+    return f"<div class='wide' tabindex='0'><table><tr>{line(head, 'th')}</tr>{body}</table></div>"
 
 
 def tell_profiles(profiles: Sequence[Profile]) -> str:

@@ -1,52 +1,22 @@
-"""What a study holds, in the words and plain values that `show` prints."""
+"""Phrases that the report and its figures share."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
-from cornercase.clustering import EVERYWHERE, Analysis, Profile, Rule
-from cornercase.evidence import Estimate, Sensitivity
-from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOut, HeldOutCritical, ReducedSet
-from cornercase.report.knowledge import CriticalKnowledge, Knowledge
-from cornercase.report.summary import MetricSummary, Summary
-from cornercase.scenario import Parameter
+from cornercase.clustering import Analysis, Profile
+from cornercase.report.knowledge import CriticalKnowledge
+from cornercase.scenario import Parameter, Value
+from cornercase.study import Row
 
 NOISE_NAME: Final = "noise"
+_MOST_NAMED: Final = 12
+_METHODS: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
 
 # Adjusted mutual information from which clusters say a little, something, and most of what happened.
 _SAYS_NOTHING, _SAYS_SOMETHING, _SAYS_MOST = 0.1, 0.4, 0.8
-
-_COVERAGE: Final = {
-    "largest": "largest distance to a kept one",
-    "mean": "mean distance",
-    "held_out": "held out",
-}
-_HELD_OUT: Final = {
-    "scenarios": "scenarios",
-    "largest": "largest distance to a kept one",
-    "mean": "mean distance",
-    "better_largest": "random subsets with a larger largest one",
-    "better_mean": "random subsets with a larger mean",
-    "medoids_largest": "largest one of k-medoids",
-    "medoids_mean": "mean of k-medoids",
-}
-_CRITICAL: Final = {
-    "within": "alike up to a distance of",
-    "critical": "like a kept one",
-    "boundary": "on the boundary, like a kept one",
-    "held_out": "held out",
-    "unlike": "one of the space is unlike all kept",
-}
-_HELD_OUT_CRITICAL: Final = {
-    "scenarios": "critical scenarios",
-    "critical": "like a kept one",
-    "random": "like one of a random subset",
-    "medoids": "like one of k-medoids",
-    "boundary": "on the boundary, like a kept one",
-}
 
 
 def name_cluster(cluster: int) -> str:
@@ -170,200 +140,137 @@ def name_range(parameter: Parameter) -> str:
     return f"{parameter.low:g} to {parameter.high:g} {parameter.unit}".strip()
 
 
-def put_in_words(summary: Summary) -> dict[str, Any]:
-    """Put a summary into words and plain values.
+def name_axis(parameter: Parameter) -> str:
+    """Name a parameter, with the unit where it is known.
 
     Parameters
     ----------
-    summary : Summary
-        The summary.
+    parameter : Parameter
+        The parameter.
 
     Returns
     -------
-    dict of str to object
-        What ``cornercase show --json`` prints.
+    str
+        ``"ego_start [m]"``.
     """
-    meta = summary.meta
-    plain: dict[str, Any] = {
-        "scenario": meta.scenario,
-        "ego": meta.ego,
-        "other": meta.other,
-        "optimizer": meta.optimizer,
-        "seed": meta.seed,
-        "simulator": meta.simulator,
-        "parameters": {one.name: name_range(one) for one in meta.space.parameters},
-        "run": summary.run,
-        "failed": summary.failed,
-        "pending": summary.pending,
-        "collisions": summary.collisions,
-        "metrics": {name: _metric(one, meta.repeats) for name, one in summary.metrics.items()},
-        "clusters": {name: _clusters(one, summary.run) for name, one in summary.analyses.items()},
-        "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
-        "searched": summary.searched,
-    }
-    plain |= _knowledge(summary.knowledge, summary.searched)
-    plain["agreement"] = {
-        f"{one} and {two}": {
-            "adjusted rand": agreement.rand,
-            "adjusted mutual information": agreement.mutual,
-            "scenarios that differ": len(agreement.differ),
-        }
-        for (one, two), agreement in summary.agreements.items()
-    }
-    return plain | (_reduced(summary.reduced) if summary.reduced is not None else {})
+    return f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
 
 
-def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
-    plain: dict[str, Any] = {
-        "unit": one.unit,
-        "critical is": "low" if one.lower_is_critical else "high",
-        "most critical": one.most_critical,
-        "median": one.median,
-        "at": dict(one.at),
-    }
-    if one.spread is not None:
-        plain |= {
-            "runs of each": repeats,
-            "spread of the runs, median": one.spread[0],
-            "spread of the runs, largest": one.spread[1],
-        }
-    if one.alike:
-        plain["note"] = one.alike
-    return plain
+def tell_how_found(analysis: Analysis) -> str:
+    """Say by what the clusters of an analysis were found.
+
+    Parameters
+    ----------
+    analysis : Analysis
+        The clusters.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    found = analysis.clustering
+    text = (
+        f"Dynamic Time Warping, RBF kernel PCA (gamma {found.gamma:.4g}, {100 * found.explained:.0f} % of the variance"
+        f" in {found.embedding.shape[1]} components), {_METHODS[found.method]} (eps {found.eps:.4g}, min samples"
+        f" {found.min_samples})."
+    )
+    if len(found.landmarks):
+        text += (
+            f" The kernel space is that of {len(found.landmarks)} landmarks; of the kernel between others"
+            f" {found.error:.1%} is lost."
+        )
+    fitted, joined = len(analysis.fitted), len(analysis.ids) - len(analysis.fitted)
+    if joined > 0:
+        text += f" Found of {fitted} scenarios; {joined} have joined them since."
+    return text
 
 
-def _clusters(one: Analysis, run: int) -> dict[str, Any]:
-    plain: dict[str, Any] = {
-        "sizes": one.sizes,
-        "noise": int((one.labels < 0).sum()),
-        "stability": one.clustering.stability,
-    }
-    if later := run - len(one.ids):
-        plain |= {"run since, in no cluster yet": later, "they join with": name_joining(one)}
-    if judged := judge_clusters(one):
-        plain["in words"] = judged
-    if one.tells:
-        plain["mutual information with"] = dict(one.tells)
-    return plain | {
-        name_cluster(profile.cluster): _named(profile)
-        | {
-            "scenarios": profile.size,
-            "outcomes": profile.outcomes,
-            "median": {metric: median for metric, (_, median, _) in profile.scores.items()},
-            "where": [_rule(rule) for rule in profile.rules],
-        }
-        for profile in one.profiles
-        if profile.cluster >= 0
-    }
+def format_value(value: Value) -> str:
+    """Write the value of a parameter.
+
+    Parameters
+    ----------
+    value : float or str
+        The value.
+
+    Returns
+    -------
+    str
+        With up to six digits.
+    """
+    return value if isinstance(value, str) else f"{value:.6g}"
 
 
-def _rule(rule: Rule) -> str:
-    # Nothing is judged of everywhere; studies of version 2 know only figures of what the rule was found from.
-    if math.isnan(rule.covers) or rule.text == EVERYWHERE:
-        return rule.text
-    return f"{rule.text} (held out: {rule.covers:.0%} of it, {rule.purity:.0%} pure)"
+def with_unit(number: str, unit: str) -> str:
+    """Write a unit behind a number.
+
+    Parameters
+    ----------
+    number : str
+        As it is written.
+    unit : str
+        Empty or ``"1"`` for none.
+
+    Returns
+    -------
+    str
+        ``"0.2 s"``.
+    """
+    return number if unit in ("", "1") else f"{number} {unit}"
 
 
-def _named(profile: Profile) -> dict[str, Any]:
-    if not profile.name:
-        return {}
-    return {
-        "name": profile.name,
-        "true of": profile.true_of,
-        "true of others": profile.true_elsewhere,
-        "example": profile.example,
-    }
+def list_scenarios(ids: Sequence[int]) -> str:
+    """List the ids of scenarios.
+
+    Parameters
+    ----------
+    ids : sequence of int
+        In any number.
+
+    Returns
+    -------
+    str
+        Twelve of them at most.
+    """
+    return ", ".join(map(str, ids[:_MOST_NAMED])) + (" …" if len(ids) > _MOST_NAMED else "")
 
 
-def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
-    plain: dict[str, Any] = {}
-    if known.front is not None:
-        plain["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in known.front.items()}
-    if known.critical is not None:
-        plain["critical"] = {
-            "is": name_criterion(known.critical, searched),
-            "scenarios": known.critical.scenarios,
-        }
-        if (of_set := known.critical.known) is not None:
-            plain["critical"] |= {
-                "share": _interval(of_set.share, of_set.share_doubt),
-                "missed": _interval(of_set.missed, of_set.missed_doubt),
-                "hidden": of_set.hidden,
-                "overlooked": {"value": of_set.overlooked, "size": of_set.region},
-                "unvisited": {"value": of_set.unvisited, "size": of_set.region},
-            }
-        if (audit := known.critical.audit) is not None:
-            plain["critical"]["audit"] = {
-                "scenarios": audit.scenarios,
-                "critical": audit.critical,
-                "share": asdict(audit.share),
-                "missed": audit.missed and asdict(audit.missed),
-            }
-    if known.sensitivity is not None:
-        plain["sensitivity"] = _sensitivity(known.sensitivity)
-    return plain
+def find_reasons(failed: Sequence[Row]) -> dict[str, list[int]]:
+    """Find for what reasons scenarios could not be run.
+
+    Parameters
+    ----------
+    failed : sequence of Row
+        Scenarios that could not be run.
+
+    Returns
+    -------
+    dict of str to list of int
+        Ids by reason, the most frequent one first.
+    """
+    found: dict[str, list[int]] = {}
+    for row in failed:
+        found.setdefault(row.error or "", []).append(row.id)
+    return dict(sorted(found.items(), key=lambda item: (-len(item[1]), item[1][0])))
 
 
-def _interval(found: Estimate, doubt: str | None) -> dict[str, float | str | None]:
-    return asdict(found) if doubt is None else {"value": found.value, "low": None, "high": None, "since": doubt}
+def tell_front(count: int) -> str:
+    """Say what a Pareto front is.
 
+    Parameters
+    ----------
+    count : int
+        Number of scenarios on it.
 
-def _sensitivity(found: Sensitivity) -> dict[str, Any]:
-    each = zip(found.names, found.first, found.first_interval, found.total, found.total_interval, strict=True)
-    plain: dict[str, Any] = {
-        "parameters": {
-            name: {
-                "first order": first,
-                "first order, 90 % interval": list(firsts),
-                "total": total,
-                "total, 90 % interval": list(totals),
-            }
-            for name, first, firsts, total, totals in each
-        },
-        "foretold": found.predicted,
-        "of little influence": list(found.little),
-    }
-    if not found.foretold:
-        plain["note"] = tell_unforetold()
-    return plain
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    return f"Of {count} no other is as critical in every metric and more critical in one."
 
 
 def tell_unforetold() -> str:
     """Say that nothing is known of the influence of parameters."""
     return "Hardly anything of the scores is foretold, so nothing is known of which parameter matters."
-
-
-def _reduced(reduced: ReducedSet) -> dict[str, Any]:
-    coverage = {name: _labelled(one, _COVERAGE) for name, one in reduced.coverage.items()}
-    for name, one in reduced.critical.items():
-        coverage.setdefault(name, {})["critical scenarios"] = _labelled(one, _CRITICAL)
-    return {
-        "kept": len(reduced.kept),
-        "shapes": {name_cluster(one.cluster): _shape(one) for one in reduced.shapes},
-        "coverage": coverage,
-    }
-
-
-def _shape(one: ClusterShape) -> dict[str, Any]:
-    return {
-        "convexity": one.convexity,
-        "convexity in kernel space": one.kernel_convexity,
-        "archetypes by": one.method,
-        "parts": one.parts,
-    }
-
-
-def _labelled(
-    found: Coverage | CriticalCoverage | HeldOut | HeldOutCritical, labels: Mapping[str, str]
-) -> dict[str, Any]:
-    """Figures by their label; without those that are not known."""
-    plain: dict[str, Any] = {}
-    for key, label in labels.items():
-        value = getattr(found, key)
-        # An early version did not measure all of them.
-        if value is None or (isinstance(value, float) and math.isnan(value)):
-            continue
-        if isinstance(value, HeldOut | HeldOutCritical):
-            value = _labelled(value, _HELD_OUT if isinstance(value, HeldOut) else _HELD_OUT_CRITICAL)
-        plain[label] = asdict(value) if isinstance(value, Estimate) else value
-    return plain

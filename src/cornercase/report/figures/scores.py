@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from matplotlib.figure import Figure
 
-from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
 from cornercase.reduction import Gaps
@@ -17,7 +17,7 @@ from cornercase.report.figures.style import COLOURS, GREY, look_of, name_score, 
 
 def draw_courses(
     time: Sequence[FloatArray],
-    values: Sequence[FloatArray],
+    values: Sequence[Float32Array],
     labels: IntArray,
     metric: Metric,
     names: Mapping[int, str] | None = None,
@@ -26,8 +26,10 @@ def draw_courses(
 
     Parameters
     ----------
-    time, values : sequence of ndarray of float64, each (T_i,)
-        In s, and as capped courses.
+    time : sequence of ndarray of float64, each (T_i,)
+        In s.
+    values : sequence of ndarray of float32, each (T_i,)
+        Capped courses.
     labels : ndarray of int64, shape (n,)
         Cluster of each scenario; -1 is noise.
     metric : Metric

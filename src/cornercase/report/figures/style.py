@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from cornercase._common import texts
 from cornercase.metrics import Metric
-from cornercase.report.words import name_cluster
+from cornercase.report.words import name_axis, name_cluster
 from cornercase.scenario import Parameter
 
 if TYPE_CHECKING:
@@ -56,22 +56,6 @@ def wrap(text: str) -> str:
         Eight lines at most: enough for all names of kinds but those of entities with very long names.
     """
     return texts.wrapped(text, _LINE, _LINES)
-
-
-def name_axis(parameter: Parameter) -> str:
-    """Name a parameter, with the unit where it is known.
-
-    Parameters
-    ----------
-    parameter : Parameter
-        The parameter.
-
-    Returns
-    -------
-    str
-        ``"ego_start [m]"``.
-    """
-    return f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
 
 
 def name_score(metric: Metric) -> str:

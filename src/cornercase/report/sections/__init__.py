@@ -1,1 +1,1 @@
-"""The sections of the page, each the HTML of what it shows."""
+"""Details of the report in tables, one module for each stage."""

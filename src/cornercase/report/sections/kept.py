@@ -6,38 +6,32 @@ from collections.abc import Iterator
 
 from cornercase.reduction import ReducedSet
 from cornercase.report import tables
-from cornercase.report.album import Album
 from cornercase.report.data import ReportData
-from cornercase.report.figures.parameter_space import draw_hulls
-from cornercase.report.figures.scores import draw_coverage
-from cornercase.report.figures.style import name_axis
+from cornercase.report.sections.part import Part, make_part
+from cornercase.report.words import format_value, name_axis
 
 
-def show_kept(data: ReportData, album: Album) -> Iterator[str]:
-    """Show the scenarios that are kept, and what they leave out.
+def show_kept(data: ReportData) -> Iterator[Part]:
+    """Tell which scenarios are kept, and what they leave out.
 
     Parameters
     ----------
     data : ReportData
         What the report shows.
-    album : Album
-        Takes the figures.
 
     Yields
     ------
-    str
-        HTML.
+    Part
+        The scenarios, and what they leave out.
     """
     reduced = data.summary.reduced
     if reduced is None or not reduced.kept:
         return
-    yield "<h2>The few to keep</h2>"
-    yield album.add(
-        draw_hulls(data.values, [row.id for row in data.rows], data.parameters, reduced, data.influential),
-        "hulls",
-        f"Hull of each cluster by {reduced.by}, or of its near-convex parts; archetypes (circles), the prototype of"
-        " each (star), and what is kept for what these leave out (triangles).",
-    )
+    yield make_part("kept", "The few to keep", _tell_kept(data, reduced))
+    yield make_part("left-out", "What the kept ones leave out", _tell_left_out(reduced))
+
+
+def _tell_kept(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
     yield tables.make_table(
         [
             "file",
@@ -52,7 +46,7 @@ def show_kept(data: ReportData, album: Album) -> Iterator[str]:
                 one.file,
                 str(one.cluster),
                 one.role,
-                *(tables.format_value(parameter.read(one.values)) for parameter in data.parameters),
+                *(format_value(parameter.read(one.values)) for parameter in data.parameters),
                 *(f"{one.scores[metric.name]:.3g}" for metric in data.metrics),
                 one.why,
             ]
@@ -68,22 +62,9 @@ def show_kept(data: ReportData, album: Album) -> Iterator[str]:
             "<p>Convexity: how much of what lies between the scenarios of a cluster is the cluster's; from 0.8 on it"
             " counts as convex.</p>"
         )
-    yield from _show_left_out(data, album, reduced)
 
 
-def _show_left_out(data: ReportData, album: Album, reduced: ReducedSet) -> Iterator[str]:
-    yield "<h3>What the kept ones leave out</h3>"
-    curves = {
-        name: (gaps, data.critical[data.rows_of(data.summary.analyses[name].ids.tolist())])
-        for name, gaps in data.gaps.items()
-    }
-    yield album.add(
-        draw_coverage(curves, [data.summary.analyses[name].unit for name in curves]),
-        "coverage",
-        "Share of all scenarios that were run, and of the critical ones, whose nearest kept one is at most so far away"
-        " by Dynamic Time Warping; beside it k-medoids, and the range that 90 of 100 random choices of as many leave."
-        " The kept ones and k-medoids were chosen from these scenarios.",
-    )
+def _tell_left_out(reduced: ReducedSet) -> Iterator[str]:
     yield tables.tell_coverage(reduced.coverage)
     yield (
         "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"

@@ -2,46 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from html import escape
-from typing import Final
 
 import numpy as np
 
 from cornercase._common.typing import IntArray
-from cornercase.clustering import Analysis
+from cornercase.clustering import Agreement, Analysis
 from cornercase.report import tables
-from cornercase.report.album import Album
 from cornercase.report.data import ReportData
-from cornercase.report.figures.examples import MOST_EXAMPLES, draw_examples
-from cornercase.report.figures.parameter_space import draw_clusters
-from cornercase.report.figures.scores import draw_courses
-from cornercase.report.words import judge_clusters, name_cluster, name_joining, name_kind
-
-_MOST_NAMED: Final = 12
-_METHODS: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
+from cornercase.report.sections.part import Part, make_part
+from cornercase.report.words import judge_clusters, list_scenarios, name_cluster, name_joining, tell_how_found
 
 
-def show_kinds(data: ReportData, album: Album) -> Iterator[str]:
-    """Show the clusters by each aspect.
+def show_kinds(data: ReportData) -> Iterator[Part]:
+    """Tell of the clusters by each aspect.
 
     Parameters
     ----------
     data : ReportData
         What the report shows.
-    album : Album
-        Takes the figures.
 
     Yields
     ------
-    str
-        HTML.
+    Part
+        One for each aspect.
     """
-    for analysis in data.summary.analyses.values():
-        yield from _show_clusters(data, album, analysis)
+    for name, analysis in data.summary.analyses.items():
+        what = f"the course of {name}" if name in data.summary.meta.metrics else name
+        yield make_part(f"kinds-{name}", f"Kinds of scenario, by {what}", _tell_clusters(data, analysis))
 
 
-def compare_kinds(data: ReportData) -> Iterator[str]:
+def compare_kinds(data: ReportData) -> Iterator[Part]:
     """Say how far the clusters by different aspects agree.
 
     Parameters
@@ -51,26 +43,31 @@ def compare_kinds(data: ReportData) -> Iterator[str]:
 
     Yields
     ------
-    str
-        HTML.
+    Part
+        With what happened, and with each other.
     """
     tells = {by: one.tells for by, one in data.summary.analyses.items() if one.tells}
     if tells:
-        yield "<h2>Do the clusterings say what happened?</h2>"
-        yield tables.tell_facts(tells)
-        yield (
-            "<p>Adjusted mutual information with how a scenario ends (outcome), who is first, who collides, whether the"
-            " ego stopped, and, where a threshold says so, what is critical: 1 where the clusters say all of it, about"
-            " 0 where they say nothing. What is the same in all scenarios is left out.</p>"
-        )
-    if not data.summary.agreements:
-        return
-    yield "<h2>Do the clusterings agree?</h2>"
+        yield make_part("facts", "Do the clusterings say what happened?", _tell_facts(tells))
+    if data.summary.agreements:
+        yield make_part("agreement", "Do the clusterings agree?", _tell_agreement(data.summary.agreements))
+
+
+def _tell_facts(tells: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    yield tables.tell_facts(tells)
+    yield (
+        "<p>Adjusted mutual information with how a scenario ends (outcome), who is first, who collides, whether the"
+        " ego stopped, and, where a threshold says so, what is critical: 1 where the clusters say all of it, about"
+        " 0 where they say nothing. What is the same in all scenarios is left out.</p>"
+    )
+
+
+def _tell_agreement(agreements: Mapping[tuple[str, str], Agreement]) -> Iterator[str]:
     yield tables.make_table(
         ["by", "and by", "adjusted Rand", "adjusted mutual information", "differ", "scenarios"],
         [
-            [one, two, f"{found.rand:.2f}", f"{found.mutual:.2f}", str(len(found.differ)), _listed(found.differ)]
-            for (one, two), found in data.summary.agreements.items()
+            [one, two, f"{found.rand:.2f}", f"{found.mutual:.2f}", str(len(found.differ)), list_scenarios(found.differ)]
+            for (one, two), found in agreements.items()
         ],
         text=(0, 1, -1),
     )
@@ -80,13 +77,10 @@ def compare_kinds(data: ReportData) -> Iterator[str]:
     )
 
 
-def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterator[str]:
-    name, labels, found = analysis.by, analysis.labels, analysis.clustering
+def _tell_clusters(data: ReportData, analysis: Analysis) -> Iterator[str]:
+    labels, found = analysis.labels, analysis.clustering
     ids = analysis.ids.tolist()
     rows = data.rows_of(ids)
-    what = f"the course of {name}" if name in data.summary.meta.metrics else name
-    names = {one.cluster: name_kind(one) for one in analysis.profiles if one.name}
-    yield f"<h2>Kinds of scenario, by {escape(what)}</h2>"
     if judged := judge_clusters(analysis):
         yield f"<p>{escape(judged)}</p>"
     if later := data.summary.run - len(ids):
@@ -96,14 +90,9 @@ def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterat
         )
     if found.n_clusters < 2:
         return
-    if names:
+    if any(one.name for one in analysis.profiles):
         yield tables.tell_names(analysis.profiles)
-        yield from _show_examples(data, album, analysis)
-    yield album.add(
-        draw_clusters(found.embedding, labels, data.values[rows], data.parameters, data.influential[:2], names),
-        f"clusters-{name}",
-        _how_found(analysis),
-    )
+    yield f"<p>{escape(tell_how_found(analysis))}</p>"
     if chosen_from := tables.tell_choices(found):
         yield chosen_from
         yield (
@@ -124,67 +113,16 @@ def _show_clusters(data: ReportData, album: Album, analysis: Analysis) -> Iterat
     # A study that was analysed by an early version has none.
     if analysis.profiles:
         yield tables.tell_profiles(analysis.profiles)
-    metric = data.metric_of(name)
-    yield album.add(
-        draw_courses(
-            [data.recordings[i].time for i in ids],
-            [data.courses[metric.name][i] for i in ids],
-            labels,
-            metric,
-            names,
-        ),
-        f"courses-{name}",
-        f"Course of {metric.name} in each cluster: median, and the band that holds 80 % of its scenarios.",
-    )
-
-
-def _show_examples(data: ReportData, album: Album, analysis: Analysis) -> Iterator[str]:
-    drawn = [one for one in analysis.profiles if one.name and one.example is not None][:MOST_EXAMPLES]
-    left_out = sum(bool(one.name) for one in analysis.profiles) - len(drawn)
-    meta = data.summary.meta
-    yield album.add(
-        draw_examples(
-            {name_kind(one): data.recordings[one.example] for one in drawn if one.example is not None},
-            meta.ego,
-            meta.other,
-        ),
-        f"examples-{analysis.by}",
-        "One scenario of each kind, the one nearest to all others of its kind: from above, with marks and times in s"
-        " along the ways and the boxes when they are nearest; and speeds over time."
-        + (f" {left_out} smaller kinds are not drawn." if left_out else ""),
-    )
-
-
-def _how_found(analysis: Analysis) -> str:
-    found = analysis.clustering
-    text = (
-        f"Dynamic Time Warping, RBF kernel PCA (gamma {found.gamma:.4g}, {100 * found.explained:.0f} % of the variance"
-        f" in {found.embedding.shape[1]} components), {_METHODS[found.method]} (eps {found.eps:.4g}, min samples"
-        f" {found.min_samples})."
-    )
-    if len(found.landmarks):
-        text += (
-            f" The kernel space is that of {len(found.landmarks)} landmarks; of the kernel between others"
-            f" {found.error:.1%} is lost."
-        )
-    fitted, joined = len(analysis.fitted), len(analysis.ids) - len(analysis.fitted)
-    if joined > 0:
-        text += f" Found of {fitted} scenarios; {joined} have joined them since."
-    return text
 
 
 def _tell_cluster(data: ReportData, label: int, members: IntArray) -> list[str]:
     ids = [data.rows[k].id for k in members.tolist()]
-    longest = [float(data.recordings[i].time[-1]) for i in ids]
+    longest = [float(data.times[i][-1]) for i in ids]
     return [
         name_cluster(label),
         str(len(ids)),
-        str(sum(map(data.collides, ids))),
+        str(sum(one in data.collided for one in ids)),
         *(f"{np.median(data.scores[metric.name][members]):.3g}" for metric in data.metrics),
         f"{min(longest):.2f}",
         f"{max(longest):.2f}",
     ]
-
-
-def _listed(scenarios: Sequence[int]) -> str:
-    return ", ".join(map(str, scenarios[:_MOST_NAMED])) + (" …" if len(scenarios) > _MOST_NAMED else "")

@@ -2,48 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from html import escape
 
 from cornercase.evidence import Estimate, Sensitivity
-from cornercase.report.album import Album
 from cornercase.report.data import ReportData
-from cornercase.report.figures.scores import draw_front, draw_sensitivities
 from cornercase.report.knowledge import CriticalKnowledge
+from cornercase.report.sections.part import Part, make_part
 from cornercase.report.tables import make_table
-from cornercase.report.words import name_criterion, tell_unforetold
+from cornercase.report.words import format_value, name_axis, name_criterion, tell_front, tell_unforetold
 
 
-def show_knowledge(data: ReportData, album: Album) -> Iterator[str]:
-    """Show the Pareto front, or what is known of the critical set and of the influence of each parameter.
+def show_knowledge(data: ReportData) -> Iterator[Part]:
+    """Tell of the Pareto front, or what is known of the critical set and of the influence of each parameter.
 
     Parameters
     ----------
     data : ReportData
         What the report shows.
-    album : Album
-        Takes the figures.
 
     Yields
     ------
-    str
-        HTML.
+    Part
+        As far as something is known.
     """
     known, searched = data.summary.knowledge, data.summary.searched
     if known.front is not None:
-        yield "<h2>The Pareto front</h2>"
-        yield album.add(
-            draw_front([data.scores[one.name] for one in data.metrics], data.metrics, data.rows_of(list(known.front))),
-            "front",
-            f"Each scenario that was run, by its scores. Of {len(known.front)} no other is as critical in every metric"
-            " and more critical in one.",
-        )
+        yield make_part("front", "The Pareto front", _tell_front(data, known.front))
     if known.critical is not None and known.critical.known is not None:
-        yield "<h2>What is known of the critical set</h2>"
-        yield from _tell_critical(known.critical, name_criterion(known.critical, searched), data.summary.run)
+        criterion = name_criterion(known.critical, searched)
+        lines = _tell_critical(known.critical, criterion, data.summary.run)
+        yield make_part("critical", "What is known of the critical set", lines)
     if known.sensitivity is not None:
-        yield "<h2>What matters</h2>"
-        yield _show_sensitivity(known.sensitivity, searched, album)
+        yield make_part("sensitivity", "Which parameters matter", _tell_sensitivity(known.sensitivity, searched))
+
+
+def _tell_front(data: ReportData, front: Mapping[int, Mapping[str, float]]) -> Iterator[str]:
+    parameters, rows = data.parameters, {row.id: row for row in data.rows}
+    yield f"<p>{escape(tell_front(len(front)))}</p>"
+    yield make_table(
+        ["scenario", *map(name_axis, parameters), *(f"{one.name} [{one.unit}]" for one in data.metrics)],
+        [
+            [
+                str(scenario),
+                *(format_value(one.read(rows[scenario].values)) for one in parameters),
+                *(f"{scores[one.name]:.4g}" for one in data.metrics),
+            ]
+            for scenario, scores in front.items()
+        ],
+    )
 
 
 def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterator[str]:
@@ -90,14 +97,26 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterat
     )
 
 
-def _show_sensitivity(found: Sensitivity, searched: str, album: Album) -> str:
-    little = f" Of little influence: {', '.join(found.little)}." if found.little else ""
+def _tell_sensitivity(found: Sensitivity, searched: str) -> Iterator[str]:
     if not found.foretold:
-        little = f" {tell_unforetold()}"
-    return album.add(
-        draw_sensitivities(found),
-        "sensitivity",
-        f"How much of the variance of {searched} comes from each parameter, by a Gaussian process that predicts"
-        f" {max(found.predicted, 0.0):.0%} of the variance of scenarios that it was not told; the lines are 90 %"
-        f" intervals.{little}",
+        yield f"<p>{tell_unforetold()}</p>"
+        return
+
+    def share(value: float, interval: tuple[float, float]) -> list[str]:
+        return [f"{value:.0%}", f"{interval[0]:.0%} to {interval[1]:.0%}"]
+
+    yield make_table(
+        ["parameter", "alone (first order)", "90 % interval", "with all others (total)", "90 % interval"],
+        [
+            [
+                found.names[k],
+                *share(found.first[k], found.first_interval[k]),
+                *share(found.total[k], found.total_interval[k]),
+            ]
+            for k in range(len(found.names))
+        ],
+    )
+    yield (
+        f"<p>How much of the variance of {escape(searched)} comes from each parameter, by a Gaussian process that"
+        f" predicts {found.predicted:.0%} of the variance of scenarios that it was not told.</p>"
     )

@@ -1,22 +1,29 @@
-"""What was run: the head of the page, where it gets critical, what failed, and how it was made."""
+"""What was run: scores, what failed, and how the study was made."""
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator
 from html import escape
-from typing import Any
+from importlib.metadata import version
+from typing import Any, Final
 
-from cornercase.metrics import Metric
-from cornercase.report.album import Album
+from markupsafe import Markup
+
+from cornercase._common.version import __version__
 from cornercase.report.data import ReportData
-from cornercase.report.figures.parameter_space import draw_criticality
-from cornercase.report.tables import format_value, make_table
-from cornercase.report.template import fill_numbers
-from cornercase.report.words import name_range
+from cornercase.report.repeating import name_command, tell_limits
+from cornercase.report.sections.part import Part, make_part
+from cornercase.report.tables import make_table
+from cornercase.report.words import find_reasons, format_value, list_scenarios, name_range
+from cornercase.study import StudyMeta
+
+# What figures depend on besides cornercase itself.
+_LIBRARIES: Final = {"NumPy": "numpy", "SciPy": "scipy", "scikit-learn": "scikit-learn"}
 
 
-def tell_overview(data: ReportData) -> Iterator[str]:
-    """Give the head of the page.
+def tell_scores(data: ReportData) -> Iterator[Part]:
+    """Tell the scores by each metric.
 
     Parameters
     ----------
@@ -25,61 +32,26 @@ def tell_overview(data: ReportData) -> Iterator[str]:
 
     Yields
     ------
-    str
-        HTML.
+    Part
+        One.
     """
-    summary, meta = data.summary, data.summary.meta
-    yield f"<h1>{escape(meta.title)}</h1>"
-    yield (
-        f"<p>{escape(meta.ego)} is the ego, {escape(meta.other)} the other. Searched by {escape(meta.optimizer)} for"
-        f" {'the ' if meta.pareto else ''}{escape(summary.searched)}.</p>"
-    )
-    yield fill_numbers(
-        {
-            "scenarios run": summary.run,
-            "failed": summary.failed,
-            "collisions": summary.collisions,
-            "kept": "–" if summary.reduced is None else len(summary.reduced),
-            "spent": f"{sum(summary.seconds.values()):.0f} s",
-        }
-    )
+    rows = []
+    for one in data.summary.metrics.values():
+        between = "" if one.spread is None else f"{one.spread[0]:.3g}, at most {one.spread[1]:.3g}"
+        at = ", ".join(f"{each.name} = {format_value(each.read(one.at))}" for each in data.parameters)
+        rows.append(
+            [
+                one.name, one.unit, "low" if one.lower_is_critical else "high", f"{one.most_critical:.4g}",
+                f"scenario {one.scenario} ({at})", f"{one.median:.4g}", between, one.alike,
+            ]
+        )  # fmt: skip
+    head = ["metric", "unit", "critical is", "most critical", "in", "median", "between runs of one scenario", "note"]
+    shown = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    lines = [make_table([head[k] for k in shown], [[row[k] for k in shown] for row in rows], text=(0, 1, 2, 4))]
+    yield make_part("scores", "Scores by each metric", lines)
 
 
-def show_criticality(data: ReportData, album: Album) -> Iterator[str]:
-    """Show where in the parameter space it gets critical, by each metric.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-    album : Album
-        Takes the figures.
-
-    Yields
-    ------
-    str
-        HTML.
-    """
-    yield "<h2>Where it gets critical</h2>"
-    for metric in data.metrics:
-        one, unit = data.summary.metrics[metric.name], _unit(metric)
-        at = ", ".join(f"{name} = {format_value(value)}" for name, value in one.at.items())
-        of_runs = ""
-        if one.spread is not None:
-            median, largest = one.spread
-            of_runs = (
-                f" Each was run {data.summary.meta.repeats} times; between its runs the score differs by"
-                f" {median:.3g}{unit} in the median scenario, {largest:.3g}{unit} at most."
-            )
-        yield album.add(
-            draw_criticality(data.values, data.parameters, data.scores[metric.name], metric),
-            f"criticality-{metric.name}",
-            f"Each scenario that was run, by its {metric.name} score. The most critical one is scenario {one.scenario}"
-            f" with {one.most_critical:.3g}{unit} ({at}).{of_runs}",
-        )
-
-
-def tell_failures(data: ReportData) -> Iterator[str]:
+def tell_failures(data: ReportData) -> Iterator[Part]:
     """Say why scenarios could not be run.
 
     Parameters
@@ -89,15 +61,16 @@ def tell_failures(data: ReportData) -> Iterator[str]:
 
     Yields
     ------
-    str
-        HTML.
+    Part
+        One where a scenario failed.
     """
     if data.failed:
-        yield "<h2>Scenarios that could not be run</h2>"
-        yield make_table(["scenario", "why"], [[str(row.id), row.error or ""] for row in data.failed], text=(1,))
+        rows = [[str(len(ids)), why, list_scenarios(ids)] for why, ids in find_reasons(data.failed).items()]
+        table = make_table(["scenarios", "why", "which"], rows, text=(1, 2))
+        yield make_part("failures", "Scenarios that could not be run", [table])
 
 
-def tell_provenance(data: ReportData) -> Iterator[str]:
+def tell_provenance(data: ReportData) -> Markup:
     """Say how the study was made.
 
     Parameters
@@ -105,27 +78,36 @@ def tell_provenance(data: ReportData) -> Iterator[str]:
     data : ReportData
         What the report shows.
 
-    Yields
-    ------
-    str
+    Returns
+    -------
+    Markup
         HTML.
     """
     meta = data.summary.meta
     facts: dict[str, Any] = {
-        "scenario file": meta.scenario,
-        "fingerprint": meta.fingerprint,
         "study": data.study,
+        "scenario file": meta.file_name,
+        "fingerprint (SHA-256 of the scenario and all files that it uses)": meta.fingerprint,
         **{f"range of {one.name}": name_range(one) for one in data.parameters},
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
         **{f"simulator's {key}": value for key, value in meta.settings.items()},
         **{f"time to {stage} [s]": f"{seconds:.2f}" for stage, seconds in data.summary.seconds.items()},
-        "cornercase": meta.version,
+        **_versions(meta),
     }
-    yield "<h2>How it was made</h2>"
-    yield make_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
+    table = make_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
+    limits = "".join(f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, data.summary.run))
+    command = (
+        f"<p>This makes it again:</p><pre id='command' tabindex='0'><code>{escape(name_command(meta))}</code></pre>"
+    )
+    return Markup(f"{command}{limits}{table}")
 
 
-def _unit(metric: Metric) -> str:
-    return "" if metric.unit == "1" else f" {metric.unit}"
+def _versions(meta: StudyMeta) -> dict[str, str]:
+    return {
+        "cornercase that made the study": meta.version,
+        "cornercase that wrote this page": __version__,
+        **{name: version(package) for name, package in _LIBRARIES.items()},
+        "Python": platform.python_version(),
+    }

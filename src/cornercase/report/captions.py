@@ -1,0 +1,176 @@
+"""What is to be seen in each figure, in words."""
+
+from __future__ import annotations
+
+from cornercase.clustering import Analysis
+from cornercase.evidence import Sensitivity
+from cornercase.metrics import Metric
+from cornercase.reduction import ReducedSet
+from cornercase.report.data import ReportData
+from cornercase.report.words import format_value, tell_front, tell_how_found, tell_unforetold, with_unit
+
+
+def of_scores(data: ReportData, metric: Metric) -> str:
+    """Say which scenario is the most critical by a metric.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+    metric : Metric
+        One of the study.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    one = data.summary.metrics[metric.name]
+    at = ", ".join(
+        f"{parameter.name} = {with_unit(format_value(parameter.read(one.at)), parameter.unit)}"
+        for parameter in data.parameters
+    )
+    low = "low" if metric.lower_is_critical else "high"
+    said = (
+        f"Each point is a scenario, by its {metric.name} score; {low} is critical. The most critical one is scenario"
+        f" {one.scenario} with {metric.name} {with_unit(f'{one.most_critical:.3g}', metric.unit)} at {at}."
+    )
+    if one.alike:
+        said += f" {one.alike}"
+    if one.spread is not None:
+        median, largest = (with_unit(f"{value:.3g}", metric.unit) for value in one.spread)
+        said += (
+            f" Each was run {data.summary.meta.repeats} times; between its runs the score differs by {median} in the"
+            f" median scenario, {largest} at most."
+        )
+    return said
+
+
+def of_front(count: int) -> str:
+    """Say what a figure of the Pareto front shows.
+
+    Parameters
+    ----------
+    count : int
+        Number of scenarios on it.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    return f"Each scenario that was run, by its scores. {tell_front(count)}"
+
+
+def of_sensitivity(found: Sensitivity, searched: str) -> str:
+    """Say what a figure of sensitivities shows.
+
+    Parameters
+    ----------
+    found : Sensitivity
+        The sensitivities.
+    searched : str
+        What is searched.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    said = (
+        f"How much of the variance of {searched} comes from each parameter, by a Gaussian process that predicts"
+        f" {max(found.predicted, 0.0):.0%} of the variance of scenarios that it was not told; the lines are 90 %"
+        " intervals."
+    )
+    if not found.foretold:
+        return f"{said} {tell_unforetold()}"
+    return said + (f" Of little influence: {', '.join(found.little)}." if found.little else "")
+
+
+def of_examples(left_out: int) -> str:
+    """Say what a figure of one scenario of each kind shows.
+
+    Parameters
+    ----------
+    left_out : int
+        Number of kinds that are not drawn.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    return (
+        "One scenario of each kind, the one nearest to all others of its kind: from above, with marks and times in s"
+        " along the ways and the boxes when they are nearest; and speeds over time."
+        + (f" {left_out} smaller kinds are not drawn." if left_out else "")
+    )
+
+
+def of_kernel_space(analysis: Analysis) -> str:
+    """Say what a figure of kernel space shows.
+
+    Parameters
+    ----------
+    analysis : Analysis
+        The clusters.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    return (
+        "Scenarios that are alike lie near each other; those of a cluster have one colour and one symbol."
+        f" {tell_how_found(analysis)}"
+    )
+
+
+def of_courses(metric: Metric) -> str:
+    """Say what a figure of courses shows.
+
+    Parameters
+    ----------
+    metric : Metric
+        Whose courses they are.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    return f"Course of {metric.name} in each cluster: median, and the band that holds 80 % of its scenarios."
+
+
+def of_hulls(reduced: ReducedSet) -> str:
+    """Say what a figure of the kept scenarios in the parameter space shows.
+
+    Parameters
+    ----------
+    reduced : ReducedSet
+        The kept scenarios.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    return (
+        f"Hull of each cluster by {reduced.by}, or of its near-convex parts; archetypes (circles), the prototype of"
+        " each (star), and what is kept for what these leave out (triangles)."
+    )
+
+
+def of_coverage() -> str:
+    """Say what a figure of coverage shows.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    return (
+        "Share of all scenarios that were run, and of the critical ones, whose nearest kept one is at most so far away"
+        " by Dynamic Time Warping; beside it k-medoids, and the range that 90 of 100 random choices of as many leave."
+        " The kept ones and k-medoids were chosen from these scenarios."
+    )

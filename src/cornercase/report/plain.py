@@ -1,0 +1,247 @@
+"""What a study holds, in the words and plain values that `show` prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Final
+
+from cornercase.clustering import EVERYWHERE, Analysis, Profile, Rule
+from cornercase.evidence import Estimate, Sensitivity
+from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOut, HeldOutCritical, ReducedSet
+from cornercase.report.knowledge import Knowledge
+from cornercase.report.summary import MetricSummary, Summary
+from cornercase.report.words import (
+    judge_clusters,
+    name_cluster,
+    name_criterion,
+    name_joining,
+    name_range,
+    tell_unforetold,
+)
+
+_COVERAGE: Final = {
+    "largest": "largest distance to a kept one",
+    "mean": "mean distance",
+    "held_out": "held out",
+}
+_HELD_OUT: Final = {
+    "scenarios": "scenarios",
+    "largest": "largest distance to a kept one",
+    "mean": "mean distance",
+    "better_largest": "random subsets with a larger largest one",
+    "better_mean": "random subsets with a larger mean",
+    "medoids_largest": "largest one of k-medoids",
+    "medoids_mean": "mean of k-medoids",
+}
+_CRITICAL: Final = {
+    "within": "alike up to a distance of",
+    "critical": "like a kept one",
+    "boundary": "on the boundary, like a kept one",
+    "held_out": "held out",
+    "unlike": "one of the space is unlike all kept",
+}
+_HELD_OUT_CRITICAL: Final = {
+    "scenarios": "critical scenarios",
+    "critical": "like a kept one",
+    "random": "like one of a random subset",
+    "medoids": "like one of k-medoids",
+    "boundary": "on the boundary, like a kept one",
+}
+
+
+def put_in_words(summary: Summary) -> dict[str, Any]:
+    """Put a summary into words and plain values.
+
+    Parameters
+    ----------
+    summary : Summary
+        The summary.
+
+    Returns
+    -------
+    dict of str to object
+        What ``cornercase show --json`` prints.
+    """
+    meta = summary.meta
+    plain: dict[str, Any] = {
+        "scenario": meta.scenario,
+        "ego": meta.ego,
+        "other": meta.other,
+        "optimizer": meta.optimizer,
+        "seed": meta.seed,
+        "simulator": meta.simulator,
+        "parameters": {one.name: name_range(one) for one in meta.space.parameters},
+        "run": summary.run,
+        "failed": summary.failed,
+        "pending": summary.pending,
+        "collisions": summary.collisions,
+        "metrics": {name: _metric(one, meta.repeats) for name, one in summary.metrics.items()},
+        "clusters": {name: _clusters(one, summary.run) for name, one in summary.analyses.items()},
+        "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
+        "searched": summary.searched,
+    }
+    plain |= _knowledge(summary.knowledge, summary.searched)
+    plain["agreement"] = {
+        f"{one} and {two}": {
+            "adjusted rand": agreement.rand,
+            "adjusted mutual information": agreement.mutual,
+            "scenarios that differ": len(agreement.differ),
+        }
+        for (one, two), agreement in summary.agreements.items()
+    }
+    if summary.probability is not None:
+        plain["probability"] = dict(summary.probability)
+    return plain | (_reduced(summary.reduced) if summary.reduced is not None else {})
+
+
+def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
+    plain: dict[str, Any] = {
+        "unit": one.unit,
+        "critical is": "low" if one.lower_is_critical else "high",
+        "most critical": one.most_critical,
+        "median": one.median,
+        "at": dict(one.at),
+    }
+    if one.spread is not None:
+        plain |= {
+            "runs of each": repeats,
+            "spread of the runs, median": one.spread[0],
+            "spread of the runs, largest": one.spread[1],
+        }
+    if one.alike:
+        plain["note"] = one.alike
+    return plain
+
+
+def _clusters(one: Analysis, run: int) -> dict[str, Any]:
+    plain: dict[str, Any] = {
+        "sizes": one.sizes,
+        "noise": int((one.labels < 0).sum()),
+        "stability": one.clustering.stability,
+    }
+    if later := run - len(one.ids):
+        plain |= {"run since, in no cluster yet": later, "they join with": name_joining(one)}
+    if judged := judge_clusters(one):
+        plain["in words"] = judged
+    if one.tells:
+        plain["mutual information with"] = dict(one.tells)
+    return plain | {
+        name_cluster(profile.cluster): _named(profile)
+        | {
+            "scenarios": profile.size,
+            "outcomes": profile.outcomes,
+            "median": {metric: median for metric, (_, median, _) in profile.scores.items()},
+            "where": [_rule(rule) for rule in profile.rules],
+        }
+        for profile in one.profiles
+        if profile.cluster >= 0
+    }
+
+
+def _rule(rule: Rule) -> str:
+    # Nothing is judged of everywhere; studies of version 2 know only figures of what the rule was found from.
+    if math.isnan(rule.covers) or rule.text == EVERYWHERE:
+        return rule.text
+    return f"{rule.text} (held out: {rule.covers:.0%} of it, {rule.purity:.0%} pure)"
+
+
+def _named(profile: Profile) -> dict[str, Any]:
+    if not profile.name:
+        return {}
+    return {
+        "name": profile.name,
+        "true of": profile.true_of,
+        "true of others": profile.true_elsewhere,
+        "example": profile.example,
+    }
+
+
+def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
+    plain: dict[str, Any] = {}
+    if known.front is not None:
+        plain["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in known.front.items()}
+    if known.critical is not None:
+        plain["critical"] = {
+            "is": name_criterion(known.critical, searched),
+            "scenarios": known.critical.scenarios,
+        }
+        if (of_set := known.critical.known) is not None:
+            plain["critical"] |= {
+                "share": _interval(of_set.share, of_set.share_doubt),
+                "missed": _interval(of_set.missed, of_set.missed_doubt),
+                "hidden": of_set.hidden,
+                "overlooked": {"value": of_set.overlooked, "size": of_set.region},
+                "unvisited": {"value": of_set.unvisited, "size": of_set.region},
+            }
+        if (audit := known.critical.audit) is not None:
+            plain["critical"]["audit"] = {
+                "scenarios": audit.scenarios,
+                "critical": audit.critical,
+                "share": asdict(audit.share),
+                "missed": audit.missed and asdict(audit.missed),
+            }
+    if known.sensitivity is not None:
+        plain["sensitivity"] = _sensitivity(known.sensitivity)
+    return plain
+
+
+def _interval(found: Estimate, doubt: str | None) -> dict[str, float | str | None]:
+    return asdict(found) if doubt is None else {"value": found.value, "low": None, "high": None, "since": doubt}
+
+
+def _sensitivity(found: Sensitivity) -> dict[str, Any]:
+    each = zip(found.names, found.first, found.first_interval, found.total, found.total_interval, strict=True)
+    plain: dict[str, Any] = {
+        "parameters": {
+            name: {
+                "first order": first,
+                "first order, 90 % interval": list(firsts),
+                "total": total,
+                "total, 90 % interval": list(totals),
+            }
+            for name, first, firsts, total, totals in each
+        },
+        "foretold": found.predicted,
+        "of little influence": list(found.little),
+    }
+    if not found.foretold:
+        plain["note"] = tell_unforetold()
+    return plain
+
+
+def _reduced(reduced: ReducedSet) -> dict[str, Any]:
+    coverage = {name: _labelled(one, _COVERAGE) for name, one in reduced.coverage.items()}
+    for name, one in reduced.critical.items():
+        coverage.setdefault(name, {})["critical scenarios"] = _labelled(one, _CRITICAL)
+    return {
+        "kept": len(reduced.kept),
+        "shapes": {name_cluster(one.cluster): _shape(one) for one in reduced.shapes},
+        "coverage": coverage,
+    }
+
+
+def _shape(one: ClusterShape) -> dict[str, Any]:
+    return {
+        "convexity": one.convexity,
+        "convexity in kernel space": one.kernel_convexity,
+        "archetypes by": one.method,
+        "parts": one.parts,
+    }
+
+
+def _labelled(
+    found: Coverage | CriticalCoverage | HeldOut | HeldOutCritical, labels: Mapping[str, str]
+) -> dict[str, Any]:
+    """Figures by their label; without those that are not known."""
+    plain: dict[str, Any] = {}
+    for key, label in labels.items():
+        value = getattr(found, key)
+        # An early version did not measure all of them.
+        if value is None or (isinstance(value, float) and math.isnan(value)):
+            continue
+        if isinstance(value, HeldOut | HeldOutCritical):
+            value = _labelled(value, _HELD_OUT if isinstance(value, HeldOut) else _HELD_OUT_CRITICAL)
+        plain[label] = asdict(value) if isinstance(value, Estimate) else value
+    return plain

@@ -1,0 +1,126 @@
+"""The command that makes a study again."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from typing import Final
+
+from cornercase.scenario import Parameter
+from cornercase.study import IMPORTED, StudyMeta
+
+# Settings of a simulator that are options of the command.
+_SETTINGS: Final = {"time_step": "--time-step", "duration": "--duration", "on_collision": "--on-collision"}
+_SPACE: Final = "SPACE.xosc"
+_BOOLEANS: Final = ("false", "true")
+_ESTIMATE: Final = "importance-sampling:"
+
+
+def name_command(meta: StudyMeta) -> str:
+    """Name the command that makes a study again.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        What the study is about.
+
+    Returns
+    -------
+    str
+        One line for a shell, to be called in the folder of the scenario or of the imported one.
+    """
+    if meta.optimizer.startswith(_ESTIMATE):
+        words = ["estimate", "STUDY.db", *_numbers(meta)]
+    elif meta.simulator == IMPORTED:
+        words = ["import", meta.file_name, *_measures(meta), *_table(meta)]
+    else:
+        words = ["explore", meta.file_name, *_ranges(meta), *_measures(meta), *_search(meta), *_simulator(meta)]
+    return shlex.join(["cornercase", *words, "-o", "study.db"])
+
+
+def tell_limits(meta: StudyMeta, run: int) -> Iterator[str]:
+    """Say what the command does not hold, as far as it may matter.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        What the study is about.
+    run : int
+        Number of scenarios that were run or failed.
+
+    Yields
+    ------
+    str
+        A sentence.
+    """
+    if meta.optimizer.startswith(_ESTIMATE):
+        yield "STUDY.db stands for the study that the estimate was made of."
+    elif meta.simulator != IMPORTED:
+        if not all(map(_is_range, meta.space.parameters)):
+            yield f"{_SPACE} stands for the file that says what varies: the study holds its content, but not its name."
+        if run < meta.budget:
+            yield f"The study holds {run} scenarios of {meta.budget}: the search was ended before, or goes on."
+
+
+def _is_range(parameter: Parameter) -> bool:
+    """Whether an option of the command says it all."""
+    plain = not parameter.choices or parameter.choices == _BOOLEANS
+    return plain and parameter.distribution is None and parameter.low < parameter.high
+
+
+def _ranges(meta: StudyMeta) -> Iterator[str]:
+    if not all(map(_is_range, meta.space.parameters)):
+        yield from ("--space", _SPACE)
+        return
+    for one in meta.space.parameters:
+        step = "" if one.step is None or one.choices else f":{_plain(one.step)}"
+        yield from ("--range", f"{one.name}={_plain(one.low)}:{_plain(one.high)}{step}")
+
+
+def _measures(meta: StudyMeta) -> Iterator[str]:
+    yield from ("--ego", meta.ego, "--other", meta.other)
+    for name in meta.metrics:
+        yield from ("--metric", name)
+    if meta.critical is not None:
+        yield from ("--critical", _plain(meta.critical))
+
+
+def _search(meta: StudyMeta) -> Iterator[str]:
+    yield from ("--optimizer", meta.optimizer, *_numbers(meta))
+    if meta.batch:
+        yield from ("--batch", str(meta.batch))
+    for name, weight in meta.weights.items():
+        yield from ("--weight", f"{name}={_plain(weight)}")
+    if meta.pareto:
+        yield "--pareto"
+    if meta.repeats > 1:
+        yield from ("--repeats", str(meta.repeats))
+    if meta.audit:
+        yield from ("--audit", _plain(meta.audit))
+
+
+def _numbers(meta: StudyMeta) -> Iterator[str]:
+    yield from ("--budget", str(meta.budget), "--seed", str(meta.seed))
+
+
+def _simulator(meta: StudyMeta) -> Iterator[str]:
+    yield from ("--simulator", meta.simulator)
+    for name, option in _SETTINGS.items():
+        if name in meta.settings:
+            value = meta.settings[name]
+            yield from (option, _plain(value) if isinstance(value, int | float) else str(value))
+    for entity, driver in dict(meta.settings.get("drivers", {})).items():
+        yield from ("--driver", f"{entity}={driver}")
+
+
+def _table(meta: StudyMeta) -> Iterator[str]:
+    # Only the name: where the folders of whoever made the study lie is nobody else's concern.
+    table = re.split(r"[\\/]", str(meta.settings.get("table", "")))[-1]
+    if table not in ("", "parameters.csv"):
+        yield from ("--parameters", table)
+
+
+def _plain(value: float) -> str:
+    """Write a number with all digits that it needs."""
+    return repr(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
