@@ -119,6 +119,7 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
         "critical": _critical(data),
         "influential": list(data.influential),
         "answers": [],
+        "notes": {str(scenario): text for scenario, text in data.notes.items()},
         "kept": {
             str(one.id): {"role": one.role, "cluster": one.cluster, "file": one.file, "why": one.why} for one in kept
         },

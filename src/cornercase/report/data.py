@@ -50,6 +50,8 @@ class ReportData:
         By aspect, what the kept scenarios leave out; empty before the study was reduced.
     outcomes : mapping of int to str
         How scenarios ended, by id; empty before the study was analysed.
+    notes : mapping of int to str
+        What somebody noted of scenarios, by id.
     """
 
     study: str
@@ -67,6 +69,7 @@ class ReportData:
     critical: BoolArray
     gaps: Mapping[str, Gaps]
     outcomes: Mapping[int, str]
+    notes: Mapping[int, str]
 
     @property
     def parameters(self) -> Sequence[Parameter]:
@@ -152,6 +155,7 @@ def read_report_data(study: Study) -> ReportData:
         critical=_critical(study, len(rows)),
         gaps={} if summary.reduced is None else _gaps(study, summary.analyses, summary.reduced.ids),
         outcomes=study.outcomes(),
+        notes=study.notes(),
     )
 
 
