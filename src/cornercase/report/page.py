@@ -41,6 +41,10 @@ _SCRIPTS: Final = (
     "theme.js",
     "views.js",
     "views/space.js",
+    "views/courses.js",
+    "views/histogram.js",
+    "views/parallel.js",
+    "views/table.js",
     "main.js",
 )
 # The page loads nothing from anywhere: what is in it is all that it may run.

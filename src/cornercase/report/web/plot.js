@@ -172,10 +172,7 @@ class Plot {
         this.brushTo(start, now);
         return;
       }
-      const row = this.rowAt(...now);
-      this.store.hover(row);
-      if (row === null) tip().hide();
-      else tip().showScenario(this.store, row, event.clientX, event.clientY);
+      this.hoverAt(...now, event);
     });
     this.box.addEventListener("pointerup", (event) => {
       if (start !== null && !drag) this.click(this.rowAt(...place(event)), event);
@@ -191,6 +188,13 @@ class Plot {
       this.store.hover(null);
     });
     this.box.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  hoverAt(x, y, event) {
+    const row = this.rowAt(x, y);
+    this.store.hover(row);
+    if (row === null) tip().hide();
+    else tip().showScenario(this.store, row, event.clientX, event.clientY);
   }
 
   click(row, event) {

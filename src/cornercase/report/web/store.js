@@ -24,7 +24,13 @@ class Store {
   static firstAspect(contents) {
     const names = Object.keys(contents.kinds);
     const metric = contents.metrics[0].name;
-    return names.includes(metric) ? metric : names[0] ?? null;
+    // One that tells kinds apart says more than one that puts all into one.
+    const many = names.filter((name) => Object.keys(contents.kinds[name].names).length > 1);
+    for (const some of [many, names]) {
+      const best = [metric, "interaction"].find((name) => some.includes(name)) ?? some[0];
+      if (best !== undefined) return best;
+    }
+    return null;
   }
 
   // Scenarios are rows 0 to n - 1 here; people know them by their ids.

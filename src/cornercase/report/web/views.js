@@ -6,7 +6,7 @@
 // All views draw in one frame after a change, those off the screen when they get there.
 const VIEWS = [];
 
-const EVENTS = ["contents", "shown", "selected", "options", "hovered", "theme"];
+const EVENTS = ["contents", "shown", "selected", "options", "hovered", "notes", "theme"];
 
 class Views {
   constructor(place, store) {

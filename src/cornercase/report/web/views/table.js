@@ -1,0 +1,243 @@
+"use strict";
+
+// All scenarios that are shown, as rows; only those in sight are in the document.
+class ScenarioTable {
+  constructor(box, store) {
+    this.store = store;
+    this.sorting = { key: "id", down: false };
+    this.current = null;
+    this.height = 28;
+    this.grid = document.createElement("div");
+    this.grid.className = "grid";
+    this.grid.tabIndex = 0;
+    this.grid.setAttribute("role", "grid");
+    this.grid.setAttribute("aria-label", "Scenarios: arrow keys move, Enter selects, Shift and Enter puts beside");
+    this.head = document.createElement("div");
+    this.head.className = "row head";
+    this.head.setAttribute("role", "row");
+    this.body = document.createElement("div");
+    this.body.className = "body";
+    this.body.setAttribute("role", "rowgroup");
+    const top = document.createElement("div");
+    top.setAttribute("role", "rowgroup");
+    top.style.display = "contents";
+    top.append(this.head);
+    this.grid.append(top, this.body);
+    box.append(this.grid);
+    this.grid.addEventListener("scroll", () => this.drawRows(), { passive: true });
+    this.grid.addEventListener("keydown", (event) => this.key(event));
+    this.body.addEventListener("click", (event) => {
+      const row = this.rowOf(event);
+      if (row === null) return;
+      this.current = this.rows.indexOf(row);
+      chooseRow(store, row, event);
+    });
+    this.body.addEventListener("pointermove", (event) => store.hover(this.rowOf(event)));
+    this.body.addEventListener("pointerleave", () => store.hover(null));
+    new ResizeObserver(() => this.drawRows()).observe(this.grid);
+  }
+
+  rowOf(event) {
+    const element = event.target.closest("[data-row]");
+    return element === null ? null : Number(element.dataset.row);
+  }
+
+  makeColumns() {
+    const { store } = this;
+    const { contents } = store;
+    const { scenarios } = contents;
+    const columns = [{ key: "id", title: "id", width: 5, number: true, text: (row) => String(scenarios.id[row]) }];
+    for (const { name } of contents.metrics) {
+      const key = `score ${name}`;
+      const text = (row) => formatNumber(scenarios.scores[name][row]);
+      columns.push({ key, title: store.axis(key).title, number: true, text });
+    }
+    columns.push(...this.markColumns());
+    contents.parameters.forEach((one, k) => {
+      const key = `parameter ${one.name}`;
+      const named = one.choices.length > 0;
+      const text = (row) => (named ? parameterText(store, k, row) : formatNumber(scenarios.values[k][row]));
+      columns.push({ key, title: named ? one.name : store.axis(key).title, number: !named, text });
+    });
+    if (contents.outcomes.length) {
+      const text = (row) => contents.outcomes[scenarios.outcome[row]] ?? "";
+      const value = (row) => scenarios.outcome[row] ?? Infinity;
+      columns.push({ key: "outcome", title: "outcome", width: 13, text, value });
+    }
+    if (store.options.aspect !== null) {
+      const text = (row) => (scenarios.failed[row] ? "" : store.kindName(store.kindOf(row)));
+      columns.push({ key: "kind", title: "kind", width: 18, text, value: (row) => store.kindOf(row) ?? Infinity });
+    }
+    columns.push({ key: "round", title: "round", width: 5, number: true, text: (row) => String(scenarios.round[row]) });
+    for (const one of columns) one.width ??= Math.max(6.5, Math.min(14, one.title.length * 0.58 + 2.4));
+    this.columns = columns;
+  }
+
+  // What some scenarios are: those come first when a reader sorts by it.
+  markColumns() {
+    const { store } = this;
+    const { scenarios, kept, errors } = store.contents;
+    const words = {
+      critical: () => "critical",
+      kept: (id) => kept[id]?.role ?? "kept",
+      failed: (id) => `failed: ${errors[id] ?? ""}`,
+    };
+    const columns = Object.keys(words).filter((name) => scenarios[name].includes(1)).map((name) => ({
+      key: name,
+      title: name,
+      width: name === "failed" ? 14 : 7,
+      text: (row) => (scenarios[name][row] ? words[name](scenarios.id[row]) : ""),
+      value: (row) => -scenarios[name][row],
+    }));
+    if (store.notes?.size) {
+      const note = (row) => store.notes.get(scenarios.id[row]) ?? "";
+      const text = (row) => (note(row) ? `✎ ${note(row)}` : "");
+      columns.push({ key: "note", title: "note", width: 14, text, value: (row) => (note(row) ? 0 : 1) });
+    }
+    return columns;
+  }
+
+  drawHead() {
+    this.head.replaceChildren(
+      ...this.columns.map((column) => {
+        const cell = this.cell(column, "columnheader");
+        const button = document.createElement("button");
+        button.type = "button";
+        button.className = "sort";
+        const { key, down } = this.sorting;
+        button.textContent = column.title + (column.key === key ? (down ? " ↓" : " ↑") : "");
+        cell.setAttribute("aria-sort", column.key !== key ? "none" : down ? "descending" : "ascending");
+        button.addEventListener("click", () => this.sort(column.key));
+        cell.append(button);
+        return cell;
+      }),
+    );
+  }
+
+  cell(column, role) {
+    const cell = document.createElement("div");
+    cell.className = column.number ? "cell number" : "cell";
+    cell.setAttribute("role", role);
+    cell.style.width = `${column.width}rem`;
+    return cell;
+  }
+
+  sort(key) {
+    const down = this.sorting.key === key && !this.sorting.down;
+    this.sorting = { key, down };
+    this.redraw(new Set(["shown"]));
+    const at = this.columns.findIndex((one) => one.key === key);
+    this.head.children[at]?.querySelector("button").focus();
+    announce(`Sorted by ${key}, ${down ? "falling" : "rising"}`);
+  }
+
+  redraw(events) {
+    if (["contents", "shown", "options", "notes"].some((one) => events.has(one))) {
+      this.makeColumns();
+      this.drawHead();
+      this.order();
+      if (events.has("shown")) this.current = null;
+    }
+    if (events.has("selected")) this.reveal();
+    this.drawRows();
+  }
+
+  order() {
+    const { store } = this;
+    const column = this.columns.find((one) => one.key === this.sorting.key) ?? this.columns[0];
+    const of = column.value ?? ((values) => (row) => values[row])(store.column(column.key));
+    const keys = Float64Array.from({ length: store.n }, (_, row) => of(row));
+    const sign = this.sorting.down ? -1 : 1;
+    const rows = rowsWhere(store, (row) => store.shown[row]);
+    // What has no value comes last either way.
+    this.rows = rows.sort((one, other) => {
+      const [a, b] = [keys[one], keys[other]];
+      if (Number.isNaN(a) || Number.isNaN(b)) return Number.isNaN(a) - Number.isNaN(b) || one - other;
+      return sign * (a - b || 0) || one - other;
+    });
+    this.grid.setAttribute("aria-rowcount", String(this.rows.length + 1));
+    this.grid.setAttribute("aria-colcount", String(this.columns.length));
+    this.body.style.height = `${this.rows.length * this.height}px`;
+    const wide = this.columns.reduce((sum, one) => sum + one.width, 0);
+    this.body.style.width = this.head.style.width = `max(100%, ${wide}rem)`;
+  }
+
+  drawRows() {
+    if (!this.rows) return;
+    const first = Math.max(0, Math.floor(this.grid.scrollTop / this.height) - 3);
+    const count = Math.ceil((this.grid.clientHeight || 400) / this.height) + 6;
+    const rows = this.rows.slice(first, first + count);
+    this.body.replaceChildren(...rows.map((row, k) => this.makeRow(row, first + k)));
+    const active = this.current !== null && this.current >= first && this.current < first + count;
+    if (active) this.grid.setAttribute("aria-activedescendant", `scenario-row-${this.rows[this.current]}`);
+    else this.grid.removeAttribute("aria-activedescendant");
+  }
+
+  makeRow(row, at) {
+    const { store } = this;
+    const id = store.contents.scenarios.id[row];
+    const line = document.createElement("div");
+    line.className = "row";
+    line.id = `scenario-row-${row}`;
+    line.dataset.row = row;
+    line.dataset.scenario = id;
+    line.setAttribute("role", "row");
+    line.setAttribute("aria-rowindex", String(at + 2));
+    line.setAttribute("aria-selected", String(id === store.selected));
+    line.style.top = `${at * this.height}px`;
+    line.classList.toggle("beside", id === store.beside);
+    line.classList.toggle("hovered", row === store.hovered);
+    line.classList.toggle("current", at === this.current);
+    for (const column of this.columns) {
+      const cell = this.cell(column, "gridcell");
+      cell.textContent = column.text(row);
+      if (!column.number && cell.textContent.length > 18) cell.title = cell.textContent;
+      line.append(cell);
+    }
+    return line;
+  }
+
+  // The selected scenario comes into sight.
+  reveal() {
+    const row = this.store.rows.get(this.store.selected);
+    const at = row === undefined ? -1 : this.rows.indexOf(row);
+    if (at >= 0) this.scrollTo(at);
+  }
+
+  scrollTo(at) {
+    const top = at * this.height;
+    const inner = this.grid.clientHeight - this.head.offsetHeight;
+    if (top < this.grid.scrollTop) this.grid.scrollTop = top;
+    else if (top + this.height > this.grid.scrollTop + inner) this.grid.scrollTop = top + this.height - inner;
+  }
+
+  key(event) {
+    if (event.target !== this.grid || !this.rows.length) return;
+    const page = Math.max(1, Math.floor(this.grid.clientHeight / this.height) - 2);
+    const steps = { ArrowDown: 1, ArrowUp: -1, PageDown: page, PageUp: -page, Home: -Infinity, End: Infinity };
+    if (event.key in steps) {
+      const from = this.current ?? this.rows.indexOf(this.store.rows.get(this.store.selected));
+      this.current = Math.max(0, Math.min(this.rows.length - 1, from + steps[event.key]));
+      this.scrollTo(this.current);
+      this.store.hover(this.rows[this.current]);
+      this.drawRows();
+    } else if ((event.key === "Enter" || event.key === " ") && this.current !== null) {
+      chooseRow(this.store, this.rows[this.current], event);
+    } else {
+      return;
+    }
+    event.preventDefault();
+  }
+}
+
+VIEWS.push({
+  name: "table",
+  title: "Table",
+  wide: true,
+  about: "All scenarios that the filters leave. Click the head of a column to sort, a row to see the scenario move.",
+  wanted: () => true,
+  create(box, store) {
+    const table = new ScenarioTable(box, store);
+    return { table, redraw: (events) => table.redraw(events) };
+  },
+});
