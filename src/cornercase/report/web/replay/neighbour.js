@@ -1,0 +1,59 @@
+"use strict";
+
+// A scenario to compare with: the nearest in the parameter space that ended otherwise. Another outcome counts first;
+// where outcomes are not known, another kind does, and where kinds are not known either, critical against not
+// critical. Where all are alike, it is simply the nearest.
+function neighbourOf(store, id, has) {
+  const { scenarios, parameters } = store.contents;
+  const row = store.rows.get(id);
+  if (row === undefined) return null;
+  const tests = [
+    (k) => known(scenarios.outcome, k, row) && scenarios.outcome[k] !== scenarios.outcome[row],
+    (k) => store.options.aspect !== null && differs(store.kindOf(k), store.kindOf(row)),
+    (k) => scenarios.critical[k] !== scenarios.critical[row],
+    () => true,
+  ];
+  const candidates = [];
+  for (let k = 0; k < store.n; k++) {
+    if (k !== row && !scenarios.failed[k] && has(scenarios.id[k])) candidates.push(k);
+  }
+  const away = (k) => {
+    let sum = 0;
+    parameters.forEach((one, j) => {
+      const step = scenarios.values[j][k] - scenarios.values[j][row];
+      if (one.choices.length) sum += step === 0 ? 0 : 1;
+      else if (one.high > one.low) sum += (step / (one.high - one.low)) ** 2;
+    });
+    return sum;
+  };
+  for (const test of tests) {
+    const found = candidates.filter(test);
+    if (!found.length) continue;
+    const ways = new Map(found.map((k) => [k, away(k)]));
+    return scenarios.id[found.reduce((best, k) => (ways.get(k) < ways.get(best) ? k : best))];
+  }
+  return null;
+}
+
+function known(column, ...rows) {
+  return rows.every((row) => column[row] !== null && column[row] !== undefined);
+}
+
+function differs(one, other) {
+  return one !== null && other !== null && one !== other;
+}
+
+// The scenario that the page begins with: the most critical by the metric that is looked at.
+function mostCriticalScenario(store) {
+  const { scenarios, metrics } = store.contents;
+  const metric = metrics.find((one) => one.name === store.options.metric) ?? metrics[0];
+  const scores = scenarios.scores[metric.name];
+  let best = null;
+  for (let row = 0; row < store.n; row++) {
+    const score = scores[row];
+    if (score === null || scenarios.failed[row]) continue;
+    const better = best === null || (metric.lower_is_critical ? score < scores[best] : score > scores[best]);
+    if (better) best = row;
+  }
+  return best === null ? null : scenarios.id[best];
+}

@@ -1,0 +1,212 @@
+"use strict";
+
+// One of the two scenes of the replay: a scenario's name and values, its canvas, and what holds at the clock's time.
+class ReplayPane {
+  constructor(slot, panel) {
+    this.slot = slot;
+    this.panel = panel;
+    this.id = null;
+    this.recording = null;
+    this.asked = 0;
+    this.box = newElement("div", "pane");
+    this.title = newElement("h3", "pane-title");
+    this.facts = newElement("p", "pane-facts");
+    this.canvas = newElement("canvas", "scene");
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-keyshortcuts", "Space ArrowLeft ArrowRight Home End + - 0");
+    this.message = newElement("p", "pane-message");
+    this.values = newElement("table", "pane-values");
+    this.box.append(this.title, this.facts, this.message, this.canvas, this.values);
+    this.box.hidden = true;
+    moveByPointer(this.canvas, panel.camera);
+    new ResizeObserver(() => panel.changed()).observe(this.canvas);
+  }
+
+  // Shows a scenario, or none; resolves when its recording is there, or that it is not is said.
+  async show(id) {
+    this.id = id;
+    this.recording = null;
+    const asked = ++this.asked;
+    this.box.hidden = id === null;
+    if (id === null) {
+      delete this.box.dataset.replay;
+      delete this.box.dataset.scenario;
+      delete this.box.dataset.time;
+      return;
+    }
+    this.box.dataset.replay = this.slot;
+    this.box.dataset.scenario = id;
+    this.describe();
+    let recording = null;
+    let trouble = null;
+    try {
+      recording = await this.panel.recordings.get(id);
+    } catch {
+      trouble = `The recording of scenario ${id} could not be read.`;
+    }
+    if (asked !== this.asked) return;
+    this.recording = recording;
+    if (recording) this.prepare(recording);
+    this.say(recording ? "" : trouble ?? this.whyMissing(id));
+  }
+
+  prepare(recording) {
+    const { ego, other } = this.panel.store.contents;
+    this.ego = recording.names.indexOf(ego);
+    this.other = recording.names.indexOf(other);
+    this.fillValues();
+  }
+
+  describe() {
+    const { store } = this.panel;
+    const row = store.rows.get(this.id);
+    const { scenarios, parameters, outcomes, kept } = store.contents;
+    this.title.textContent = `Scenario ${this.id}`;
+    const facts = [];
+    if (scenarios.outcome[row] !== null) facts.push(outcomes[scenarios.outcome[row]]);
+    if (store.options.aspect !== null && store.kindOf(row) !== null) facts.push(store.kindName(store.kindOf(row)));
+    if (scenarios.critical[row]) facts.push("critical");
+    if (kept[this.id]) facts.push(`kept as ${kept[this.id].role}`);
+    const values = parameters.map((one, k) => {
+      const value = scenarios.values[k][row];
+      return `${one.name} = ${one.choices.length ? one.choices[value] : withSceneUnit(value, one.unit)}`;
+    });
+    this.facts.textContent = [...new Set(facts), ...values].join(" · ");
+  }
+
+  whyMissing(id) {
+    const { store } = this.panel;
+    const { study, scenarios, errors } = store.contents;
+    if (scenarios.failed[store.rows.get(id)]) return `Scenario ${id} failed, so there is nothing to replay: ${errors[id]}`;
+    return (
+      `The recording of scenario ${id} is not in this file, which holds those of some scenarios only, to stay small.` +
+      ` See it with: cornercase replay ${study} ${id} -o run.html, or all of them with: cornercase watch ${study}`
+    );
+  }
+
+  say(text) {
+    this.message.textContent = text;
+    this.message.hidden = !text;
+    this.canvas.hidden = this.values.hidden = Boolean(text);
+  }
+
+  fillValues() {
+    const { recording } = this;
+    const head = newElement("thead");
+    const row = newElement("tr");
+    for (const name of ["entity", "speed [m/s]", "acceleration [m/s²]"]) {
+      const cell = newElement("th", "", name);
+      cell.scope = "col";
+      row.append(cell);
+    }
+    head.append(row);
+    const body = newElement("tbody");
+    this.cells = recording.names.map((name, entity) => {
+      const line = newElement("tr");
+      const first = newElement("th", "", name);
+      first.scope = "row";
+      first.dataset.role = entity === this.ego ? "ego" : entity === this.other ? "other" : "third";
+      const cells = [newElement("td"), newElement("td")];
+      line.append(first, ...cells);
+      body.append(line);
+      return cells;
+    });
+    this.last = newElement("caption");
+    this.values.replaceChildren(this.last, head, body);
+  }
+
+  // The instant at which the metric's course is most critical, in s; else the first collision, else the begin.
+  criticalTime() {
+    const { recording, panel } = this;
+    const metric = panel.metric();
+    const k = mostCriticalInstant(recording.courses[metric.name], metric.lower_is_critical);
+    if (k !== null) return recording.time[k];
+    return recording.collisions[0]?.[0] ?? recording.time[0];
+  }
+
+  // Places of the two on their way to the most critical instant, with room around.
+  region(all) {
+    const { recording } = this;
+    if (all) {
+      const everyone = recording.names.map((_, k) => k);
+      return regionOf(recording, everyone, -Infinity, Infinity, 8);
+    }
+    const both = [this.ego, this.other].filter((k) => k >= 0);
+    const at = this.criticalTime();
+    const near = regionOf(recording, both, at - 3, at + 1, 6);
+    return near ?? regionOf(recording, both, -Infinity, Infinity, 8) ?? this.region(true);
+  }
+
+  boxOfEgo(time) {
+    return this.recording && this.ego >= 0 ? boxAt(this.recording, this.ego, this.timeOf(time)) : null;
+  }
+
+  // Its own time: a recording that ended stays as it ended.
+  timeOf(time) {
+    const { time: times } = this.recording;
+    return Math.min(Math.max(time, times[0]), times[times.length - 1]);
+  }
+
+  size() {
+    return { width: this.canvas.clientWidth, height: this.canvas.clientHeight };
+  }
+
+  // Pixels of a point of the plane, from the canvas's upper left.
+  toPixels(x, y) {
+    const { width, height } = this.size();
+    const view = this.panel.camera.view(this.boxOfEgo(this.panel.clock.time));
+    return { x: width / 2 + (x - view.x) * view.scale, y: height / 2 - (y - view.y) * view.scale };
+  }
+
+  draw(time, colours) {
+    if (!this.recording) return;
+    const { width, height } = this.size();
+    if (!width || !height) return;
+    const own = this.timeOf(time);
+    const ratio = window.devicePixelRatio || 1;
+    const [wide, high] = [Math.round(width * ratio), Math.round(height * ratio)];
+    if (this.canvas.width !== wide || this.canvas.height !== high) Object.assign(this.canvas, { width: wide, height: high });
+    const context = this.canvas.getContext("2d");
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const view = this.panel.camera.view(this.boxOfEgo(time));
+    const { ego, other, recording } = this;
+    const { road, sight } = this.panel;
+    drawScene(context, { width, height, view, recording, time: own, ego, other, road, colours, sight });
+    this.box.dataset.time = String(Number(own.toFixed(4)));
+    this.tell(own);
+  }
+
+  tell(time) {
+    const { recording, panel } = this;
+    const boxes = boxesAt(recording, time);
+    boxes.forEach((box, entity) => {
+      this.cells[entity][0].textContent = box ? box.speed.toFixed(2) : "–";
+      this.cells[entity][1].textContent = box ? box.acceleration.toFixed(2) : "–";
+    });
+    const metric = panel.metric();
+    const course = recording.courses[metric.name];
+    const score = course ? between(course, momentOf(recording.time, time)) : NaN;
+    const parts = [`${time.toFixed(2)} s`];
+    if (course) parts.push(`${metric.name} ${Number.isFinite(score) ? withSceneUnit(score, metric.unit) : "–"}`);
+    const seen = this.ego >= 0 && this.other >= 0 ? sees(boxes, this.ego, this.other) : null;
+    const [ego, other] = [recording.names[this.ego], recording.names[this.other]];
+    if (seen !== null) parts.push(seen ? `${ego} can see ${other}` : `${other} is hidden from ${ego}`);
+    if (time >= recording.time[recording.time.length - 1] - 1e-6) parts.push("end of the recording");
+    this.last.textContent = parts.join(" · ");
+    if (!panel.clock.playing) this.canvas.setAttribute("aria-label", `Scenario ${this.id} from above at ${parts.join(", ")}`);
+  }
+}
+
+function newElement(tag, className = "", text = "") {
+  const element = document.createElement(tag);
+  if (className) element.className = className;
+  if (text) element.textContent = text;
+  return element;
+}
+
+function withSceneUnit(value, unit) {
+  if (value === null || !Number.isFinite(value)) return "–";
+  const text = String(Number(value.toPrecision(4)));
+  return unit && unit !== "1" ? `${text} ${unit}` : text;
+}

@@ -1,0 +1,197 @@
+"use strict";
+
+// The replay: the selected scenario on its road, another one beside it, and the metric's course beneath.
+class ReplayPanel {
+  constructor(section, store, recordings) {
+    Object.assign(this, { section, store, recordings });
+    this.clock = new ReplayClock(() => this.changed());
+    this.camera = new ReplayCamera(() => this.changed());
+    this.road = store.contents.roads ? new RoadDrawing(store.contents.roads) : null;
+    this.sight = true;
+    this.waiting = false;
+    this.colours = null;
+    this.shown = { selected: null, beside: null };
+    this.panes = { selected: new ReplayPane("selected", this), beside: new ReplayPane("beside", this) };
+    this.controls = new ReplayControls(this);
+    this.chart = new CourseChart(newElement("canvas", "course"), (time) => {
+      this.clock.pause();
+      this.clock.seek(time);
+    });
+    this.build();
+    for (const event of ["selected", "contents"]) store.on(event, () => this.follow());
+    store.on("options", () => this.choose());
+    store.on("theme", () => this.recolour());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
+    listenToKeys(section, this);
+    this.ready = this.follow();
+  }
+
+  build() {
+    this.box = newElement("div", "replay-panel");
+    this.nothing = newElement("p", "replay-empty", "Click a point, or pick a scenario in the table, to see it drive.");
+    this.scenes = newElement("div", "replay-scenes");
+    this.scenes.append(this.panes.selected.box, this.panes.beside.box);
+    this.chart.canvas.setAttribute("role", "img");
+    this.legend = newElement("p", "replay-legend");
+    this.notice = newElement("p", "replay-notice", this.road ? "" : this.store.contents.roads_missing ?? "");
+    this.notice.hidden = !this.notice.textContent;
+    this.box.append(this.scenes, this.controls.box, this.chart.canvas, this.legend, this.notice);
+    this.section.append(this.nothing, this.box);
+    new ResizeObserver(() => this.changed()).observe(this.chart.canvas);
+  }
+
+  empty() {
+    return !this.panes.selected.recording && !this.panes.beside.recording;
+  }
+
+  metric() {
+    const { metrics } = this.store.contents;
+    return metrics.find((one) => one.name === this.store.options.metric) ?? metrics[0];
+  }
+
+  // Shows what the store says is selected.
+  async follow() {
+    const { store, panes } = this;
+    const before = this.shown;
+    this.shown = { selected: store.selected, beside: store.beside };
+    const changed = Object.keys(panes).filter((slot) => before[slot] !== this.shown[slot]);
+    this.nothing.hidden = store.selected !== null || store.beside !== null;
+    this.box.hidden = !this.nothing.hidden;
+    if (!changed.length) return;
+    await Promise.all(changed.map((slot) => panes[slot].show(this.shown[slot])));
+    this.scenes.classList.toggle("two", store.selected !== null && store.beside !== null);
+    this.choose();
+    if (changed.includes("selected") || panes.selected.recording === null) this.goTo("critical");
+    if (this.camera.mode === "near" || this.camera.mode === "all") this.fit(this.camera.mode);
+    else if (this.camera.mode === "free" && !this.inSight()) this.fit("near");
+  }
+
+  // Whether what is most critical lies in what is shown.
+  inSight() {
+    return this.there().every((pane) => {
+      const box = pane.boxOfEgo(this.clock.time);
+      if (!box) return true;
+      const { x, y } = pane.toPixels(box.x, box.y);
+      const { width, height } = pane.size();
+      return x > 0 && y > 0 && x < width && y < height;
+    });
+  }
+
+  there() {
+    return Object.values(this.panes).filter((pane) => pane.recording);
+  }
+
+  // What depends on the metric and the aspect, and on who is shown.
+  choose() {
+    const there = this.there();
+    for (const pane of Object.values(this.panes)) if (pane.id !== null) pane.describe();
+    if (there.length) {
+      const end = Math.max(...there.map(({ recording }) => recording.time[recording.time.length - 1]));
+      this.clock.setTimes(there[0].recording.time, end);
+      const metric = this.metric();
+      const { critical, metrics } = this.store.contents;
+      const threshold = critical && metric.name === metrics[0].name ? critical.threshold : null;
+      const courses = there
+        .filter(({ recording }) => recording.courses[metric.name])
+        .map(({ slot, recording }) => ({ slot, time: recording.time, values: recording.courses[metric.name] }));
+      const unit = metric.unit && metric.unit !== "1" ? ` [${metric.unit}]` : "";
+      this.chart.setCourses(courses, this.clock.begin, this.clock.end, `${metric.name}${unit}`, threshold);
+      this.chart.canvas.setAttribute(
+        "aria-label",
+        `Course of ${metric.name}${unit} over time [s] of ${there.map((pane) => `scenario ${pane.id}`).join(" and ")}`,
+      );
+      this.tellLegend(there, metric);
+    }
+    this.controls.box.hidden = this.chart.canvas.hidden = this.legend.hidden = !there.length;
+    this.changed();
+  }
+
+  tellLegend(there, metric) {
+    const marks = there.map(({ slot, id }) => {
+      const mark = newElement("span", "replay-mark", `${metric.name} of scenario ${id}`);
+      mark.dataset.slot = slot;
+      return mark;
+    });
+    this.legend.replaceChildren(...marks);
+  }
+
+  goTo(where) {
+    const pane = this.there()[0];
+    if (!pane) return;
+    this.clock.pause();
+    this.clock.seek({ start: this.clock.begin, end: this.clock.end }[where] ?? pane.criticalTime());
+  }
+
+  fit(mode) {
+    const there = this.there();
+    const regions = there.map((pane) => pane.region(mode === "all")).filter(Boolean);
+    if (!regions.length) return;
+    const { width, height } = there[0].size();
+    const whole = regions.reduce(([left, bottom, right, top], one) => [
+      Math.min(left, one[0]), Math.min(bottom, one[1]), Math.max(right, one[2]), Math.max(top, one[3]),
+    ]);
+    // Labels need some room, whatever the scale.
+    const [wide, high] = [Math.max(width - 60, 50), Math.max(height - 60, 50)];
+    const least = Math.max(0, 22 - Math.max(whole[2] - whole[0], whole[3] - whole[1])) / 2;
+    const grown = [whole[0] - least, whole[1] - least, whole[2] + least, whole[3] + least];
+    this.camera.fit(grown, wide || 400, high || 300, mode);
+  }
+
+  toggleFollow() {
+    this.camera.follow(this.camera.mode !== "follow", this.there()[0]?.boxOfEgo(this.clock.time));
+  }
+
+  toggleSight() {
+    this.sight = !this.sight;
+    this.changed();
+  }
+
+  toggleNeighbour() {
+    const { store } = this;
+    if (store.beside !== null) store.select(null, "beside");
+    else store.select(neighbourOf(store, store.selected, (id) => this.recordings.has(id)), "beside");
+  }
+
+  recolour() {
+    this.colours = null;
+    this.changed();
+  }
+
+  // Draws once before the next frame, however often it is asked to.
+  changed() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => {
+      this.waiting = false;
+      this.draw();
+    });
+  }
+
+  draw() {
+    this.colours ??= {
+      ...sceneColours(this.box),
+      selected: sceneColours(this.box).ego,
+      beside: sceneColours(this.box).other,
+    };
+    for (const pane of this.there()) pane.draw(this.clock.time, this.colours);
+    if (!this.empty()) {
+      this.chart.draw(this.clock.time, this.colours);
+      this.controls.update();
+    }
+  }
+}
+
+// Begins the replay; what is not chosen by the address begins with the most critical scenario.
+function showReplay(section, store, recordings) {
+  if (store.selected === null) store.select(mostCriticalScenario(store));
+  const panel = new ReplayPanel(section, store, recordings);
+  const replay = {
+    panel,
+    clock: panel.clock,
+    ready: panel.ready,
+    seek: (time) => panel.clock.seek(time),
+    toPixels: (slot, x, y) => panel.panes[slot].toPixels(x, y),
+  };
+  window.cornercase = { ...window.cornercase, replay };
+  return replay;
+}

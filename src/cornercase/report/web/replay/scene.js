@@ -1,0 +1,249 @@
+"use strict";
+
+// One scene: the road, and where the entities of a recording are on it at a time.
+
+const SCENE_FONT = "12px system-ui, sans-serif";
+const LONGEST_LABEL = 24;
+// A pedestrian is drawn at least so large, in pixels, or it could not be seen from afar.
+const SMALLEST_RADIUS = 4;
+const SCALE_BARS = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
+
+const SCENE_COLOURS = [
+  "ground", "road", "walk", "verge", "edge", "marking", "ego", "other", "third", "shadow", "hit", "label", "halo",
+];
+
+function sceneColours(element) {
+  const style = getComputedStyle(element);
+  return Object.fromEntries(SCENE_COLOURS.map((name) => [name, style.getPropertyValue(`--scene-${name}`).trim()]));
+}
+
+// What a scene is drawn from: { width, height, view, recording, time, ego, other, road, colours, sight }, where `ego`
+// and `other` are numbers of entities, or -1.
+function drawScene(context, scene) {
+  const { width, height, view, recording, time, colours } = scene;
+  const place = (x, y) => [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
+  const boxes = boxesAt(recording, time);
+  context.fillStyle = colours.ground;
+  context.fillRect(0, 0, width, height);
+  if (scene.road) scene.road.draw(context, place, view.scale, colours);
+  else drawGrid(context, place, view, width, height, colours.edge);
+  const lookOf = (entity) => (entity === scene.ego ? "ego" : entity === scene.other ? "other" : "third");
+  if (scene.sight) drawShadows(context, scene, boxes, place);
+  recording.names.forEach((_, entity) => drawTrail(context, scene, entity, lookOf(entity), place));
+  boxes.forEach((box, entity) => {
+    if (box) drawEntity(context, box, recording.kinds[entity], colours[lookOf(entity)], colours, place, view.scale);
+  });
+  if (scene.sight) drawLook(context, scene, boxes, place);
+  for (const [when, one, another] of recording.collisions) {
+    if (time >= when - 1e-6) drawCollision(context, recording, when, one, another, place, colours);
+  }
+  boxes.forEach((box, entity) => {
+    if (box) drawLabel(context, box, recording.names[entity], lookOf(entity), place, view.scale, colours);
+  });
+  drawScaleBar(context, view.scale, height, colours);
+}
+
+function polygon(context, points, place) {
+  context.beginPath();
+  points.forEach(([x, y], k) => {
+    const at = place(x, y);
+    if (k === 0) context.moveTo(...at);
+    else context.lineTo(...at);
+  });
+  context.closePath();
+}
+
+// What the ego cannot see, as others hide it; the other entity casts none, for it is what one looks for.
+function drawShadows(context, scene, boxes, place) {
+  const own = boxes[scene.ego];
+  if (!own) return;
+  const eye = eyeOf(own);
+  context.save();
+  context.fillStyle = scene.colours.shadow;
+  // All shadows at once, so that where they overlap is no darker.
+  context.beginPath();
+  boxes.forEach((box, entity) => {
+    if (!box || entity === scene.ego || entity === scene.other) return;
+    const shadow = shadowOf(box, eye);
+    shadow?.forEach(([x, y], k) => {
+      if (k === 0) context.moveTo(...place(x, y));
+      else context.lineTo(...place(x, y));
+    });
+    if (shadow) context.closePath();
+  });
+  context.fill("nonzero");
+  context.restore();
+}
+
+// The line from the ego's eye to the other: whole where it is seen, dashed where something hides it.
+function drawLook(context, scene, boxes, place) {
+  const seen = sees(boxes, scene.ego, scene.other);
+  if (seen === null) return;
+  const eye = place(...eyeOf(boxes[scene.ego]));
+  const goal = place(boxes[scene.other].x, boxes[scene.other].y);
+  context.save();
+  context.strokeStyle = scene.colours.ego;
+  context.lineWidth = seen ? 1.6 : 1.2;
+  context.setLineDash(seen ? [] : [2, 5]);
+  context.beginPath();
+  context.moveTo(...eye);
+  context.lineTo(...goal);
+  context.stroke();
+  context.setLineDash([]);
+  context.fillStyle = scene.colours.halo;
+  context.beginPath();
+  context.arc(...eye, 3, 0, 2 * Math.PI);
+  context.fill();
+  context.stroke();
+  context.restore();
+}
+
+// Where an entity was, as a line, and where it will be, as dots; the other's line is dashed.
+function drawTrail(context, scene, entity, look, place) {
+  const { recording, time, colours } = scene;
+  const ahead = recording.center_x[entity];
+  const [x, y, heading] = [recording.x[entity], recording.y[entity], recording.heading[entity]];
+  const now = instantBefore(recording.time, time);
+  const stroke = (first, last) => {
+    context.beginPath();
+    let down = false;
+    for (let k = first; k <= last; k++) {
+      const at = place(x[k] + ahead * Math.cos(heading[k]), y[k] + ahead * Math.sin(heading[k]));
+      if (!Number.isFinite(at[0])) down = false;
+      else if (down) context.lineTo(...at);
+      else context.moveTo(...at);
+      down = Number.isFinite(at[0]);
+    }
+    context.stroke();
+  };
+  context.save();
+  context.strokeStyle = colours[look];
+  context.lineWidth = look === "third" ? 1 : 1.6;
+  context.setLineDash(look === "other" ? [6, 4] : []);
+  context.globalAlpha = 0.85;
+  stroke(0, now);
+  context.setLineDash([1.5, 5]);
+  context.globalAlpha = 0.5;
+  stroke(Math.max(now, 0), recording.time.length - 1);
+  context.restore();
+}
+
+function drawEntity(context, box, kind, colour, colours, place, scale) {
+  context.save();
+  context.translate(...place(box.x, box.y));
+  context.rotate(-box.heading);
+  context.lineWidth = 1.2;
+  context.strokeStyle = colours.halo;
+  context.fillStyle = colour;
+  const [long, wide] = [box.halfLength * scale, box.halfWidth * scale];
+  if (kind === "pedestrian") {
+    const radius = Math.max(long, wide, SMALLEST_RADIUS);
+    context.beginPath();
+    context.arc(0, 0, radius, 0, 2 * Math.PI);
+    context.fill();
+    context.stroke();
+    context.beginPath();
+    context.moveTo(radius + 5, 0);
+    context.lineTo(radius, -3.5);
+    context.lineTo(radius, 3.5);
+    context.closePath();
+    context.fill();
+  } else {
+    context.beginPath();
+    context.rect(-long, -wide, 2 * long, 2 * wide);
+    context.fill();
+    context.stroke();
+    // The nose: a light wedge whose tip is the middle of the front.
+    context.fillStyle = colours.halo;
+    context.globalAlpha = 0.85;
+    context.beginPath();
+    context.moveTo(long * 0.92, 0);
+    context.lineTo(long * 0.45, -wide * 0.75);
+    context.lineTo(long * 0.45, wide * 0.75);
+    context.closePath();
+    context.fill();
+  }
+  context.restore();
+}
+
+function shortName(name) {
+  const letters = [...name];
+  return letters.length > LONGEST_LABEL ? `${letters.slice(0, LONGEST_LABEL - 1).join("")}…` : name;
+}
+
+function drawLabel(context, box, name, look, place, scale, colours) {
+  const [x, y] = place(box.x, box.y);
+  const reach = Math.max(
+    Math.abs(box.sin) * box.halfLength * scale + Math.abs(box.cos) * box.halfWidth * scale,
+    SMALLEST_RADIUS,
+  );
+  const speed = Number.isFinite(box.speed) ? `${box.speed.toFixed(1)} m/s` : "";
+  const text = look === "third" && !(Math.abs(box.speed) > 0.05) ? shortName(name) : `${shortName(name)} ${speed}`;
+  // The ego's is above it and those of others are below, so that two who meet do not write over each other.
+  writeText(context, text, x, look === "ego" ? y - reach - 8 : y + reach + 16, colours[look], colours.halo, "center");
+}
+
+function writeText(context, text, x, y, colour, halo, align = "left") {
+  context.font = SCENE_FONT;
+  context.textAlign = align;
+  context.lineJoin = "round";
+  context.strokeStyle = halo;
+  context.lineWidth = 3.5;
+  context.strokeText(text, x, y);
+  context.fillStyle = colour;
+  context.fillText(text, x, y);
+}
+
+// A star with as many points as no other mark has, and when it happened.
+function drawCollision(context, recording, when, one, another, place, colours) {
+  const [first, second] = [boxAt(recording, one, when), boxAt(recording, another, when)];
+  if (!first || !second) return;
+  const [x, y] = place(...contactOf(first, second));
+  context.save();
+  context.fillStyle = colours.hit;
+  context.strokeStyle = colours.halo;
+  context.lineWidth = 1.2;
+  context.beginPath();
+  for (let k = 0; k < 16; k++) {
+    const [radius, angle] = [k % 2 ? 5 : 11, (k * Math.PI) / 8];
+    context.lineTo(x + radius * Math.cos(angle), y + radius * Math.sin(angle));
+  }
+  context.closePath();
+  context.fill();
+  context.stroke();
+  context.restore();
+  writeText(context, `collision at ${when.toFixed(2)} s`, x + 15, y + 4, colours.hit, colours.halo);
+}
+
+function drawScaleBar(context, scale, height, colours) {
+  const length = SCALE_BARS.findLast((one) => one * scale <= 110) ?? SCALE_BARS[0];
+  const [left, down] = [12, height - 12];
+  context.strokeStyle = colours.label;
+  context.lineWidth = 1.5;
+  context.setLineDash([]);
+  context.beginPath();
+  context.moveTo(left, down - 5);
+  context.lineTo(left, down);
+  context.lineTo(left + length * scale, down);
+  context.lineTo(left + length * scale, down - 5);
+  context.stroke();
+  writeText(context, `${length} m`, left + 5, down - 6, colours.label, colours.halo);
+}
+
+// The region [left, bottom, right, top] in which entities are during a span of time; null where none is there.
+function regionOf(recording, entities, begin, end, margin) {
+  let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
+  for (const entity of entities) {
+    for (let k = 0; k < recording.time.length; k++) {
+      if (recording.time[k] < begin || recording.time[k] > end) continue;
+      const box = boxAt(recording, entity, recording.time[k]);
+      if (!box) continue;
+      left = Math.min(left, box.x);
+      right = Math.max(right, box.x);
+      bottom = Math.min(bottom, box.y);
+      top = Math.max(top, box.y);
+    }
+  }
+  if (left > right) return null;
+  return [left - margin, bottom - margin, right + margin, top + margin];
+}
