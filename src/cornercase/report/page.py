@@ -27,7 +27,15 @@ from cornercase.study import Study, open_study
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_STYLES: Final = ("style.css",)
+REPLAY_SCRIPTS: Final = tuple(
+    f"replay/{name}.js"
+    for name in (
+        "motion", "sight", "clock", "camera", "road", "scene", "course", "neighbour", "pane", "controls", "panel",
+    )
+)
+"""Scripts of the replay, in this order."""
+
+_STYLES: Final = ("style.css", "replay.css")
 _SCRIPTS: Final = (
     "store.js",
     "recordings.js",
@@ -45,6 +53,7 @@ _SCRIPTS: Final = (
     "views/histogram.js",
     "views/parallel.js",
     "views/table.js",
+    *REPLAY_SCRIPTS,
     "main.js",
 )
 # The page loads nothing from anywhere: what is in it is all that it may run.

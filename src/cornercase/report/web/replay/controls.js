@@ -67,7 +67,7 @@ class ReplayControls {
     for (const speed of REPLAY_SPEEDS) this.speed.append(new Option(`${speed}×`, speed, speed === 1, speed === 1));
     this.speed.addEventListener("change", () => (clock.speed = Number(this.speed.value)));
     this.follow = textButton("follow", "Follow", "Keep the ego in the middle (F)", () => panel.toggleFollow());
-    this.sight = textButton("sight", "View", "Show what the ego can see, and what hides it (V)", () => panel.toggleSight());
+    this.sight = textButton("sight", "Sight", "Show what the ego can see, and what hides it (V)", () => panel.toggleSight());
     this.neighbour = textButton("neighbour", "Neighbour", "", () => panel.toggleNeighbour());
     const time = newElement("div", "replay-row");
     time.append(

@@ -116,7 +116,9 @@ class CourseChart {
       context.lineTo(across(tick), height - bottom + 4);
       context.fillText(tickText(tick), across(tick), height - bottom + 5);
     }
+    context.globalAlpha = 0.4;
     context.stroke();
+    context.globalAlpha = 1;
     context.fillText("time [s]", (left + width - right) / 2, height - 13);
     context.save();
     context.translate(9, (top + height - bottom) / 2);

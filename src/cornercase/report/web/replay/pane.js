@@ -17,7 +17,9 @@ class ReplayPane {
     this.canvas.setAttribute("aria-keyshortcuts", "Space ArrowLeft ArrowRight Home End + - 0");
     this.message = newElement("p", "pane-message");
     this.values = newElement("table", "pane-values");
-    this.box.append(this.title, this.facts, this.message, this.canvas, this.values);
+    this.now = newElement("p", "pane-now");
+    this.box.append(this.title, this.facts, this.message, this.canvas, this.now);
+    this.values.hidden = true;
     this.box.hidden = true;
     moveByPointer(this.canvas, panel.camera);
     new ResizeObserver(() => panel.changed()).observe(this.canvas);
@@ -29,6 +31,7 @@ class ReplayPane {
     this.recording = null;
     const asked = ++this.asked;
     this.box.hidden = id === null;
+    this.values.hidden = true;
     if (id === null) {
       delete this.box.dataset.replay;
       delete this.box.dataset.scenario;
@@ -88,7 +91,7 @@ class ReplayPane {
   say(text) {
     this.message.textContent = text;
     this.message.hidden = !text;
-    this.canvas.hidden = this.values.hidden = Boolean(text);
+    this.canvas.hidden = this.now.hidden = this.values.hidden = Boolean(text);
   }
 
   fillValues() {
@@ -112,8 +115,7 @@ class ReplayPane {
       body.append(line);
       return cells;
     });
-    this.last = newElement("caption");
-    this.values.replaceChildren(this.last, head, body);
+    this.values.replaceChildren(newElement("caption", "", `Scenario ${this.id} now`), head, body);
   }
 
   // The instant at which the metric's course is most critical, in s; else the first collision, else the begin.
@@ -193,7 +195,7 @@ class ReplayPane {
     const [ego, other] = [recording.names[this.ego], recording.names[this.other]];
     if (seen !== null) parts.push(seen ? `${ego} can see ${other}` : `${other} is hidden from ${ego}`);
     if (time >= recording.time[recording.time.length - 1] - 1e-6) parts.push("end of the recording");
-    this.last.textContent = parts.join(" · ");
+    this.now.textContent = parts.join(" · ");
     if (!panel.clock.playing) this.canvas.setAttribute("aria-label", `Scenario ${this.id} from above at ${parts.join(", ")}`);
   }
 }

@@ -35,7 +35,9 @@ class ReplayPanel {
     this.legend = newElement("p", "replay-legend");
     this.notice = newElement("p", "replay-notice", this.road ? "" : this.store.contents.roads_missing ?? "");
     this.notice.hidden = !this.notice.textContent;
-    this.box.append(this.scenes, this.controls.box, this.chart.canvas, this.legend, this.notice);
+    this.tables = newElement("div", "replay-tables");
+    this.tables.append(this.panes.selected.values, this.panes.beside.values);
+    this.box.append(this.scenes, this.controls.box, this.chart.canvas, this.legend, this.tables, this.notice);
     this.section.append(this.nothing, this.box);
     new ResizeObserver(() => this.changed()).observe(this.chart.canvas);
   }
@@ -59,7 +61,7 @@ class ReplayPanel {
     this.box.hidden = !this.nothing.hidden;
     if (!changed.length) return;
     await Promise.all(changed.map((slot) => panes[slot].show(this.shown[slot])));
-    this.scenes.classList.toggle("two", store.selected !== null && store.beside !== null);
+    this.box.classList.toggle("two", store.selected !== null && store.beside !== null);
     this.choose();
     if (changed.includes("selected") || panes.selected.recording === null) this.goTo("critical");
     if (this.camera.mode === "near" || this.camera.mode === "all") this.fit(this.camera.mode);
@@ -89,8 +91,9 @@ class ReplayPanel {
       const end = Math.max(...there.map(({ recording }) => recording.time[recording.time.length - 1]));
       this.clock.setTimes(there[0].recording.time, end);
       const metric = this.metric();
-      const { critical, metrics } = this.store.contents;
-      const threshold = critical && metric.name === metrics[0].name ? critical.threshold : null;
+      const { critical, searched } = this.store.contents;
+      // A weighted sum has a threshold too, but no course.
+      const threshold = critical && metric.name === searched ? critical.threshold : null;
       const courses = there
         .filter(({ recording }) => recording.courses[metric.name])
         .map(({ slot, recording }) => ({ slot, time: recording.time, values: recording.courses[metric.name] }));

@@ -37,8 +37,10 @@ function drawScene(context, scene) {
   for (const [when, one, another] of recording.collisions) {
     if (time >= when - 1e-6) drawCollision(context, recording, when, one, another, place, colours);
   }
+  const above = labelsAbove(scene, boxes, place);
   boxes.forEach((box, entity) => {
-    if (box) drawLabel(context, box, recording.names[entity], lookOf(entity), place, view.scale, colours);
+    const name = recording.names[entity];
+    if (box) drawLabel(context, box, name, lookOf(entity), above(entity), place, view.scale, colours);
   });
   drawScaleBar(context, view.scale, height, colours);
 }
@@ -171,7 +173,14 @@ function shortName(name) {
   return letters.length > LONGEST_LABEL ? `${letters.slice(0, LONGEST_LABEL - 1).join("")}…` : name;
 }
 
-function drawLabel(context, box, name, look, place, scale, colours) {
+// Of the ego and the other, whoever is further up has its label above, so that two who meet do not write over each other.
+function labelsAbove(scene, boxes, place) {
+  const up = (entity) => (boxes[entity] ? place(boxes[entity].x, boxes[entity].y)[1] : Infinity);
+  const egoFirst = up(scene.ego) <= up(scene.other);
+  return (entity) => entity !== (egoFirst ? scene.other : scene.ego);
+}
+
+function drawLabel(context, box, name, look, above, place, scale, colours) {
   const [x, y] = place(box.x, box.y);
   const reach = Math.max(
     Math.abs(box.sin) * box.halfLength * scale + Math.abs(box.cos) * box.halfWidth * scale,
@@ -179,8 +188,7 @@ function drawLabel(context, box, name, look, place, scale, colours) {
   );
   const speed = Number.isFinite(box.speed) ? `${box.speed.toFixed(1)} m/s` : "";
   const text = look === "third" && !(Math.abs(box.speed) > 0.05) ? shortName(name) : `${shortName(name)} ${speed}`;
-  // The ego's is above it and those of others are below, so that two who meet do not write over each other.
-  writeText(context, text, x, look === "ego" ? y - reach - 8 : y + reach + 16, colours[look], colours.halo, "center");
+  writeText(context, text, x, above ? y - reach - 8 : y + reach + 16, colours[look], colours.halo, "center");
 }
 
 function writeText(context, text, x, y, colour, halo, align = "left") {
