@@ -30,7 +30,17 @@ if TYPE_CHECKING:
 REPLAY_SCRIPTS: Final = tuple(
     f"replay/{name}.js"
     for name in (
-        "motion", "sight", "clock", "camera", "road", "scene", "course", "neighbour", "pane", "controls", "panel",
+        "motion",
+        "sight",
+        "clock",
+        "camera",
+        "road",
+        "scene",
+        "course",
+        "neighbour",
+        "pane",
+        "controls",
+        "panel",
     )
 )
 """Scripts of the replay, in this order."""
