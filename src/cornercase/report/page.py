@@ -60,15 +60,18 @@ _SCRIPTS: Final = (
     "views.js",
     "views/space.js",
     "views/courses.js",
+    "views/kernel.js",
     "views/histogram.js",
     "views/parallel.js",
+    "views/front.js",
+    "views/charts.js",
     "views/table.js",
     *REPLAY_SCRIPTS,
     "main.js",
 )
 # The page loads nothing from anywhere: what is in it is all that it may run.
 _POLICY: Final = (
-    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:;"
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
 )
 

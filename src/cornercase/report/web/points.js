@@ -77,7 +77,7 @@ class PointPlot extends Plot {
     return n > 5000 ? 1.8 : n > 1200 ? 2.6 : 3.6;
   }
 
-  drawPoints(g, px, py) {
+  drawPoints(g, px, py, order = drawingOrder(this.store)) {
     this.px = px;
     this.py = py;
     const { store, ratio } = this;
@@ -93,7 +93,7 @@ class PointPlot extends Plot {
     const ghost = { colour: themeColours().ghost, symbol: "circle" };
     for (let row = 0; row < store.n; row++) if (!store.shown[row]) stamp(row, ghost, r * 0.75);
     const cross = { colour: themeColours().danger, symbol: "cross" };
-    for (const row of drawingOrder(store)) {
+    for (const row of order) {
       if (!store.shown[row]) continue;
       if (scenarios.failed[row]) stamp(row, cross);
       else stamp(row, looks.styles[looks.of[row]]);
@@ -137,14 +137,14 @@ class PointPlot extends Plot {
       const place = id === null ? null : this.placeOf(store.rows.get(id));
       if (place === null) continue;
       g.setLineDash([]);
-      g.lineWidth = 5;
+      g.lineWidth = 6;
       g.strokeStyle = themeColours().raised;
       g.beginPath();
-      g.arc(...place, 10, 0, 7);
+      g.arc(...place, 11, 0, 7);
       g.stroke();
       g.setLineDash(dash);
-      g.lineWidth = 2.4;
-      g.strokeStyle = themeColours().accent;
+      g.lineWidth = 3.2;
+      g.strokeStyle = themeColours().text;
       g.stroke();
     }
     g.setLineDash([]);

@@ -128,12 +128,11 @@ class Store {
   }
 
   readColumn(name) {
-    const { scenarios, parameters, kinds } = this.contents;
+    const { scenarios, parameters } = this.contents;
     if (name === "id" || name === "round") return Float64Array.from(scenarios[name]);
     const [kind, key] = Store.split(name);
     let values = null;
     if (kind === "score") values = scenarios.scores[key];
-    else if (kind === "component") values = kinds[this.options.aspect].embedding[Number(key) - 1];
     else values = scenarios.values[parameters.findIndex((one) => one.name === key)];
     return Float64Array.from(values, (value) => value ?? NaN);
   }
@@ -147,7 +146,6 @@ class Store {
   axis(name) {
     const [kind, key] = Store.split(name);
     if (!key) return { title: name === "id" ? "scenario [id]" : `${name} [1]`, choices: [] };
-    if (kind === "component") return { title: `component ${key} [–]`, choices: [] };
     const one = (kind === "score" ? this.contents.metrics : this.contents.parameters).find((each) => each.name === key);
     return { title: `${key} [${one.unit || "1"}]`, unit: one.unit, choices: one.choices ?? [] };
   }

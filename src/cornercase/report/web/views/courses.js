@@ -145,8 +145,8 @@ class CoursesPlot extends Plot {
       g.strokeStyle = colours.raised;
       this.drawCourse(g, row);
       g.setLineDash(dash);
-      g.lineWidth = 2.4;
-      g.strokeStyle = row === store.hovered ? colours.text : colours.accent;
+      g.lineWidth = 2.8;
+      g.strokeStyle = row === store.hovered ? colours.faint : colours.text;
       this.drawCourse(g, row);
     }
     g.setLineDash([]);

@@ -115,7 +115,7 @@ class ParallelPlot extends Plot {
       this.drawLine(g, row);
       g.setLineDash(dash);
       g.lineWidth = 2.4;
-      g.strokeStyle = row === store.hovered ? colours.text : colours.accent;
+      g.strokeStyle = row === store.hovered ? colours.faint : colours.text;
       this.drawLine(g, row);
     }
     g.setLineDash([]);

@@ -1,0 +1,200 @@
+"use strict";
+
+// Charts that nobody brushes, drawn by Plotly, which is unpacked only when the first of them comes into sight.
+
+// Plotly reads a part of HTML in its texts; names are only letters.
+function plainText(text) {
+  return String(text).replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
+}
+
+function chartLayout(more) {
+  const { text, faint, grid, line: edge, font, raised } = themeColours();
+  const axis = { gridcolor: grid, linecolor: edge, zerolinecolor: grid, tickfont: { color: faint }, automargin: true };
+  const layout = {
+    font: { family: font, size: 12, color: text },
+    paper_bgcolor: "rgba(0,0,0,0)",
+    plot_bgcolor: "rgba(0,0,0,0)",
+    margin: { l: 56, r: 14, t: 8, b: 44 },
+    legend: { orientation: "h", y: -0.2, yanchor: "top", x: 0, font: { size: 12 } },
+    hoverlabel: { bgcolor: raised, bordercolor: edge, font: { color: text } },
+    hovermode: "closest",
+    uirevision: "kept",
+    ...more,
+  };
+  for (const name of Object.keys(layout)) {
+    if (/^[xy]axis/.test(name)) layout[name] = { ...axis, ...layout[name] };
+  }
+  return layout;
+}
+
+// A view of Plotly: `fill(store)` gives traces, layout, and a sentence that says the same.
+function chartView({ fill, height = 330, events: more = [], ...view }) {
+  return {
+    ...view,
+    create(box, store) {
+      const place = document.createElement("div");
+      place.className = "plotly-box";
+      place.style.height = `${height}px`;
+      place.setAttribute("role", "img");
+      box.append(place);
+      const draw = () => {
+        const { traces, layout, label } = fill(store);
+        place.setAttribute("aria-label", label);
+        loadPlotly().then((Plotly) =>
+          Plotly.react(place, traces, chartLayout(layout), { displayModeBar: false, responsive: true }));
+      };
+      return {
+        redraw(events) {
+          if (["contents", "theme", ...more].some((one) => events.has(one))) draw();
+        },
+      };
+    },
+  };
+}
+
+// An interval around values, as Plotly takes it.
+function intervalBars(values, intervals, colour) {
+  return {
+    type: "data",
+    symmetric: false,
+    color: colour,
+    thickness: 1.4,
+    width: 3,
+    array: intervals.map(([, high], k) => Math.max(0, high - values[k])),
+    arrayminus: intervals.map(([low], k) => Math.max(0, values[k] - low)),
+  };
+}
+
+function steps(x, y, name, k) {
+  return {
+    type: "scatter",
+    mode: "lines",
+    x,
+    y,
+    name,
+    yaxis: k ? `y${k + 1}` : "y",
+    line: { shape: "hv", width: 2, color: kindColour(k), dash: PLOTLY_DASHES[k] },
+    hovertemplate: `%{y:.4g} after %{x} scenarios<extra>${name}</extra>`,
+  };
+}
+
+function missedTrace(missed, k) {
+  const values = missed.map((one) => 100 * one.value);
+  return {
+    type: "scatter",
+    mode: "lines+markers",
+    name: "missed share of the critical set",
+    yaxis: k ? `y${k + 1}` : "y",
+    x: missed.map((one) => one.run),
+    y: values,
+    line: { color: kindColour(2), dash: "dot" },
+    marker: { symbol: "diamond", size: 7 },
+    error_y: intervalBars(values, missed.map((one) => [100 * one.low, 100 * one.high]), themeColours().faint),
+    hovertemplate: "%{y:.3g} % after %{x} scenarios<extra>missed</extra>",
+  };
+}
+
+// Panels above each other, on one axis of scenarios.
+VIEWS.push(chartView({
+  name: "search",
+  title: "Search over time",
+  about: "What the search had found after how many scenarios.",
+  wanted: (store) => (store.contents.search?.run.length ?? 0) > 1,
+  height: 420,
+  fill(store) {
+    const { run, best, critical, missed, metric, unit } = store.contents.search;
+    const traces = [];
+    const titles = [];
+    const add = (trace, title) => {
+      traces.push(trace(traces.length));
+      titles.push(title);
+    };
+    const searched = `${plainText(metric ?? store.contents.searched)} [${plainText(unit || "1")}]`;
+    if (best) add((k) => steps(run, best, "best score so far", k), searched);
+    if (critical?.some((one) => one)) {
+      add((k) => steps(run, critical, "critical scenarios found", k), "found [1]");
+    }
+    if (missed?.length) add((k) => missedTrace(missed, k), "missed [%]");
+    const count = traces.length;
+    const xaxis = { title: { text: "scenarios that were run [1]" }, anchor: count > 1 ? `y${count}` : "y" };
+    const layout = { xaxis };
+    titles.forEach((title, k) => {
+      const high = 1 - k / count;
+      const domain = [high - 1 / count + (k < count - 1 ? 0.06 : 0), high];
+      layout[k ? `yaxis${k + 1}` : "yaxis"] = { title: { text: title }, domain, rangemode: k ? "tozero" : "normal" };
+    });
+    const last = run.length - 1;
+    const parts = [`Search over time: after ${run[last]} scenarios`];
+    if (best) parts.push(`the best score is ${formatNumber(best[last])}`);
+    if (critical?.length) parts.push(`${critical[last]} critical ones were found`);
+    return { traces, layout, label: parts.join(", ") };
+  },
+}));
+
+VIEWS.push(chartView({
+  name: "matters",
+  title: "What matters",
+  about: "The share of the score's variance that each parameter explains, alone and with all others; lines: 90 %.",
+  wanted: (store) => Boolean(store.contents.sensitivity?.names.length),
+  fill(store) {
+    const { sensitivity } = store.contents;
+    const { names, first, total } = sensitivity;
+    const bars = (values, intervals, name, colour, shape) => ({
+      type: "bar",
+      orientation: "h",
+      name,
+      x: values,
+      y: names.map((one) => plainText(shortened(one, 30))),
+      marker: { color: colour, pattern: { shape } },
+      error_x: intervalBars(values, intervals, themeColours().text),
+      hovertemplate: `%{y}: %{x:.2f}<extra>${name}</extra>`,
+    });
+    const traces = [
+      bars(total, sensitivity.total_interval, "with all others (total)", kindColour(0), ""),
+      bars(first, sensitivity.first_interval, "alone (first order)", kindColour(4), "/"),
+    ];
+    const layout = {
+      barmode: "group",
+      xaxis: { title: { text: "share of the variance of the score [1]" }, range: [0, 1] },
+      yaxis: { autorange: "reversed" },
+    };
+    const said = names.map((name, k) => `${name} ${total[k].toFixed(2)}`).join(", ");
+    return { traces, layout, label: `Share of the variance that each parameter explains with all others: ${said}` };
+  },
+}));
+
+VIEWS.push(chartView({
+  name: "coverage",
+  title: "What the kept ones cover",
+  about: "How many scenarios have a kept one within a distance, against as many that are picked otherwise.",
+  wanted: (store) => Object.keys(store.contents.coverage ?? {}).length > 0,
+  events: ["options"],
+  fill(store) {
+    const all = store.contents.coverage;
+    const name = store.options.aspect in all ? store.options.aspect : Object.keys(all)[0];
+    const { unit, reach, kept, medoids, random_low: low, random_high: high, critical } = all[name];
+    const curve = (y, text, colour, dash) => ({
+      type: "scatter",
+      mode: "lines",
+      x: reach,
+      y,
+      name: text,
+      line: { color: colour, dash, width: 2.2 },
+      hovertemplate: `%{y:.0f} % within %{x:.3g}<extra>${text}</extra>`,
+    });
+    const edge = (y) => ({ type: "scatter", mode: "lines", x: reach, y, line: { width: 0 }, hoverinfo: "skip" });
+    const band = { fill: "tonexty", fillcolor: "rgba(140,140,140,0.3)", name: "random choices, 90 %" };
+    const traces = [
+      { ...edge(low), showlegend: false },
+      { ...edge(high), ...band },
+      curve(medoids, "k-medoids", kindColour(4), "dot"),
+      curve(kept, "kept", kindColour(0), "solid"),
+    ];
+    if (critical) traces.push(curve(critical, "kept, of the critical ones", kindColour(1), "dash"));
+    const title = { text: `distance to the nearest kept one by ${plainText(name)} [${plainText(unit)}]` };
+    const layout = { xaxis: { title }, yaxis: { title: { text: "scenarios [%]" }, range: [0, 103] } };
+    const most = reach[kept.findIndex((one) => one >= 90)];
+    const said = most === undefined ? "" : `: 90 % of the scenarios have a kept one within ${formatNumber(most)}`;
+    return { traces, layout, label: `Coverage by ${name}${said}` };
+  },
+}));
