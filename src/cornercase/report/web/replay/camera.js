@@ -104,7 +104,8 @@ function moveByPointer(canvas, camera) {
       // The page scrolls on, unless one means the scene: by a key, or by having clicked into it.
       if (!event.ctrlKey && !event.metaKey && document.activeElement !== canvas) return;
       event.preventDefault();
-      camera.zoom(Math.exp(-Math.min(Math.max(event.deltaY, -60), 60) / 200), ...fromMiddle(event.clientX, event.clientY));
+      const turned = Math.min(Math.max(event.deltaY, -60), 60);
+      camera.zoom(Math.exp(-turned / 200), ...fromMiddle(event.clientX, event.clientY));
     },
     { passive: false },
   );

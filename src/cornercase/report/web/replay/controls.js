@@ -10,7 +10,9 @@ const REPLAY_ICONS = {
   play: "M4 2.5v11L13.5 8z",
   pause: "M4 3h3v10H4zM9 3h3v10H9z",
   step: "M5 3v10l7-5zM2.4 3H4v10H2.4z",
-  near: "M7.2 1h1.6v3.2H7.2zM7.2 11.8h1.6V15H7.2zM1 7.2h3.2v1.6H1zM11.8 7.2H15v1.6h-3.2zM8 5.6a2.4 2.4 0 1 1 0 4.8 2.4 2.4 0 0 1 0-4.8z",
+  near:
+    "M7.2 1h1.6v3.2H7.2zM7.2 11.8h1.6V15H7.2zM1 7.2h3.2v1.6H1zM11.8 7.2H15v1.6h-3.2z" +
+    "M8 5.6a2.4 2.4 0 1 1 0 4.8 2.4 2.4 0 0 1 0-4.8z",
   all: "M2 2h5v1.6H3.6V7H2zM14 2v5h-1.6V3.6H9V2zM2 14V9h1.6v3.4H7V14zM14 14H9v-1.6h3.4V9H14z",
   closer: "M7.2 3h1.6v4.2H13v1.6H8.8V13H7.2V8.8H3V7.2h4.2z",
   wider: "M3 7.2h10v1.6H3z",
@@ -67,7 +69,8 @@ class ReplayControls {
     for (const speed of REPLAY_SPEEDS) this.speed.append(new Option(`${speed}×`, speed, speed === 1, speed === 1));
     this.speed.addEventListener("change", () => (clock.speed = Number(this.speed.value)));
     this.follow = textButton("follow", "Follow", "Keep the ego in the middle (F)", () => panel.toggleFollow());
-    this.sight = textButton("sight", "Sight", "Show what the ego can see, and what hides it (V)", () => panel.toggleSight());
+    const sight = "Show whether the ego can see the other, and what hides it (V)";
+    this.sight = textButton("sight", "Sight", sight, () => panel.toggleSight());
     this.neighbour = textButton("neighbour", "Neighbour", "", () => panel.toggleNeighbour());
     const time = newElement("div", "replay-row");
     time.append(
@@ -107,8 +110,8 @@ class ReplayControls {
     this.follow.setAttribute("aria-pressed", String(camera.mode === "follow"));
     this.sight.setAttribute("aria-pressed", String(sight));
     this.neighbour.setAttribute("aria-pressed", String(store.beside !== null));
-    this.neighbour.title =
-      store.beside === null ? "Compare with the nearest scenario that ended otherwise (N)" : "Show one scenario only (N)";
+    const compare = "Compare with the nearest scenario that ended otherwise (N)";
+    this.neighbour.title = store.beside === null ? compare : "Show one scenario only (N)";
   }
 }
 

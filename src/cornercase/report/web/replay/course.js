@@ -70,7 +70,8 @@ class CourseChart {
     context.scale(ratio, ratio);
     const { left, right, top, bottom } = COURSE_EDGES;
     const across = (t) => left + ((t - this.begin) / (this.end - this.begin)) * (width - left - right);
-    const down = (v) => height - bottom - ((v - this.range[0]) / (this.range[1] - this.range[0])) * (height - top - bottom);
+    const [low, high] = this.range;
+    const down = (v) => height - bottom - ((v - low) / (high - low)) * (height - top - bottom);
     context.font = "11px system-ui, sans-serif";
     this.drawAxes(context, across, down, width, height, colours);
     context.save();

@@ -81,7 +81,9 @@ class ReplayPane {
   whyMissing(id) {
     const { store } = this.panel;
     const { study, scenarios, errors } = store.contents;
-    if (scenarios.failed[store.rows.get(id)]) return `Scenario ${id} failed, so there is nothing to replay: ${errors[id]}`;
+    if (scenarios.failed[store.rows.get(id)]) {
+      return `Scenario ${id} failed, so there is nothing to replay: ${errors[id]}`;
+    }
     return (
       `The recording of scenario ${id} is not in this file, which holds those of some scenarios only, to stay small.` +
       ` See it with: cornercase replay ${study} ${id} -o run.html, or all of them with: cornercase watch ${study}`
@@ -168,7 +170,8 @@ class ReplayPane {
     const own = this.timeOf(time);
     const ratio = window.devicePixelRatio || 1;
     const [wide, high] = [Math.round(width * ratio), Math.round(height * ratio)];
-    if (this.canvas.width !== wide || this.canvas.height !== high) Object.assign(this.canvas, { width: wide, height: high });
+    if (this.canvas.width !== wide) this.canvas.width = wide;
+    if (this.canvas.height !== high) this.canvas.height = high;
     const context = this.canvas.getContext("2d");
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     const view = this.panel.camera.view(this.boxOfEgo(time));
@@ -196,7 +199,8 @@ class ReplayPane {
     if (seen !== null) parts.push(seen ? `${ego} can see ${other}` : `${other} is hidden from ${ego}`);
     if (time >= recording.time[recording.time.length - 1] - 1e-6) parts.push("end of the recording");
     this.now.textContent = parts.join(" · ");
-    if (!panel.clock.playing) this.canvas.setAttribute("aria-label", `Scenario ${this.id} from above at ${parts.join(", ")}`);
+    const said = `Scenario ${this.id} from above at ${parts.join(", ")}`;
+    if (!panel.clock.playing) this.canvas.setAttribute("aria-label", said);
   }
 }
 

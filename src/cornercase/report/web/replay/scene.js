@@ -173,7 +173,7 @@ function shortName(name) {
   return letters.length > LONGEST_LABEL ? `${letters.slice(0, LONGEST_LABEL - 1).join("")}…` : name;
 }
 
-// Of the ego and the other, whoever is further up has its label above, so that two who meet do not write over each other.
+// Of the ego and the other, whoever is further up has its label above: two who meet do not write over each other.
 function labelsAbove(scene, boxes, place) {
   const up = (entity) => (boxes[entity] ? place(boxes[entity].x, boxes[entity].y)[1] : Infinity);
   const egoFirst = up(scene.ego) <= up(scene.other);
