@@ -2,17 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from cornercase._common.errors import InputError
+from cornercase._common.texts import quoted_name
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings import Recording
-from cornercase.roads import Region, RoadSketch
+from cornercase.roads import Region, RoadNetwork, RoadSketch, lane_borders
+from cornercase.scenario import Scenario, Value
+from cornercase.study import Study, explored_scenario
 
 MARGIN: Final = 40.0
 """How far around the recordings the road is drawn, in m."""
+
+
+def find_roads(
+    study: Study,
+    region: Region | None,
+    scenario: Path | str | Scenario | None = None,
+    values: Mapping[str, Value] | None = None,
+) -> tuple[RoadSketch | None, str]:
+    """Find the road that was explored, in the scenario file beside the study.
+
+    Parameters
+    ----------
+    study : Study
+        Of which only the name of the scenario file and its fingerprint are taken.
+    region : tuple of float, optional
+        As of `recorded_region`.
+    scenario : path or Scenario, optional
+        The scenario file that was explored, where it lies elsewhere.
+    values : mapping of str to float or str, optional
+        Of a scenario's parameters, one of which may name the road file; by default those that the file declares.
+
+    Returns
+    -------
+    sketch : RoadSketch or None
+        None where there is none.
+    missing : str
+        Why there is none, as a sentence; it tells no path.
+
+    Raises
+    ------
+    InputError
+        The `scenario` is not the one that was explored.
+    """
+    if region is None:
+        return None, ""
+    name = quoted_name(study.meta.file_name)
+    try:
+        found = explored_scenario(study, scenario)
+    except InputError:
+        if scenario is not None:
+            raise
+        return None, f"The road is not drawn, as the scenario file {name} does not lie beside the study as it was."
+    if found is None:
+        return None, "The road is not drawn, as no scenario file belongs to recordings that were imported."
+    try:
+        path = found.road_file(values)
+        if path is None:
+            return None, f"The road is not drawn, as the scenario file {name} names none."
+        network = RoadNetwork.of_xml(found.xml(path), path)
+    except InputError:
+        return None, f"The road is not drawn, as the road file of {name} cannot be read."
+    return lane_borders(network, region), ""
 
 
 def recorded_region(recordings: Iterable[Recording], margin: float = MARGIN) -> Region | None:
