@@ -2,8 +2,96 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from cornercase.evidence import Estimate
+from cornercase.reduction import ReducedSet
 from cornercase.report.data import ReportData
+from cornercase.report.knowledge import CriticalKnowledge
+from cornercase.report.words import (
+    find_reasons,
+    name_criterion,
+    percent,
+    tell_front,
+    tell_unforetold,
+    with_unit,
+)
 from cornercase.study import IMPORTED
+
+# So many points are told below an answer; the details have all.
+_MOST_POINTS = 6
+_NEGLIGIBLE = 0.01
+_ROLES: Final[dict[str, tuple[str, str]]] = {
+    "prototype": ("prototype", "prototypes"),
+    "archetype": ("archetype", "archetypes"),
+    "gap": ("that fills a gap between these", "that fill gaps between these"),
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An answer to a question that is asked of every study.
+
+    Attributes
+    ----------
+    name : str
+        Of the question, for addresses and tests.
+    question : str
+        As a person asks it.
+    text : str
+        Sentences.
+    points : tuple of str
+        What is told below them, one by one; empty where there is nothing more to tell.
+    """
+
+    name: str
+    question: str
+    text: str
+    points: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values.
+
+        Returns
+        -------
+        dict of str to object
+            By the name of the field.
+        """
+        return asdict(self) | {"points": list(self.points)}
+
+
+def page_answers(data: ReportData) -> Iterator[Answer]:
+    """Answer all questions that can be asked of a study.
+
+    Every figure is one of `put_in_words`.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+
+    Yields
+    ------
+    Answer
+        In the order of the page.
+    """
+    summary = data.summary
+    known = summary.knowledge
+    if summary.probability is not None:
+        yield _of_probability(summary.probability)
+    if known.front is not None:
+        yield _of_front(data)
+    else:
+        yield _of_share(data)
+    yield _of_kinds(data)
+    yield _of_parameters(data)
+    yield _of_kept(data)
+    if known.front is None and known.critical is not None:
+        yield _of_missed(known.critical)
+    yield _of_failures(data)
 
 
 def tell_about(data: ReportData) -> str:
@@ -22,10 +110,211 @@ def tell_about(data: ReportData) -> str:
     summary, meta = data.summary, data.summary.meta
     said = [f"{meta.ego} is the ego, {meta.other} the other."]
     if meta.simulator == IMPORTED:
-        said.append(f"The recordings of {summary.run} scenarios were imported.")
+        said.append(f"{_scenarios(summary.run)} imported, measured by {', '.join(meta.metrics)}.")
     else:
         searched = f"{'the ' if meta.pareto else ''}{summary.searched}"
-        said.append(f"{summary.run} scenarios were run, searched by {meta.optimizer} for {searched}.")
+        said.append(f"{_scenarios(summary.run)} run, searched by {meta.optimizer} for {searched}.")
     if summary.pending:
-        said.append(f"{summary.pending} have not been run yet.")
+        said.append(f"{_scenarios(summary.pending)} not run yet.")
     return " ".join(said)
+
+
+def _scenarios(count: int) -> str:
+    return "One scenario was" if count == 1 else f"{count} scenarios were"
+
+
+def _interval(estimate: Estimate) -> str:
+    return f"90 % interval {percent(estimate.low)} to {percent(estimate.high)}"
+
+
+def _of_share(data: ReportData) -> Answer:
+    name, question = "critical", "How much of the space is critical?"
+    summary, known = data.summary, data.summary.knowledge.critical
+    if known is None:
+        none = "Nothing says from which score on a scenario is critical; `critical` of `explore` says it."
+        return Answer(name, question, none)
+    criterion = name_criterion(known, summary.searched).replace("<=", "≤").replace(">=", "≥")
+    of_set = known.known
+    if known.scenarios:
+        ran = f"{known.scenarios} of the {summary.run} scenarios that were run are critical ({criterion})."
+    else:
+        ran = f"None of the {summary.run} scenarios that were run is critical ({criterion})."
+    if of_set is None:
+        return Answer(name, question, f"{ran} Too few different scores are known to say something of all others.")
+    if of_set.share_doubt is not None:
+        about = f"About {percent(of_set.share.value)} of the space is critical. " if known.scenarios else ""
+        return Answer(name, question, f"{about}{ran} No interval is given: {of_set.share_doubt}.")
+    if not known.scenarios:
+        bound = f"At most {percent(of_set.share.high)} of the space is critical (upper end of a 90 % interval)."
+        return Answer(name, question, f"{ran} {bound}")
+    share = f"About {percent(of_set.share.value)} of the space is critical ({_interval(of_set.share)})."
+    return Answer(name, question, f"{share} {ran}")
+
+
+def _of_missed(known: CriticalKnowledge) -> Answer:
+    said, found = [], known.known
+    if found is None:
+        said.append("Nothing is known of that: too few different scores are known.")
+    elif not known.scenarios:
+        said.append("Nothing critical was found, so whatever is critical was missed.")
+    elif found.missed_doubt is not None:
+        said.append(f"About {percent(found.missed.value)} of the critical set.")
+        said.append(f"No interval is given: {found.missed_doubt}.")
+    else:
+        said.append(f"About {percent(found.missed.value)} of the critical set ({_interval(found.missed)}).")
+    if found is not None and known.scenarios:
+        said.append(f"Beside that, a region in which nothing was run could hide {percent(found.hidden)} of it.")
+    if known.audit is not None:
+        audits = f"{known.audit.critical} of {known.audit.scenarios} audits are critical"
+        if known.audit.missed is not None and known.audit.critical:
+            audits += (
+                f"; by these alone {percent(known.audit.missed.value)} is missed ({_interval(known.audit.missed)})"
+            )
+        said.append(f"{audits}.")
+    return Answer("missed", "What may be missed?", " ".join(said))
+
+
+def find_default_aspect(data: ReportData) -> str | None:
+    """Find the aspect that is looked at first: the one whose kinds say most of how scenarios end.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+
+    Returns
+    -------
+    str or None
+        None before the study was analysed.
+    """
+    best, found = -1.0, None
+    for by, one in data.summary.analyses.items():
+        # Aspects that say more of what happens come after those that say less, where they say as much of the end.
+        says = round(one.tells.get("outcome", 0.0), 3) if one.clustering.n_clusters > 1 else -1.0
+        if says >= best:
+            best, found = says, by
+    return found
+
+
+def _of_kinds(data: ReportData) -> Answer:
+    name, question, analyses = "kinds", "Which kinds are there?", data.summary.analyses
+    chosen = find_default_aspect(data)
+    if chosen is None:
+        return Answer(name, question, "The study has not been analysed yet: `analyze` finds the kinds.")
+    divided = [by for by, one in analyses.items() if one.clustering.n_clusters > 1 and by != chosen]
+    alike = [by for by, one in analyses.items() if one.clustering.n_clusters <= 1]
+    if analyses[chosen].clustering.n_clusters <= 1:
+        return Answer(name, question, f"There are no separate kinds, neither by {_listed(alike, 'nor')}.")
+    one = analyses[chosen]
+    noise = int((one.labels < 0).sum())
+    outside = f", and {noise} scenarios that are like few others" if noise else ""
+    said = [f"By {chosen} there are {one.clustering.n_clusters} kinds{outside}."]
+    points = [
+        f"{each.label or f'cluster {each.cluster}'} ({each.size} scenarios)."
+        for each in one.profiles
+        if each.cluster >= 0
+    ]
+    if len(points) > _MOST_POINTS:
+        points = [*points[:_MOST_POINTS], f"{len(points) - _MOST_POINTS} smaller ones are told in detail below."]
+    if divided:
+        said.append(f"There are kinds by {_listed(divided)} too.")
+    if alike:
+        said.append(f"By {_listed(alike)} all scenarios are much alike.")
+    return Answer(name, question, " ".join(said), tuple(points))
+
+
+def _of_parameters(data: ReportData) -> Answer:
+    name, question, found = "parameters", "Which parameters matter?", data.summary.knowledge.sensitivity
+    if data.summary.knowledge.front is not None:
+        return Answer(name, question, "That is told of one score, and here the Pareto front of several is searched.")
+    if found is None:
+        return Answer(name, question, "Too few different scores are known to say so.")
+    if not found.foretold:
+        return Answer(name, question, tell_unforetold())
+    order = sorted(range(len(found.names)), key=lambda k: (-found.total[k], k))
+    points = [
+        f"{found.names[k]}: {_share_of(found.total[k], found.total_interval[k])} together with the others,"
+        f" {_share_of(found.first[k], found.first_interval[k])} alone."
+        for k in order[:_MOST_POINTS]
+    ]
+    little = f" Of little influence: {_listed(list(found.little))}." if found.little else ""
+    text = (
+        f"{found.names[order[0]]} matters most.{little} So much of the variance of {data.summary.searched} comes from"
+        f" each parameter, by a Gaussian process that explains {percent(found.predicted)} of it (cross-validated); in"
+        " brackets 90 % intervals."
+    )
+    return Answer(name, question, text, tuple(points))
+
+
+def _share_of(value: float, interval: tuple[float, float]) -> str:
+    if interval[1] < _NEGLIGIBLE:
+        return f"below {percent(_NEGLIGIBLE)}"
+    return f"{percent(value)} ({percent(interval[0])} to {percent(interval[1])})"
+
+
+def _of_kept(data: ReportData) -> Answer:
+    name, question, reduced = "kept", "What to keep?", data.summary.reduced
+    if reduced is None:
+        return Answer(name, question, "The study has not been reduced yet: `reduce` finds the few to keep.")
+    roles = Counter(str(one.role) for one in reduced.kept)
+    counts = _listed([f"{n} {words[n != 1]}" for role, words in _ROLES.items() if (n := roles[role])])
+    said = [f"Keep {len(reduced.kept)} of the {reduced.run} scenarios: {counts or 'none'}."]
+    if later := data.summary.run - reduced.run:
+        said.append(f"{_scenarios(later)} run since.")
+    return Answer(name, question, " ".join([*said, *_left_out(data, reduced)]))
+
+
+def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
+    critical = {name: one.held_out for name, one in reduced.critical.items() if one.held_out is not None}
+    by = reduced.by if reduced.by in critical else next(iter(critical), None)
+    if by is not None:
+        count = critical[by].scenarios
+        alike = round(count * critical[by].critical)
+        which = "every critical one is" if alike == count else f"{percent(critical[by].critical)} of the critical are"
+        yield (
+            f"Tested on scenarios that had no part in the choice, {which} like a kept one by {by} ({alike} of {count})."
+        )
+    judged = {name: one.held_out for name, one in reduced.coverage.items() if one.held_out is not None}
+    by = reduced.by if reduced.by in judged else next(iter(judged), None)
+    if by is not None and by in data.summary.analyses:
+        held_out, unit = judged[by], data.summary.analyses[by].unit
+        yield (
+            f"From {'such a scenario' if critical else 'a scenario that had no part in the choice'} to the nearest kept"
+            f" one it is {with_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
+            f" {100.0 * held_out.better_mean:.0f} of 100 random choices of as many leave more."
+        )
+
+
+def _of_front(data: ReportData) -> Answer:
+    front = data.summary.knowledge.front or {}
+    points = []
+    for metric in data.metrics:
+        ids = sorted(front, key=lambda scenario: (metric.oriented(front[scenario][metric.name]), scenario))
+        if ids:
+            value = with_unit(f"{front[ids[0]][metric.name]:.3g}", metric.unit)
+            points.append(f"The most critical {metric.name} on it is {value}, in scenario {ids[0]}.")
+    return Answer("front", "Which scenarios are on the Pareto front?", tell_front(len(front)), tuple(points))
+
+
+def _of_failures(data: ReportData) -> Answer:
+    name, question, failed = "failed", "What failed, and why?", data.failed
+    total = data.summary.run + data.summary.failed
+    if not failed:
+        return Answer(name, question, f"Nothing: all {total} scenarios could be run.")
+    reasons = find_reasons(failed)
+    points = [f"{len(ids)}: {why}" for why, ids in list(reasons.items())[:_MOST_POINTS]]
+    more = f" The {_MOST_POINTS} most frequent reasons:" if len(reasons) > _MOST_POINTS else ""
+    return Answer(name, question, f"{len(failed)} of {total} scenarios could not be run.{more}", tuple(points))
+
+
+def _of_probability(found: Any) -> Answer:
+    points = []
+    for event, words in (("critical", f"a critical scenario ({found['critical is']})"), ("collision", "a collision")):
+        low, high = found[event]["95 % interval"]
+        points.append(f"Of {words}: {found[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g}).")
+    said = f"Under the distributions of the space, from {found['scenarios']} scenarios:"
+    return Answer("probability", "How probable is it?", said, (*points, *found["warnings"]))
+
+
+def _listed(words: list[str], last: str = "and") -> str:
+    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""

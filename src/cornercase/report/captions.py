@@ -2,12 +2,94 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
 from cornercase.clustering import Analysis
 from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
 from cornercase.reduction import ReducedSet
 from cornercase.report.data import ReportData
-from cornercase.report.words import format_value, tell_front, tell_how_found, tell_unforetold, with_unit
+from cornercase.report.words import format_value, name_criterion, tell_front, tell_how_found, tell_unforetold, with_unit
+
+
+def page_captions(data: ReportData) -> dict[str, Any]:
+    """Say what is to be seen in each view of the page.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+
+    Returns
+    -------
+    dict of str to object
+        By the name of the view: a text, or texts by metric ("space", "histogram") or aspect ("kernel", "courses"). A
+        view that is not among them says the same of every study.
+    """
+    summary = data.summary
+    known, analyses = summary.knowledge, summary.analyses
+    found: dict[str, Any] = {
+        "space": {metric.name: of_scores(data, metric) for metric in data.metrics},
+        "histogram": {metric.name: of_distribution(data, metric) for metric in data.metrics},
+        "search": of_search(data),
+        "kernel": {name: of_kernel_space(one) for name, one in analyses.items()},
+        "courses": {name: of_courses(data.metric_of(name)) for name in analyses},
+        "coverage": of_coverage(),
+    }
+    if known.front is not None:
+        found["front"] = of_front(len(known.front))
+    if known.sensitivity is not None:
+        found["matters"] = of_sensitivity(known.sensitivity, summary.searched)
+    return found
+
+
+def of_distribution(data: ReportData, metric: Metric) -> str:
+    """Say how the scores of a metric are distributed.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+    metric : Metric
+        One of the study.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    scores = data.scores[metric.name]
+    low, middle, high = (with_unit(f"{value:.3g}", metric.unit) for value in np.quantile(scores, (0.0, 0.5, 1.0)))
+    if low == high:
+        return f"All scenarios have the {metric.name} score {low}."
+    said = f"{metric.name} scores lie between {low} and {high}, half of them up to {middle}."
+    known = data.summary.knowledge.critical
+    if known is not None and metric.name == data.summary.searched:
+        said += f" {known.scenarios} of {len(scores)} are critical ({name_criterion(known, data.summary.searched)})."
+    return said
+
+
+def of_search(data: ReportData) -> str:
+    """Say when the search found the most critical scenario.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    said = []
+    for name, one in data.summary.metrics.items():
+        at = next(row.round for row in data.rows if row.id == one.scenario)
+        best = with_unit(f"{one.most_critical:.3g}", one.unit)
+        said.append(f"The most critical {name} of all, {best}, was first met in round {at} (scenario {one.scenario}).")
+    return " ".join(said)
 
 
 def of_scores(data: ReportData, metric: Metric) -> str:
@@ -31,9 +113,11 @@ def of_scores(data: ReportData, metric: Metric) -> str:
         for parameter in data.parameters
     )
     low = "low" if metric.lower_is_critical else "high"
+    many = int((data.scores[metric.name] == one.most_critical).sum())
+    which = f"One of the {many} most critical ones" if many > 1 else "The most critical one"
     said = (
-        f"Each point is a scenario, by its {metric.name} score; {low} is critical. The most critical one is scenario"
-        f" {one.scenario} with {metric.name} {with_unit(f'{one.most_critical:.3g}', metric.unit)} at {at}."
+        f"Each point is a scenario, by its {metric.name} score; {low} is critical. {which} is scenario {one.scenario}"
+        f" with {metric.name} {with_unit(f'{one.most_critical:.3g}', metric.unit)} at {at}."
     )
     if one.alike:
         said += f" {one.alike}"

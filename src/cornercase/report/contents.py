@@ -10,8 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from cornercase._common.typing import FloatArray
 from cornercase.clustering import Analysis
-from cornercase.report.answers import tell_about
+from cornercase.report.answers import find_default_aspect, page_answers, tell_about
+from cornercase.report.captions import page_captions
 from cornercase.report.data import ReportData
 from cornercase.report.words import judge_clusters, name_kind
 from cornercase.study import Row
@@ -19,8 +21,8 @@ from cornercase.study import Row
 FORMAT: Final = 1
 """Version of what `page_contents` returns."""
 
-# Points of a course in the page's lines; the replay has all.
-_POINTS: Final = 48
+COURSE_POINTS: Final = 48
+"""Points of a course in the page's lines; the replay has all."""
 _GREATEST: Final = 65534
 
 
@@ -72,8 +74,8 @@ def scenario_part(data: ReportData) -> dict[str, Any]:
             "id": [row.id for row in rows],
             "round": [row.round for row in rows],
             "failed": [int(row.state == "failed") for row in rows],
-            "values": [[_value(one.read(row.values), one.choices) for row in rows] for one in data.parameters],
-            "scores": {name: of_done([_number(one) for one in scores]) for name, scores in data.scores.items()},
+            "values": [[plain_value(one.read(row.values), one.choices) for row in rows] for one in data.parameters],
+            "scores": {name: of_done([plain_score(one) for one in scores]) for name, scores in data.scores.items()},
             "critical": of_done(data.critical.astype(int).tolist(), 0),
             "collides": of_done([int(row.id in data.collided) for row in data.rows], 0),
             "outcome": [named.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
@@ -117,8 +119,10 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
             {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical} for one in data.metrics
         ],
         "critical": _critical(data),
+        "default_aspect": find_default_aspect(data),
         "influential": list(data.influential),
-        "answers": [],
+        "answers": [one.to_json() for one in page_answers(data)],
+        "captions": page_captions(data),
         "notes": {str(scenario): text for scenario, text in data.notes.items()},
         "kept": {
             str(one.id): {"role": one.role, "cluster": one.cluster, "file": one.file, "why": one.why} for one in kept
@@ -160,24 +164,47 @@ def _kinds(analysis: Analysis, place: Mapping[int, int], count: int) -> dict[str
 
 
 def _courses(data: ReportData, name: str, rows: Sequence[Row]) -> dict[str, Any]:
-    """Courses at evenly spread times of each scenario, as whole numbers of 16 bits: 65535 where there is none."""
     known = data.courses[name]
-    low = min((float(np.nanmin(one)) for one in known.values()), default=0.0)
-    high = max((float(np.nanmax(one)) for one in known.values()), default=1.0)
-    found = np.full((len(rows), _POINTS), _GREATEST + 1, dtype="<u2")
-    begin, end = [0.0] * len(rows), [0.0] * len(rows)
-    for k, row in enumerate(rows):
+    spans, found = [], []
+    for row in rows:
+        course, (begin, end) = None, (0.0, 0.0)
         if row.id in known:
             time = data.times[row.id]
-            begin[k], end[k] = float(time[0]), float(time[-1])
-            values = np.interp(np.linspace(time[0], time[-1], _POINTS), time, known[row.id])
-            found[k] = np.rint((values - low) / max(high - low, 1e-12) * _GREATEST)
+            begin, end = float(time[0]), float(time[-1])
+            course = np.interp(np.linspace(begin, end, COURSE_POINTS), time, known[row.id])
+        spans.append((begin, end))
+        found.append(course)
+    return pack_courses(found, spans)
+
+
+def pack_courses(courses: Sequence[FloatArray | None], spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """Pack courses at evenly spread times of each scenario, as whole numbers of 16 bits.
+
+    Parameters
+    ----------
+    courses : sequence of (ndarray of float64, shape (COURSE_POINTS,), or None), length n
+        Of each scenario; None where there is none.
+    spans : sequence of (float, float), length n
+        Begin and end of each, in s.
+
+    Returns
+    -------
+    dict of str to object
+        What ``courses`` of the page's contents holds of a metric; 65535 stands for no value.
+    """
+    known = [one for one in courses if one is not None]
+    low = min((float(np.nanmin(one)) for one in known), default=0.0)
+    high = max((float(np.nanmax(one)) for one in known), default=1.0)
+    found = np.full((len(courses), COURSE_POINTS), _GREATEST + 1, dtype="<u2")
+    for k, one in enumerate(courses):
+        if one is not None:
+            found[k] = np.rint((one - low) / max(high - low, 1e-12) * _GREATEST)
     return {
-        "points": _POINTS,
+        "points": COURSE_POINTS,
         "low": low,
         "high": high,
-        "begin": begin,
-        "end": end,
+        "begin": [begin for begin, _ in spans],
+        "end": [end for _, end in spans],
         "values": pack(found.tobytes()),
     }
 
@@ -198,9 +225,35 @@ def pack(data: bytes) -> str:
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
-def _number(value: float) -> float | None:
+def plain_score(value: float) -> float | None:
+    """Write a score in as few digits as tell it from others.
+
+    Parameters
+    ----------
+    value : float
+        The score.
+
+    Returns
+    -------
+    float or None
+        With six digits; None where there is none.
+    """
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
-def _value(value: float | str, choices: Sequence[str]) -> float:
+def plain_value(value: float | str, choices: Sequence[str]) -> float:
+    """Write the value of a parameter as a number.
+
+    Parameters
+    ----------
+    value : float or str
+        The value.
+    choices : sequence of str
+        Those of the parameter; none where it is a number.
+
+    Returns
+    -------
+    float
+        Of a choice which one it is, from 0 on.
+    """
     return float(choices.index(str(value)) if choices else value)

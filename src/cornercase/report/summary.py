@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cornercase._common.errors import InputError
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
 from cornercase.exploration import Objective, tell_alike
 from cornercase.metrics import METRICS
@@ -18,7 +16,7 @@ from cornercase.recordings import Recording
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.report.knowledge import Knowledge, find_knowledge
 from cornercase.scenario import Value
-from cornercase.study import Study, StudyMeta, open_study
+from cornercase.study import Study, StudyMeta, damage_told, open_study, require
 
 
 @dataclass(frozen=True)
@@ -191,10 +189,15 @@ def summarize_with(study: Study, collisions: int) -> Summary:
 
 
 def _probability(study: Study) -> dict[str, Any] | None:
-    # Only the study of an estimate has it.
-    with suppress(InputError):
-        return study.analysis("estimate", "ids")[1]
-    return None
+    found = study.estimate()
+    if found is not None:
+        with damage_told(study.path):
+            for event in ("critical", "collision"):
+                low, high = found[event]["95 % interval"]
+                require(all(isinstance(one, float | int) for one in (found[event]["probability"], low, high)), event)
+            require(isinstance(found["critical is"], str) and isinstance(found["scenarios"], int), "its estimate")
+            require(all(isinstance(one, str) for one in found["warnings"]), "the warnings of its estimate")
+    return found
 
 
 def _of_metric(study: Study, name: str) -> MetricSummary:

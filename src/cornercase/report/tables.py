@@ -46,8 +46,10 @@ def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequenc
         )
 
     body = "".join(f"<tr>{line(cells, 'td')}</tr>" for cells in rows)
-    # Who has no mouse scrolls a wide table by keys, for which it has to take the focus.
-    return f"<div class='wide' tabindex='0'><table><tr>{line(head, 'th')}</tr>{body}</table></div>"
+    # Who has no mouse scrolls a wide table by keys, for which it has to take the focus, and a name.
+    label = escape(", ".join(head[:3]))
+    table = f"<table><tr>{line(head, 'th')}</tr>{body}</table>"
+    return f"<div class='wide' tabindex='0' role='region' aria-label='table: {label}'>{table}</div>"
 
 
 def tell_profiles(profiles: Sequence[Profile]) -> str:

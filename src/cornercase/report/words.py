@@ -220,6 +220,25 @@ def with_unit(number: str, unit: str) -> str:
     return number if unit in ("", "1") else f"{number} {unit}"
 
 
+def percent(share: float) -> str:
+    """Write a share in percent.
+
+    Parameters
+    ----------
+    share : float
+        From 0 to 1.
+
+    Returns
+    -------
+    str
+        Two digits that count, or all before the point: ``"0.34 %"``, ``"12 %"``; nearly all is not written as all.
+    """
+    value = 100.0 * share
+    if 99.5 <= value < 100.0:
+        return "over 99 %"
+    return f"{value:.0f} %" if value >= 9.95 or value == 0.0 else f"{value:.2g} %"
+
+
 def list_scenarios(ids: Sequence[int]) -> str:
     """List the ids of scenarios.
 

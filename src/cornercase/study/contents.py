@@ -124,6 +124,18 @@ class StudyContents(ScenarioContents):
         with damage_told(self.path):
             return dict(loaded(found[0][0])) if found else None
 
+    def estimate(self) -> dict[str, Any] | None:
+        """Read what an estimate of probabilities found.
+
+        Returns
+        -------
+        dict or None
+            None of a study that is no estimate, and of one that has not ended.
+        """
+        found = self._database.found("SELECT info FROM analyses WHERE name = 'estimate'")
+        with damage_told(self.path):
+            return dict(loaded(found[0][0])) if found else None
+
     def elapsed(self) -> dict[str, float]:
         """Time spent by stage.
 

@@ -92,7 +92,7 @@ def tell_provenance(data: ReportData) -> Markup:
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
-        **{f"simulator's {key}": value for key, value in meta.settings.items()},
+        **{f"simulator's {key}": value for key, value in meta.settings.items() if value not in ({}, [], None, "")},
         **{f"time to {stage} [s]": f"{seconds:.2f}" for stage, seconds in data.summary.seconds.items()},
         **_versions(meta),
     }
