@@ -23,6 +23,7 @@ async function begin() {
   const link = new Link(store, bar);
   // The link comes first, so that what the address says is there when the replay begins.
   if (typeof showReplay === "function") showReplay(document.getElementById("replay"), store, recordings);
+  foldAnswers(document.getElementById("answers"));
   const views = new Views(document.getElementById("views"), store);
   window.cornercase = { ...window.cornercase, store, recordings, bar, link, views, settled: () => views.settled() };
   // The page can be used when filters, table and the views on the screen are there; what needs Plotly comes after.

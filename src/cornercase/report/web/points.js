@@ -98,17 +98,9 @@ class PointPlot extends Plot {
       if (scenarios.failed[row]) stamp(row, cross);
       else stamp(row, looks.styles[looks.of[row]]);
     }
-    g.strokeStyle = themeColours().text;
-    g.lineWidth = 1.3;
     for (let row = 0; row < store.n; row++) {
       if (!scenarios.kept[row] || !store.shown[row] || !(px[row] > -1e6)) continue;
-      const style = looks.styles[looks.of[row]];
-      drawSymbol(g, style.symbol === "ring" ? { ...style, symbol: "circle" } : style, px[row], py[row], r * 1.25);
-      g.strokeStyle = themeColours().text;
-      g.lineWidth = 1.3;
-      g.beginPath();
-      g.arc(px[row], py[row], r * 1.25 + 3.2, 0, 7);
-      g.stroke();
+      drawKept(g, looks.styles[looks.of[row]], keptRole(store, row), px[row], py[row], Math.max(3, r));
     }
   }
 
@@ -160,6 +152,26 @@ class PointPlot extends Plot {
   }
 }
 
+const ROLES = { prototype: ["star", 2.9], archetype: ["circle", 1.95], gap: ["triangle", 2.4] };
+
+function keptRole(store, row) {
+  return store.contents.kept[store.contents.scenarios.id[row]]?.role ?? "kept";
+}
+
+// A kept scenario keeps the look of its kind, within an outline that says its role.
+function drawKept(g, style, role, x, y, r) {
+  const [outline, size] = ROLES[role] ?? ["diamond", 2.2];
+  symbolPath(g, outline, x, y, size * r);
+  g.fillStyle = themeColours().raised;
+  g.globalAlpha = 0.75;
+  g.fill();
+  g.globalAlpha = 1;
+  g.strokeStyle = themeColours().text;
+  g.lineWidth = 1.3;
+  g.stroke();
+  drawSymbol(g, style.symbol === "ring" ? { ...style, symbol: "circle" } : style, x, y, r * 0.95);
+}
+
 // Rows as they are drawn: the most critical ones last, and so on top.
 function drawingOrder(store) {
   const key = `${store.version} ${store.options.metric}`;
@@ -171,51 +183,4 @@ function drawingOrder(store) {
     store.drawing = { key, rows };
   }
   return store.drawing.rows;
-}
-
-// What colours and symbols mean, beneath a drawing.
-function fillLegend(list, store) {
-  const looks = rowLooks(store);
-  const { scenarios } = store.contents;
-  list.replaceChildren();
-  const add = (text, style, ring = false) => {
-    const item = document.createElement("li");
-    if (style) {
-      const canvas = document.createElement("canvas");
-      canvas.width = canvas.height = 28;
-      const g = canvas.getContext("2d");
-      g.scale(2, 2);
-      drawSymbol(g, style, 7, 7, ring ? 3 : 4);
-      if (ring) {
-        g.strokeStyle = themeColours().text;
-        g.lineWidth = 1.2;
-        g.beginPath();
-        g.arc(7, 7, 6, 0, 7);
-        g.stroke();
-      }
-      item.append(canvas);
-    }
-    item.append(text);
-    list.append(item);
-    return item;
-  };
-  if (looks.column) {
-    const bar = document.createElement("span");
-    bar.className = "bar";
-    const stops = [0, 0.25, 0.5, 0.75, 1].map((share) => scaleColour(looks.flip ? 1 - share : share));
-    bar.style.background = `linear-gradient(to right, ${stops.join(", ")})`;
-    const item = add(`${store.axis(looks.column).title}: ${formatNumber(looks.low)}`, null);
-    item.append(bar, formatNumber(looks.high));
-  } else {
-    looks.styles.forEach((style, k) => {
-      let count = 0;
-      for (let row = 0; row < store.n; row++) {
-        if (looks.of[row] === k && store.shown[row] && !scenarios.failed[row]) count += 1;
-      }
-      if (count) add(`${style.name} (${count})`, style);
-    });
-  }
-  const any = (column) => column.some((one, row) => one && store.shown[row]);
-  if (any(scenarios.kept)) add("kept", { colour: themeColours().muted, symbol: "circle" }, true);
-  if (any(scenarios.failed)) add("failed", { colour: themeColours().danger, symbol: "cross" });
 }

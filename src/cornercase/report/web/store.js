@@ -23,6 +23,7 @@ class Store {
 
   static firstAspect(contents) {
     const names = Object.keys(contents.kinds);
+    if (names.includes(contents.default_aspect)) return contents.default_aspect;
     const metric = contents.metrics[0].name;
     // One that tells kinds apart says more than one that puts all into one.
     const many = names.filter((name) => Object.keys(contents.kinds[name].names).length > 1);

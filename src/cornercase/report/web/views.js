@@ -47,7 +47,9 @@ class Views {
 
   tellAbout({ view, caption }) {
     const about = typeof view.about === "function" ? view.about(this.store) : view.about;
-    const told = this.store.contents.captions?.[view.name];
+    let told = this.store.contents.captions?.[view.name];
+    // Some captions speak of one metric or one aspect.
+    if (told && typeof told === "object") told = told[this.store.options.metric] ?? told[this.store.options.aspect];
     caption.textContent = told ? `${about} ${told}` : about;
   }
 
@@ -63,7 +65,7 @@ class Views {
     if (event === "contents") this.makeBoxes();
     for (const one of this.boxes.values()) {
       one.events.add(event);
-      if (event === "contents") this.tellAbout(one);
+      if (event === "contents" || event === "options") this.tellAbout(one);
     }
     this.schedule();
   }

@@ -57,7 +57,7 @@ class KernelPlot extends PointPlot {
     const back = a * sin + b * cos;
     const height = c * flat + back * up;
     const depth = back * flat - c * up;
-    const size = (Math.min(this.width, this.height * 1.25) / 3.75) * (5 / (5 + depth));
+    const size = (Math.min(this.width, this.height * 1.2) / 4.6) * (5 / (5 + depth));
     return [this.width / 2 + right * size, this.height / 2 - height * size, depth];
   }
 
@@ -105,7 +105,7 @@ class KernelPlot extends PointPlot {
       const outer = ({ from, to }) => (k === 2 ? -(from[0] + to[0]) : from[1] + to[1]);
       const { from, to } = edges.reduce((one, other) => (outer(other) > outer(one) ? other : one));
       const middle = [this.width / 2, this.height / 2];
-      const shift = k === 2 ? [-1, 0] : [Math.sign((from[0] + to[0]) / 2 - middle[0]) * 0.6, 1];
+      const shift = k === 2 ? [-1, 0] : [Math.sign((from[0] + to[0]) / 2 - middle[0]) * 0.5, 1];
       const put = (text, share, far) => {
         const x = from[0] + share * (to[0] - from[0]) + shift[0] * far;
         const y = from[1] + share * (to[1] - from[1]) + shift[1] * far;
