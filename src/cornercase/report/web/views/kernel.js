@@ -19,8 +19,8 @@ class KernelPlot extends PointPlot {
   components() {
     const { store } = this;
     const key = `${store.version} ${store.options.aspect}`;
-    if (this.key !== key) {
-      this.key = key;
+    if (this.known !== key) {
+      this.known = key;
       const { embedding } = store.contents.kinds[store.options.aspect];
       this.columns = embedding.map((column) => Float64Array.from(column, (value) => value ?? NaN));
       this.spans = this.columns.map(finiteRange);
