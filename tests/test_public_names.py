@@ -9,7 +9,7 @@ import cornercase
 
 FUNCTIONS = (
     "analyze", "check", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "simulate",
-    "summarize", "write_report",
+    "summarize", "watch", "write_report",
 )  # fmt: skip
 TYPES = (
     "Analysis", "Check", "ConcreteScenario", "Conversion", "Driver", "Estimation", "ExplorationResult", "ImportResult", "LogicalScenario",

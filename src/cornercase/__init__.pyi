@@ -23,6 +23,7 @@ from .reduction import ReducedSet as ReducedSet
 from .reduction import reduce as reduce
 from .report import Summary as Summary
 from .report import summarize as summarize
+from .report import watch as watch
 from .report import write_report as write_report
 from .scenario import ConcreteScenario as ConcreteScenario
 from .scenario import LogicalScenario as LogicalScenario

@@ -11,10 +11,10 @@ from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
     "archetypes", "archetypes_by", "batch", "budget", "by", "continuous", "cover", "critical", "duration", "ego",
-    "encounter", "eps", "gamma", "keep", "max_seconds",
+    "encounter", "eps", "gamma", "host", "keep", "max_seconds",
     "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
-    "patience", "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size", "space", "stop_when",
-    "time_step", "timeout", "window", "within", "workers",
+    "patience", "port", "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size",
+    "space", "stop_when", "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {
@@ -30,7 +30,7 @@ _RENAMED: Final = {
 }
 _COMMANDS: Final = (
     "analyze", "check", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce", "report",
-    "show", "simulate",
+    "show", "simulate", "watch",
 )  # fmt: skip
 _QUOTED: Final = re.compile(r"`(\w+)`")
 

@@ -187,6 +187,35 @@ def report(
 
 
 @app.command()
+def watch(
+    study: Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, which need not be there yet.")],
+    *,
+    port: Annotated[int, typer.Option(metavar="N", help="Where the page is served; default: a free one.", min=0)] = 0,
+    host: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Interface; another one lets other machines ask.")
+    ] = "127.0.0.1",
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
+        ),
+    ] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+) -> None:
+    """Serve the page of a study on this machine, and let it grow while explore runs.
+
+    It needs the extra live. Only who knows the address can read the page, and write notes on it. Ctrl-C ends it.
+
+    \b
+    Example:
+      cornercase watch study.db
+    """
+    from cornercase.report import watch as watch_study
+
+    watch_study(study, port=port, host=host, scenario=scenario, browser=browser, tell=out.print)
+
+
+@app.command()
 def demo(
     name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")],
     *,

@@ -1,3 +1,4 @@
+from .live.watching import watch as watch
 from .page import write_report as write_report
 from .plain import put_in_words as put_in_words
 from .summary import MetricSummary as MetricSummary

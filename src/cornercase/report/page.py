@@ -49,6 +49,8 @@ _STYLES: Final = ("style.css", "replay.css")
 _SCRIPTS: Final = (
     "store.js",
     "recordings.js",
+    "knowledge.js",
+    "live.js",
     "colours.js",
     "describe.js",
     "plot.js",
@@ -71,11 +73,11 @@ _SCRIPTS: Final = (
     *REPLAY_SCRIPTS,
     "main.js",
 )
-# The page loads nothing from anywhere: what is in it is all that it may run.
-_POLICY: Final = (
+POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
 )
+"""What the page may load: nothing from anywhere; what is in it is all that it may run."""
 
 
 def write_report(study: Study | Path | str, path: Path | str, *, figures: Path | str | bool = False) -> Path:
@@ -179,7 +181,7 @@ def _fill(**parts: Any) -> str:
         _environment()
         .get_template("page.html.j2")
         .render(
-            policy=_POLICY,
+            policy=POLICY,
             plotly=_plotly(),
             styles=[Markup(_asset(name)) for name in _STYLES],
             scripts=[Markup(_asset(name)) for name in _SCRIPTS],

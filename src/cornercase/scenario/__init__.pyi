@@ -1,8 +1,11 @@
+from .concrete_files import ConcreteFile as ConcreteFile
 from .concrete_files import copy_beside as copy_beside
+from .concrete_files import fill_concrete as fill_concrete
 from .concrete_files import write_concrete as write_concrete
 from .constraints import Constraint as Constraint
 from .constraints import Declaration as Declaration
 from .constraints import read_declarations as read_declarations
+from .declared_types import typed_value as typed_value
 from .declared_types import unusable_values as unusable_values
 from .declared_types import value_text as value_text
 from .finding import find_scenario as find_scenario

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import io
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from lxml import etree
@@ -14,6 +16,22 @@ from cornercase.scenario.declared_types import typed_value, value_text
 from cornercase.scenario.openscenario import DRIVER_PROPERTY, Scenario
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import parse_xml
+
+
+@dataclass(frozen=True)
+class ConcreteFile:
+    """A concrete scenario as the content of a file, and what has to lie beside it.
+
+    Attributes
+    ----------
+    content : bytes
+        XML in UTF-8.
+    beside : tuple of (Path, str, str)
+        Files that it names: where each is, where it has to be from the folder of the file, and its root element.
+    """
+
+    content: bytes
+    beside: tuple[tuple[Path, str, str], ...]
 
 
 def write_concrete(
@@ -44,6 +62,44 @@ def write_concrete(
     InputError
         A parameter or entity does not exist, or the target cannot be written.
     """
+    made = fill_concrete(scenario, values, target, drivers, description)
+    for source, place, root in made.beside:
+        copy_beside(source, target.parent / place, root)
+    with written_whole(target) as temporary:
+        temporary.write_bytes(made.content)
+
+
+def fill_concrete(
+    scenario: Scenario,
+    values: Mapping[str, Value],
+    target: Path,
+    drivers: Mapping[str, str] | None = None,
+    description: str | None = None,
+) -> ConcreteFile:
+    """Give what `write_concrete` writes, and write nothing.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The logical scenario's file.
+    values : mapping of str to float or str
+        Values of parameters, written into their declarations.
+    target : Path
+        For messages.
+    drivers : mapping of str to str, optional
+        Driver presets by entity, written as controller properties.
+    description : str, optional
+        Replaces the description in the file's header.
+
+    Returns
+    -------
+    ConcreteFile
+
+    Raises
+    ------
+    InputError
+        A parameter or entity does not exist, or XML cannot hold a value.
+    """
     scenario.require_parameters(list(values))
     tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
     root = tree.getroot()
@@ -59,13 +115,24 @@ def write_concrete(
         for element in root.iterfind("Entities/ScenarioObject"):
             if element.get("name") == name:
                 _set_driver(element, driver, target)
+    buffer = io.BytesIO()
+    beside = (*_road_beside(scenario, root), *_catalogs_beside(scenario, root))
+    tree.write(buffer, encoding="utf-8", xml_declaration=True, pretty_print=True)
+    return ConcreteFile(buffer.getvalue(), beside)
 
+
+def _road_beside(scenario: Scenario, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
+    """Let the scenario name its road beside it."""
     logic_file = root.find("RoadNetwork/LogicFile")
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _holder(root, logic_file, "filepath")
         source = scenario.beside(holder.get(attribute, ""), "road file")
-        copy_beside(source, target.parent / source.name, "OpenDRIVE")
         holder.set(attribute, source.name)
+        yield source, source.name, "OpenDRIVE"
+
+
+def _catalogs_beside(scenario: Scenario, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
+    """Let the scenario name its catalogs in a folder beside it."""
     taken: dict[str, Path] = {}
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _holder(root, directory, "path")
@@ -76,11 +143,8 @@ def write_concrete(
         while taken.setdefault(name, folder) != folder:
             name = f"{plain}-{len(taken) + 1}"
         for file in sorted(folder.glob("*.xosc")):
-            copy_beside(file, target.parent / "catalogs" / name / file.name, "OpenSCENARIO")
+            yield file, f"catalogs/{name}/{file.name}", "OpenSCENARIO"
         holder.set(attribute, f"catalogs/{name}")
-
-    with written_whole(target) as temporary:
-        tree.write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
 
 
 def _holder(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:

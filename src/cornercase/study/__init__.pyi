@@ -8,6 +8,7 @@ from .importing import import_recordings as import_recordings
 from .meta import MOST_AUDITS as MOST_AUDITS
 from .meta import StudyMeta as StudyMeta
 from .meta import count_audits as count_audits
+from .notes import LONGEST_NOTE as LONGEST_NOTE
 from .notes import write_note as write_note
 from .opening import open_study as open_study
 from .store import Study as Study

@@ -44,6 +44,9 @@ class Database:
         self.connection = connection
         self._lock = lock
         self._closed = False
+        (_, _, file), *_ = connection.execute("PRAGMA database_list").fetchall()
+        # A migrated copy has no name; what is immutable is not looked at again.
+        self._sees_others = bool(file) and not _is_out_of_reach(path)
         self._forced = -math.inf
 
     @classmethod
@@ -176,6 +179,15 @@ class Database:
         with _sentences(self.path):
             return self.connection.execute(question, values).fetchall()
 
+    def changes(self) -> int | None:
+        """Count what others wrote; as `StudyContents.changes`.
+
+        Returns
+        -------
+        int or None
+        """
+        return int(self.found("PRAGMA data_version")[0][0]) if self._sees_others else None
+
     @contextmanager
     def snapshot(self) -> Iterator[None]:
         """Let all queries within the block see the file as it is at one moment.
@@ -262,10 +274,10 @@ def written_beside(path: Path) -> Iterator[sqlite3.Connection]:
         There is no study, or it cannot be written.
     """
     reader = Database.open(path, readonly=True)
-    with closing(reader.connection):
-        # A reader of an earlier version has a migrated copy.
-        is_copy = reader.found("PRAGMA database_list")[0][2] == ""
-    if is_copy:
+    reads_itself = reader.changes() is not None
+    reader.close()
+    if not reads_itself:
+        # Of an earlier version, or one that cannot be written, which is said.
         Database.open(path, readonly=False).close()
     with _sentences(path), closing(_connected(path, _PATIENCE_BESIDE)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
@@ -314,9 +326,12 @@ def _of_today(connection: sqlite3.Connection) -> sqlite3.Connection:
 
 def _connected(path: Path, patience: float = 30.0) -> sqlite3.Connection:
     # A reader of a file in WAL mode has to make its shared memory beside it. Where it cannot, nobody writes either.
-    alone = not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
-    location = f"{path.resolve().as_uri()}?{'immutable=1' if alone else 'mode=rw'}"
+    location = f"{path.resolve().as_uri()}?{'immutable=1' if _is_out_of_reach(path) else 'mode=rw'}"
     return sqlite3.connect(location, uri=True, timeout=patience)
+
+
+def _is_out_of_reach(path: Path) -> bool:
+    return not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
 
 
 def _locked(path: Path) -> BaseFileLock:

@@ -43,9 +43,7 @@ class ScenarioContents:
     def __init__(self, database: Database) -> None:
         self._database = database
         self.path = database.path
-        self.meta = StudyMeta.from_json(
-            {key: loaded(value) for key, value in database.found("SELECT key, value FROM meta")}
-        )
+        self.meta = self.stored_meta()
         self.space = self.meta.space
 
     @property
@@ -56,6 +54,27 @@ class ScenarioContents:
     def close(self) -> None:
         """Close the file."""
         self._database.close()
+
+    def changes(self) -> int | None:
+        """Count what others wrote, so that a reader knows when to look again.
+
+        Returns
+        -------
+        int or None
+            Another number than before where another connection wrote since; None where a reader of this study does not
+            see what others write: it reads a migrated copy, or lies where nobody could write when it was opened.
+        """
+        return self._database.changes()
+
+    def stored_meta(self) -> StudyMeta:
+        """Read what the study is about by now: an explorer that goes on with it may change its budget.
+
+        Returns
+        -------
+        StudyMeta
+        """
+        found = self._database.found("SELECT key, value FROM meta")
+        return StudyMeta.from_json({key: loaded(value) for key, value in found})
 
     def rows(self) -> list[Row]:
         """List all scenarios.
@@ -104,6 +123,24 @@ class ScenarioContents:
         """
         question = "SELECT id, round, point, parameters, state, error FROM scenarios WHERE round = ? ORDER BY id"
         found = self._database.found(question, turn)
+        with damage_told(self.path):
+            return [self._row(*one) for one in found]
+
+    def rows_from(self, first: int) -> list[Row]:
+        """List the scenarios from one on.
+
+        Parameters
+        ----------
+        first : int
+            Id of the first one that is listed, where there is such a scenario.
+
+        Returns
+        -------
+        list of Row
+            In the order in which they were proposed.
+        """
+        question = "SELECT id, round, point, parameters, state, error FROM scenarios WHERE id >= ? ORDER BY id"
+        found = self._database.found(question, first)
         with damage_told(self.path):
             return [self._row(*one) for one in found]
 
@@ -170,6 +207,23 @@ class ScenarioContents:
         with damage_told(self.path):
             require(len(dict(found)) == len(found), f"a scenario has two scores by {metric}")
             return np.array([float(score) for _, score in found], dtype=np.float64)
+
+    def scores_of(self, scenario: int) -> dict[str, float]:
+        """Scores of one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        dict of str to float
+            By metric, in the metric's unit; empty where it was not run.
+        """
+        found = dict(self._database.found("SELECT metric, score FROM courses WHERE scenario = ?", scenario))
+        with damage_told(self.path):
+            return {name: float(found[name]) for name in self.meta.metrics if name in found}
 
     def spread(self, metric: str) -> FloatArray | None:
         """Lowest and highest score of the runs of each scenario that was run.

@@ -14,9 +14,10 @@ function loadPlotly() {
 }
 
 async function begin() {
-  const contents = JSON.parse(document.getElementById("contents").textContent);
+  const live = isLive();
+  const contents = live ? await firstContents() : JSON.parse(document.getElementById("contents").textContent);
   const store = new Store(contents);
-  const recordings = new EmbeddedRecordings(contents.recordings);
+  const recordings = live ? new ServedRecordings() : new EmbeddedRecordings(contents.recordings);
   setTheme(rememberedTheme());
   showTools(document.getElementById("tools"), store);
   const bar = new FilterBar(document.getElementById("filters"), store);
@@ -26,6 +27,7 @@ async function begin() {
   foldAnswers(document.getElementById("answers"));
   const views = new Views(document.getElementById("views"), store);
   window.cornercase = { ...window.cornercase, store, recordings, bar, link, views, settled: () => views.settled() };
+  if (live) window.cornercase.following = new Following(store, recordings);
   // The page can be used when filters, table and the views on the screen are there; what needs Plotly comes after.
   await views.settled();
   document.documentElement.dataset.ready = "true";

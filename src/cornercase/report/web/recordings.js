@@ -2,7 +2,10 @@
 
 // Bytes of a text in base64 that were compressed by zlib.
 async function unpack(text) {
-  const packed = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  return inflate(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+}
+
+async function inflate(packed) {
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }

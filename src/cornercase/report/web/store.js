@@ -41,7 +41,8 @@ class Store {
     this.n = contents.scenarios.id.length;
     this.rows = new Map(contents.scenarios.id.map((id, row) => [id, row]));
     this.columns = new Map();
-    if (this.options.aspect === null) this.options.aspect = Store.firstAspect(contents);
+    // A study that grows is analysed later, or begun anew.
+    if (!(this.options.aspect in contents.kinds)) this.options.aspect = Store.firstAspect(contents);
     this.shown = new Uint8Array(this.n);
     this.applyFilters(false);
     if (tell) this.tell("contents");
@@ -178,6 +179,6 @@ class Store {
 
   kindName(label) {
     if (label === null) return "in no cluster";
-    return this.contents.kinds[this.options.aspect].names[String(label)] ?? (label < 0 ? "noise" : `cluster ${label}`);
+    return this.contents.kinds[this.options.aspect]?.names[String(label)] ?? (label < 0 ? "noise" : `cluster ${label}`);
   }
 }

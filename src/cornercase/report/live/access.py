@@ -1,0 +1,102 @@
+"""Who may ask the server of a live page: those who know its token, by its own address."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any, Final
+from urllib.parse import parse_qs
+
+_Scope = MutableMapping[str, Any]
+_Receive = Callable[[], Awaitable[_Scope]]
+_Send = Callable[[_Scope], Awaitable[None]]
+_App = Callable[[_Scope, _Receive, _Send], Awaitable[None]]
+
+_MOST_FIELDS: Final = 20
+_HEADERS: Final = (
+    (b"cache-control", b"no-store"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+)
+
+
+class Guard:
+    """Lets requests through that know the token, and come by an address of this machine.
+
+    Parameters
+    ----------
+    app : callable
+        What answers them, as ASGI.
+    token : str
+        That each request has to name.
+    policy : str
+        Content security policy of each answer.
+    """
+
+    def __init__(self, app: _App, token: str, policy: str) -> None:
+        self._app = app
+        self._token = token.encode()
+        self._headers = [*_HEADERS, (b"content-security-policy", policy.encode())]
+
+    async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
+        """Answer a request.
+
+        Parameters
+        ----------
+        scope, receive, send
+            As ASGI has them.
+        """
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        why = _refused(headers) or self._unknown(scope)
+
+        async def send_guarded(message: _Scope) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message["headers"], *self._headers]
+            await send(message)
+
+        if why is None:
+            await self._app(scope, receive, send_guarded)
+            return
+        body = f"{why}\n".encode()
+        plain = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode())]
+        await send_guarded({"type": "http.response.start", "status": 403, "headers": plain})
+        await send_guarded({"type": "http.response.body", "body": body})
+
+    def _unknown(self, scope: _Scope) -> str | None:
+        try:
+            query = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=_MOST_FIELDS)
+        except ValueError:
+            query = {}
+        given = query.get("token", [""])[-1].encode("utf-8", "replace")
+        if secrets.compare_digest(given, self._token):
+            return None
+        return "The address lacks the token; open the one that `cornercase watch` printed."
+
+
+def _refused(headers: dict[bytes, str]) -> str | None:
+    host = headers.get(b"host", "")
+    # A page of somewhere else can make its own name stand for this machine, but never an address.
+    if not _is_here(host):
+        return "Open the page by the address that `cornercase watch` printed, not by a name of the machine."
+    origin = headers.get(b"origin")
+    if origin is not None and origin != f"http://{host}":
+        return "Another page has no business here."
+    return None
+
+
+def _is_here(host: str) -> bool:
+    name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
+    if name.lower() == "localhost":
+        return True
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,151 @@
+"""What the server of a live page answers."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any, Final
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from cornercase._common.errors import InputError
+from cornercase._common.files import portable_name
+from cornercase.report.live.access import Guard
+from cornercase.report.live.telling import Cursor, Teller
+from cornercase.report.packing import pack_recordings
+from cornercase.report.page import POLICY, fill_frame
+from cornercase.report.rerun import why_kept, write_one
+from cornercase.study import LONGEST_NOTE, Study, explored_scenario, write_note
+
+# s between two looks at whether there is something to tell, and between signs that the server is there.
+_PAUSE: Final = 0.1
+_HEARTBEAT: Final = 10.0
+# Bytes of a note in UTF-8.
+_LONGEST_BODY: Final = 4 * LONGEST_NOTE + 64
+_POLICY: Final = f"{POLICY}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+
+
+class _Answers:
+    def __init__(self, path: Path, teller: Teller, scenario: Path | None, is_ending: Callable[[], bool]) -> None:
+        self._path = path
+        self._teller = teller
+        self._scenario = scenario
+        self._is_ending = is_ending
+
+    def page(self, request: Request) -> Response:
+        return HTMLResponse(fill_frame(self._path.stem))
+
+    def contents(self, request: Request) -> Response:
+        return JSONResponse(self._teller.contents())
+
+    async def events(self, request: Request) -> Response:
+        since = request.headers.get("last-event-id") or request.query_params.get("since", "")
+        return StreamingResponse(self._stream(Cursor.of(since)), media_type="text/event-stream")
+
+    async def _stream(self, cursor: Cursor) -> AsyncIterator[str]:
+        write = self._teller.write_events(cursor)
+        yield "retry: 1000\n\n"
+        last = time.monotonic()
+        while not self._is_ending():
+            news = await run_in_threadpool(lambda: "".join(write()))
+            if not news and time.monotonic() - last > _HEARTBEAT:
+                news = ": still here\n\n"
+            if news:
+                last = time.monotonic()
+                yield news
+            await asyncio.sleep(_PAUSE)
+
+    def recording(self, request: Request) -> Response:
+        with Study.open(self._path, readonly=True) as study:
+            (block,) = pack_recordings(study, [_id(request)]).blocks
+        return Response(base64.b64decode(block), media_type="application/octet-stream")
+
+    def table(self, request: Request) -> Response:
+        scenario = _id(request)
+        with Study.open(self._path, readonly=True) as study, tempfile.TemporaryDirectory() as folder:
+            study.recording(scenario).to_csv(Path(folder) / "recording.csv")
+            content = (Path(folder) / "recording.csv").read_bytes()
+            return _download(content, f"{study.meta.title}-{scenario:05}.csv", "text/csv; charset=utf-8")
+
+    def scenario(self, request: Request) -> Response:
+        scenario = _id(request)
+        with Study.open(self._path, readonly=True) as study:
+            explored = explored_scenario(study, self._scenario)
+            if explored is None:
+                raise InputError("Imported recordings have no scenario file.")
+            rows = study.rows_from(scenario)
+            if not rows or rows[0].id != scenario:
+                raise InputError(f"There is no scenario {scenario}.")
+            content = write_one(study.meta, explored, rows[0], why_kept(study).get(scenario))
+            return _download(content, f"{study.meta.title}-{scenario:05}.xosc", "application/xml")
+
+    async def note(self, request: Request) -> Response:
+        body = b""
+        try:
+            async for chunk in request.stream():
+                body += chunk
+                if len(body) > _LONGEST_BODY:
+                    raise InputError(f"The note is too long; at most {LONGEST_NOTE} characters are kept.")
+            note = body.decode("utf-8")
+        except (UnicodeDecodeError, ClientDisconnect):
+            raise InputError("The note is no text in UTF-8.") from None
+        await run_in_threadpool(write_note, self._path, _id(request), note)
+        return Response(status_code=204)
+
+
+def make_app(path: Path, teller: Teller, token: str, scenario: Path | None, is_ending: Callable[[], bool]) -> Any:
+    """Make what answers the requests of a live page.
+
+    Parameters
+    ----------
+    path : Path
+        Of the study.
+    teller : Teller
+        Knows what is to be last.
+    token : str
+        That each request has to name.
+    scenario : Path or None
+        Scenario that was explored; None where it is looked for.
+    is_ending : callable
+        Says whether the server ends.
+
+    Returns
+    -------
+    callable
+        An application as ASGI has them.
+    """
+    answers = _Answers(path, teller, scenario, is_ending)
+    app = Starlette(
+        routes=[
+            Route("/", answers.page),
+            Route("/contents", answers.contents),
+            Route("/events", answers.events),
+            Route("/recordings/{id:int}", answers.recording),
+            Route("/recordings/{id:int}.csv", answers.table),
+            Route("/scenarios/{id:int}.xosc", answers.scenario),
+            Route("/notes/{id:int}", answers.note, methods=["PUT"]),
+        ],
+        exception_handlers={InputError: _tell_error},
+    )
+    return Guard(app, token, _POLICY)
+
+
+async def _tell_error(request: Request, error: Exception) -> Response:
+    return PlainTextResponse(f"{error}\n", status_code=404 if request.method in ("GET", "HEAD") else 400)
+
+
+def _id(request: Request) -> int:
+    return int(request.path_params["id"])
+
+
+def _download(content: bytes, name: str, kind: str) -> Response:
+    plain = portable_name(name).encode("ascii", "replace").decode().replace("?", "-")
+    return Response(content, media_type=kind, headers={"content-disposition": f'attachment; filename="{plain}"'})

@@ -1,0 +1,230 @@
+"""What a live page is told: its contents at a moment, and what happens from then on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase.exploration import Objective
+from cornercase.metrics import METRICS
+from cornercase.report.contents import FORMAT
+from cornercase.report.live.digests import tell_courses, tell_scenarios
+from cornercase.report.live.follower import Follower
+from cornercase.report.live.knowing import Finder, Knowledge
+from cornercase.study import StudyMeta
+
+# What is not told with the rest of what is known: it comes with all contents, or by itself.
+_APART: Final = ("kinds", "outcomes", "kept", "notes")
+
+
+@dataclass(frozen=True)
+class Cursor:
+    """How far a page knows the study.
+
+    Attributes
+    ----------
+    epoch : str
+        Which study, as `Follower.epoch`.
+    count : int
+        How many scenarios, in the order in which they were read.
+    knowledge, layout : int
+        Numbers of what it knows of all of them.
+    """
+
+    epoch: str = ""
+    count: int = 0
+    knowledge: int = 0
+    layout: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.epoch}.{self.count}.{self.knowledge}.{self.layout}"
+
+    @classmethod
+    def of(cls, text: str) -> Cursor:
+        """Read what `str` gave.
+
+        Parameters
+        ----------
+        text : str
+
+        Returns
+        -------
+        Cursor
+            One that knows nothing where it is another text.
+        """
+        parts = text[:100].split(".")
+        if len(parts) != 4 or not all(one.isascii() and one.isdecimal() for one in parts[1:]):
+            return cls()
+        return cls(parts[0], *(int(one) for one in parts[1:]))
+
+
+class Teller:
+    """Tells pages what is known.
+
+    Parameters
+    ----------
+    follower : Follower
+    finder : Finder
+    """
+
+    def __init__(self, follower: Follower, finder: Finder) -> None:
+        self.follower = follower
+        self._finder = finder
+
+    def contents(self) -> dict[str, Any]:
+        """Give everything that the page shows by now, but the recordings.
+
+        Returns
+        -------
+        dict of str to object
+            As `cornercase.report.contents.page_contents`, with ``live``: how far this is. Only that while no scenario
+            has ended.
+        """
+        knowledge = self._finder.knowledge
+        epoch, meta, digests = self.follower.known()
+        live = {"cursor": str(Cursor(epoch, len(digests), knowledge.number, knowledge.layout))} | self.state()
+        if meta is None or not digests:
+            return {"live": live}
+        digests.sort(key=lambda one: one.row.id)
+        contents = _plain(meta, self.follower.path) | knowledge.parts | tell_scenarios(meta, digests)
+        contents["courses"] = tell_courses(meta, digests)
+        contents["notes"] = {str(scenario): note for scenario, note in self.follower.notes.items()}
+        _add_knowledge(contents, knowledge)
+        return contents | {"recordings": {}, "live": live}
+
+    def state(self) -> dict[str, Any]:
+        """Tell how far the study is.
+
+        Returns
+        -------
+        dict of str to object
+            The fields of `cornercase.report.live.follower.State`.
+        """
+        return asdict(self.follower.state)
+
+    def news(self, cursor: Cursor) -> tuple[Cursor, str, Any] | None:
+        """Tell the next thing that a page does not know.
+
+        Parameters
+        ----------
+        cursor : Cursor
+            How far it knows the study.
+
+        Returns
+        -------
+        cursor : Cursor
+            How far it knows the study then.
+        event : {"contents", "scenarios", "knowledge"}
+            Of the first, everything has to be asked for again.
+        data : object
+            Plain values. None is returned where there is nothing new.
+        """
+        knowledge = self._finder.knowledge
+        epoch, meta, _ = self.follower.known()
+        some = self.follower.since(cursor.epoch, cursor.count)
+        if some is None or cursor.layout != knowledge.layout:
+            count = len(self.follower.known()[2])
+            return Cursor(epoch, count, knowledge.number, knowledge.layout), "contents", None
+        if some and meta is not None:
+            courses = {name: [_rounded(one.courses.get(name)) for one in some] for name in meta.metrics}
+            spans = [one.span for one in some]
+            columns = tell_scenarios(meta, some) | {"courses": courses, "spans": spans}
+            return Cursor(epoch, cursor.count + len(some), cursor.knowledge, cursor.layout), "scenarios", columns
+        if cursor.knowledge != knowledge.number:
+            parts = {name: value for name, value in knowledge.parts.items() if name not in _APART}
+            return Cursor(epoch, cursor.count, knowledge.number, knowledge.layout), "knowledge", parts
+        return None
+
+    def write_events(self, cursor: Cursor) -> Callable[[], Iterator[str]]:
+        """Give a function that writes what has happened since its last call, as server-sent events.
+
+        Parameters
+        ----------
+        cursor : Cursor
+            How far the page knows the study.
+
+        Returns
+        -------
+        callable
+            Gives the events as text.
+        """
+        shown_state: dict[str, Any] = {}
+        shown_notes: dict[int, str] | None = None
+
+        def write() -> Iterator[str]:
+            nonlocal cursor, shown_state, shown_notes
+            while (found := self.news(cursor)) is not None:
+                cursor, event, data = found
+                yield _event(event, data, str(cursor))
+            if (state := self.state()) != shown_state:
+                shown_state = state
+                yield _event("state", state)
+            if (notes := self.follower.notes) != shown_notes:
+                shown_notes = notes
+                yield _event("notes", notes)
+
+        return write
+
+
+def _event(name: str, data: Any, number: str | None = None) -> str:
+    first = "" if number is None else f"id: {number}\n"
+    return f"{first}event: {name}\ndata: {json.dumps(data, separators=(',', ':'))}\n\n"
+
+
+def _rounded(course: Any) -> list[float] | None:
+    return None if course is None else [float(f"{one:.6g}") for one in course]
+
+
+def _plain(meta: StudyMeta, path: Path) -> dict[str, Any]:
+    """Give what the page needs before anything is known of all scenarios together."""
+    metrics = [METRICS.create(name) for name in meta.metrics]
+    objective = Objective.of_study(meta)
+    # Of a weighted sum, less is critical.
+    lower = bool(meta.weights) or metrics[0].lower_is_critical
+    known = meta.critical is not None and not meta.pareto
+    return {
+        "format": FORMAT,
+        "title": meta.title,
+        "about": f"{meta.ego} is the ego, {meta.other} the other.",
+        "study": path.name,
+        "ego": meta.ego,
+        "other": meta.other,
+        "searched": objective.text,
+        "parameters": [
+            {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}
+            for one in meta.space.parameters
+        ],
+        "metrics": [
+            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical} for one in metrics
+        ],
+        "critical": {"threshold": meta.critical, "lower_is_critical": lower, "unit": objective.unit} if known else None,
+        "default_aspect": None,
+        "influential": list(range(len(meta.space.parameters))),
+        "outcomes": [],
+        "answers": [],
+        "captions": {},
+        "details": [],
+        "provenance": "",
+        "kept": {},
+        "kinds": {},
+    }
+
+
+def _add_knowledge(contents: dict[str, Any], knowledge: Knowledge) -> None:
+    """Fill the columns of which only an analysis and a reduction know something."""
+    columns, named = contents["scenarios"], contents["outcomes"]
+    ids = columns["id"]
+    place = {outcome: k for k, outcome in enumerate(named)}
+    columns["outcome"] = [place.get(knowledge.outcomes.get(one, "")) for one in ids]
+    columns["kept"] = [int(str(one) in contents["kept"]) for one in ids]
+    contents["kinds"] = {
+        name: one
+        | {
+            "labels": [one["labels"].get(scenario) for scenario in ids],
+            "embedding": [[column.get(scenario) for scenario in ids] for column in one["embedding"]],
+        }
+        for name, one in contents["kinds"].items()
+    }

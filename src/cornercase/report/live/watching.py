@@ -1,0 +1,122 @@
+"""Serving the page of a study while it grows."""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+import socket
+import webbrowser
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from cornercase._common import arguments
+from cornercase._common.errors import InputError
+from cornercase.report.live.follower import Follower
+from cornercase.report.live.knowing import Finder
+from cornercase.report.live.telling import Teller
+
+_GREATEST_PORT: Final = 65535
+# s that connections are given to end.
+_GRACE: Final = 2
+_BACKLOG: Final = 100
+
+
+def watch(
+    study: Path | str,
+    *,
+    port: int = 0,
+    host: str = "127.0.0.1",
+    scenario: Path | str | None = None,
+    browser: bool = False,
+    tell: Callable[[str], object] = print,
+) -> None:
+    """Serve the page of a study, and let it grow with it, until it is interrupted.
+
+    The study is only read, but for notes that are written on the page. It may be made, replaced or go on later.
+
+    Parameters
+    ----------
+    study : path
+        The file; it is waited for where there is none yet.
+    port : int, default 0
+        Where the page is served; 0 for one that is free.
+    host : str, default "127.0.0.1"
+        Address of the interface; any other than the default lets other machines ask, who need the token of the address.
+    scenario : path, optional
+        Scenario that was explored, to write concrete ones; by default it is looked for beside the study and in the
+        current folder.
+    browser : bool, default False
+        Open the page in the browser.
+    tell : callable, default print
+        Told the address of the page.
+
+    Raises
+    ------
+    InputError
+        The extra ``live`` is not installed, or nothing can be served there.
+
+    See Also
+    --------
+    cornercase.write_report : The same page as a file.
+    """
+    path = arguments.path("study", study)
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a file; name the file of a study.")
+    file = None if scenario is None else arguments.path("scenario", scenario)
+    if file is not None and not file.is_file():
+        raise InputError(f"`scenario` {file}: there is no such file.")
+    number = arguments.whole_number("port", port, most=_GREATEST_PORT)
+    try:
+        import uvicorn
+
+        from cornercase.report.live.server import make_app
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"The live page needs {error.name}, which is not installed; run `pip install 'cornercase[live]'`."
+        ) from error
+    token = secrets.token_urlsafe(24)
+    follower = Follower(path)
+    finder = Finder(follower)
+    with _bound(host, number) as listening:
+        servers: list[uvicorn.Server] = []
+        app = make_app(path, Teller(follower, finder), token, file, lambda: bool(servers) and servers[0].should_exit)
+        # The log of requests would hold the token.
+        config = uvicorn.Config(
+            app, log_level="error", access_log=False, timeout_graceful_shutdown=_GRACE, lifespan="off",
+            server_header=False, limit_concurrency=100,
+        )  # fmt: skip
+        servers.append(uvicorn.Server(config))
+        address = _address(listening, token)
+        tell(f"The page of {path} is {address}")
+        follower.start()
+        finder.start()
+        if browser:
+            # The socket listens already, so that the browser waits for the answer.
+            webbrowser.open(address)
+        try:
+            with suppress(KeyboardInterrupt):
+                servers[0].run(sockets=[listening])
+        finally:
+            finder.stop()
+            follower.stop()
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    try:
+        kind = socket.AF_INET6 if ipaddress.ip_address(host).version == 6 else socket.AF_INET
+    except ValueError:
+        raise InputError(f"`host` {host}: give the address of an interface, such as 127.0.0.1.") from None
+    try:
+        return socket.create_server((host, port), family=kind, backlog=_BACKLOG)
+    except OSError as error:
+        raise InputError(
+            f"`port` {port}: nothing can be served at {host} ({error.strerror}); choose another one."
+        ) from error
+
+
+def _address(listening: socket.socket, token: str) -> str:
+    host, port = listening.getsockname()[:2]
+    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
+    return f"http://{shown}:{port}/?token={token}"

@@ -1,0 +1,48 @@
+"use strict";
+
+// The sentences and tables of a page whose study grows.
+
+// HTML of the page's own server, in which all texts are escaped, as elements.
+function parsed(html) {
+  return [...new DOMParser().parseFromString(html, "text/html").body.childNodes];
+}
+
+function showAnswers(answers) {
+  const box = document.getElementById("answers");
+  const before = new Map([...box.querySelectorAll(".answer")].map((one) => [one.dataset.question, one]));
+  for (const { name, question, text } of answers) {
+    let one = before.get(name);
+    before.delete(name);
+    if (one === undefined) {
+      one = document.createElement("div");
+      one.className = "answer";
+      one.dataset.question = name;
+      one.append(document.createElement("h3"), document.createElement("p"));
+    }
+    one.querySelector("h3").textContent = question;
+    one.querySelector("p").textContent = text;
+    box.append(one);
+  }
+  for (const one of before.values()) one.remove();
+}
+
+// What is open stays open.
+function showDetails(details) {
+  const box = document.getElementById("details");
+  const before = new Map([...box.querySelectorAll("details")].map((one) => [one.dataset.part, one]));
+  for (const { name, title, html } of details) {
+    let one = before.get(name);
+    before.delete(name);
+    if (one === undefined) {
+      one = document.createElement("details");
+      one.dataset.part = name;
+      const inner = document.createElement("div");
+      inner.className = "part";
+      one.append(document.createElement("summary"), inner);
+    }
+    one.querySelector("summary").textContent = title;
+    one.querySelector(".part").replaceChildren(...parsed(html));
+    box.append(one);
+  }
+  for (const one of before.values()) one.remove();
+}

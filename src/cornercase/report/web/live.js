@@ -1,0 +1,291 @@
+"use strict";
+
+// A page that is served while its study grows asks its server for everything, and is told what is new.
+
+// Every request names the token of the page's own address.
+function servedAt(path, more = {}) {
+  const address = new URL(path, location.href);
+  address.hash = "";
+  address.search = "";
+  const token = new URLSearchParams(location.search).get("token");
+  for (const [name, value] of Object.entries({ token: token ?? "", ...more })) address.searchParams.set(name, value);
+  return address.href;
+}
+
+function isLive() {
+  return document.documentElement.dataset.live === "true";
+}
+
+async function fetchContents() {
+  const answer = await fetch(servedAt("contents"));
+  if (!answer.ok) throw new Error(await answer.text());
+  const contents = await answer.json();
+  // As arrays, so that more can be added to them.
+  for (const course of Object.values(contents.courses ?? {})) {
+    const bytes = await unpack(course.values);
+    course.values = new Uint16Array(bytes.buffer, bytes.byteOffset, bytes.byteLength / 2);
+  }
+  return contents;
+}
+
+// Waits until a scenario has ended, and the server is there.
+async function firstContents() {
+  const state = new LiveState();
+  for (;;) {
+    try {
+      const contents = await fetchContents();
+      if (contents.format) return contents;
+      state.show(contents.live);
+    } catch {
+      state.showStopped();
+    }
+    await new Promise((resolve) => setTimeout(resolve, 500));
+  }
+}
+
+// What the header says of the study.
+class LiveState {
+  constructor() {
+    this.box = document.getElementById("live-state");
+    if (this.box === null) {
+      this.box = document.createElement("p");
+      this.box.id = "live-state";
+      document.getElementById("tools").before(this.box);
+    }
+  }
+
+  show(state) {
+    this.box.dataset.state = state.name;
+    if (state.name === "waiting" || state.run + state.failed === 0) {
+      this.box.dataset.state = "waiting";
+      this.box.textContent = `waiting: ${state.why || "no scenario has ended yet."}`;
+      return;
+    }
+    const parts = [`live: ${state.run} scenarios`];
+    if (state.failed) parts.push(`${state.failed} failed`);
+    if (state.pending) parts.push(`${state.pending} pending`);
+    // Always with 24 hours, so that it is as wide in each country.
+    if (state.last) parts.push(`last ${new Date(1000 * state.last).toLocaleTimeString("en-GB")}`);
+    this.box.textContent = parts.join(", ");
+  }
+
+  showStopped() {
+    this.box.dataset.state = "stopped";
+    this.box.textContent = "stopped: the server does not answer; it is asked again each second.";
+  }
+}
+
+// Recordings of the server, of which the last few that were looked at are kept.
+class ServedRecordings {
+  constructor() {
+    this.known = new Map();
+  }
+
+  // Which scenarios have a recording is known by the store.
+  has(id) {
+    const { store } = window.cornercase ?? {};
+    const row = store?.rows.get(id);
+    return row === undefined || !store.contents.scenarios.failed[row];
+  }
+
+  async get(id) {
+    if (!this.has(id)) return null;
+    if (!this.known.has(id)) {
+      this.known.set(id, this.fetch(id));
+      if (this.known.size > 64) this.known.delete(this.known.keys().next().value);
+    }
+    return this.known.get(id);
+  }
+
+  async fetch(id) {
+    try {
+      const answer = await fetch(servedAt(`recordings/${id}`));
+      if (answer.ok) return readRecord(await inflate(await answer.arrayBuffer()));
+    } catch {
+      // Asked for again when it is looked at the next time.
+    }
+    this.known.delete(id);
+    return null;
+  }
+
+  forget() {
+    this.known.clear();
+  }
+}
+
+// Keeps the store as the study is.
+class Following {
+  constructor(store, recordings) {
+    this.store = store;
+    this.recordings = recordings;
+    this.state = new LiveState();
+    this.rows = [];
+    this.waiting = null;
+    this.cost = 0;
+    this.fetching = false;
+    this.again = false;
+    this.begin(store.contents.live.cursor);
+    this.state.show(store.contents.live);
+    this.showKnowledge(store.contents);
+  }
+
+  begin(cursor) {
+    this.events = new EventSource(servedAt("events", { since: cursor }));
+    const on = (name, act) => this.events.addEventListener(name, (event) => act(JSON.parse(event.data)));
+    on("scenarios", (told) => this.add(told));
+    on("contents", () => this.fetchAgain());
+    on("knowledge", (told) => this.know(told));
+    on("notes", (notes) => this.store.setNotes?.(notes));
+    on("state", (state) => {
+      this.last = state;
+      this.state.show(state);
+    });
+    this.events.onopen = () => this.last && this.state.show(this.last);
+    // The browser connects again by itself, unless the server has refused it.
+    this.events.onerror = () => {
+      this.state.showStopped();
+      if (this.events.readyState !== EventSource.CLOSED) return;
+      setTimeout(() => this.begin(cursor), 1000);
+    };
+  }
+
+  // Scenarios that come close together are shown together: redrawing a large study takes longer than being told of one.
+  add(told) {
+    this.rows.push(told);
+    this.waiting ??= setTimeout(() => {
+      this.waiting = null;
+      if (this.fetching) return;
+      const begun = performance.now();
+      const some = this.rows;
+      this.rows = [];
+      const contents = addRows(this.store, some);
+      if (contents !== null) this.store.setContents(contents);
+      this.cost = performance.now() - begun;
+    }, Math.min(1000, Math.max(100, 3 * this.cost)));
+  }
+
+  async fetchAgain() {
+    this.again = true;
+    if (this.fetching) return;
+    this.fetching = true;
+    while (this.again) {
+      this.again = false;
+      // When the connection is there again, the page is told what is new.
+      const contents = await fetchContents().catch(() => null);
+      if (contents === null) this.state.showStopped();
+      else if (contents.format) this.take(contents);
+      else this.state.show(contents.live);
+    }
+    this.fetching = false;
+    // What came meanwhile, of which most is in the contents already.
+    if (this.rows.length) this.add({ scenarios: { id: [] }, errors: {} });
+  }
+
+  take(contents) {
+    const { store } = this;
+    const about = ({ parameters, metrics }) => JSON.stringify([parameters, metrics]);
+    // Another study lies there now, of which the views know nothing.
+    if (about(contents) !== about(store.contents)) {
+      location.reload();
+      return;
+    }
+    // Scenarios of a search that was begun anew have ids that others had.
+    if (epochOf(contents) !== epochOf(store.contents)) this.recordings.forget();
+    store.setContents(contents);
+    this.showKnowledge(contents);
+  }
+
+  know(told) {
+    const { store } = this;
+    store.setContents({ ...store.contents, ...told });
+    this.showKnowledge(told);
+  }
+
+  showKnowledge({ title, about, answers, details, provenance }) {
+    if (title) {
+      document.querySelector("#top h1").textContent = title;
+      document.title = `cornercase: ${title}`;
+    }
+    if (about) document.getElementById("about").textContent = about;
+    if (answers) showAnswers(answers);
+    if (details) showDetails(details);
+    const made = document.getElementById("made");
+    if (provenance && made) made.replaceChildren(...parsed(provenance));
+  }
+}
+
+// Which study, of all that the server has seen.
+function epochOf(contents) {
+  return contents.live.cursor.split(".")[0];
+}
+
+// The contents with rows that are not in them yet; null where all are.
+function addRows(store, told) {
+  const { contents } = store;
+  const known = new Set(store.rows.keys());
+  const fresh = [];
+  for (const one of told) {
+    one.scenarios.id.forEach((id, k) => {
+      if (known.has(id)) return;
+      known.add(id);
+      fresh.push([one, k]);
+    });
+  }
+  if (!fresh.length) return null;
+  const more = (name) => fresh.map(([one, k]) => one.scenarios[name][k]);
+  const old = contents.scenarios;
+  const scenarios = {};
+  for (const [name, column] of Object.entries(old)) {
+    if (name === "values") {
+      scenarios.values = column.map((each, j) => each.concat(fresh.map(([one, k]) => one.scenarios.values[j][k])));
+    } else if (name === "scores") {
+      const of = (metric) => fresh.map(([one, k]) => one.scenarios.scores[metric][k]);
+      scenarios.scores = Object.fromEntries(Object.entries(column).map(([key, each]) => [key, each.concat(of(key))]));
+    } else {
+      scenarios[name] = column.concat(more(name));
+    }
+  }
+  const nothing = new Array(fresh.length).fill(null);
+  const kinds = {};
+  for (const [name, one] of Object.entries(contents.kinds)) {
+    const embedding = one.embedding.map((column) => column.concat(nothing));
+    kinds[name] = { ...one, labels: one.labels.concat(nothing), embedding };
+  }
+  const courses = {};
+  for (const [name, one] of Object.entries(contents.courses)) {
+    courses[name] = addCourses(one, fresh.map(([each, k]) => [each.courses[name][k], each.spans[k]]));
+  }
+  const errors = Object.assign({}, contents.errors, ...told.map((one) => one.errors));
+  return { ...contents, scenarios, kinds, courses, errors };
+}
+
+// Courses are whole numbers of 16 bits between the lowest and the highest value, which may be new ones.
+function addCourses(old, added) {
+  const { points } = old;
+  const nothing = 65535;
+  let { low, high } = old;
+  const had = old.values.some((value) => value !== nothing);
+  for (const [course] of added) {
+    for (const value of course ?? []) {
+      if (value < low || !had) low = Math.min(had ? low : value, value);
+      if (value > high || !had) high = Math.max(had ? high : value, value);
+    }
+  }
+  const scale = 65534 / Math.max(high - low, 1e-12);
+  const values = new Uint16Array(old.values.length + points * added.length).fill(nothing);
+  if (low === old.low && high === old.high) {
+    values.set(old.values);
+  } else {
+    const step = (old.high - old.low) / 65534;
+    old.values.forEach((value, k) => {
+      if (value !== nothing) values[k] = Math.round((old.low + value * step - low) * scale);
+    });
+  }
+  added.forEach(([course], k) => {
+    const at = old.values.length + k * points;
+    course?.forEach((value, j) => (values[at + j] = Math.round((value - low) * scale)));
+  });
+  const begin = old.begin.concat(added.map(([, [one]]) => one));
+  const end = old.end.concat(added.map(([, [, one]]) => one));
+  return { points, low, high, begin, end, values };
+}
