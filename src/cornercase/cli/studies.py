@@ -171,6 +171,12 @@ def report(
     figures_in: Annotated[
         Path | None, typer.Option("--figures-in", metavar="DIR", help="Write these figures into another folder.")
     ] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
+        ),
+    ] = None,
     profile: Profile = None,
 ) -> None:
     """Write one self-contained page.
@@ -182,7 +188,7 @@ def report(
     """
     from cornercase.report import write_report
 
-    page = write_report(study, output, figures=figures if figures_in is None else figures_in)
+    page = write_report(study, output, figures=figures if figures_in is None else figures_in, scenario=scenario)
     out.print(f"The report is {page.resolve()}")
 
 
@@ -249,7 +255,7 @@ def demo(
         with Study.open(study) as opened:
             clustering.analyze(opened, progress=True)
             reduction.reduce(opened, folder / "reduced", scenario=configuration.logical.scenario)
-            write_report(opened, folder / "report.html")
+            write_report(opened, folder / "report.html", scenario=configuration.logical.scenario)
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
 

@@ -13,5 +13,6 @@ from .exploring import explore_configuration as explore_configuration
 from .judging import audits_of as audits_of
 from .judging import chosen_blindly as chosen_blindly
 from .judging import critical_set_of as critical_set_of
+from .judging import learns_from_features as learns_from_features
 from .objective import Objective as Objective
 from .objective import on_front as on_front

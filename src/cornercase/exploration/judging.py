@@ -86,7 +86,7 @@ def learns_from_features(optimizer: str) -> bool:
         return False
 
 
-def critical_set_of(study: Study, scores: FloatArray, threshold: float) -> CriticalSet:
+def critical_set_of(study: Study, scores: FloatArray, threshold: float, *, last: int | None = None) -> CriticalSet:
     """Estimate the critical set of a study; its audits judge, and say nothing of what is found.
 
     Parameters
@@ -96,6 +96,8 @@ def critical_set_of(study: Study, scores: FloatArray, threshold: float) -> Criti
         Oriented, of all scenarios that were run, audits too.
     threshold : float
         Oriented score up to which a scenario is critical.
+    last : int, optional
+        Id of a scenario: only it and those that were proposed before it count, as when it had just been run.
 
     Returns
     -------
@@ -106,9 +108,14 @@ def critical_set_of(study: Study, scores: FloatArray, threshold: float) -> Criti
     ValueError
         There are fewer than 10 scores without audits, or all are the same.
     """
-    meta, audits, points = study.meta, study.audits(), study.points()
+    meta = study.meta
+    every = [row for row in study.rows() if last is None or row.id <= last]
+    ended = [row for row in every if row.state == "done"]
+    audits = np.array([meta.is_audit(row.id) for row in ended], dtype=np.bool_)
+    points = np.array([row.point for row in ended]).reshape(-1, study.space.dimension)
+    scores = scores[: len(ended)]
     # Also what failed was chosen by the sequence.
-    rows = [row for row in study.rows() if not meta.is_audit(row.id)]
+    rows = [row for row in every if not meta.is_audit(row.id)]
     blindly = chosen_blindly(meta.optimizer, study.space, meta.seed, np.array([row.point for row in rows]))
     happened = None
     if learns_from_features(meta.optimizer):

@@ -14,6 +14,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.clustering import Analysis
 from cornercase.report.answers import find_default_aspect, page_answers, tell_about
 from cornercase.report.captions import page_captions
+from cornercase.report.curves import coverage_curves, hull_edges, search_curve, sensitivity_bars
 from cornercase.report.data import ReportData
 from cornercase.report.words import judge_clusters, name_kind
 from cornercase.study import Row
@@ -127,6 +128,12 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
         "kept": {
             str(one.id): {"role": one.role, "cluster": one.cluster, "file": one.file, "why": one.why} for one in kept
         },
+        "search": search_curve(data),
+        "sensitivity": sensitivity_bars(data),
+        "coverage": coverage_curves(data),
+        "front": None if data.summary.knowledge.front is None else list(data.summary.knowledge.front),
+        "hulls": hull_edges(data),
+        "reduced_by": None if data.summary.reduced is None else data.summary.reduced.by,
         "kinds": {name: _kinds(one, place, len(rows)) for name, one in data.summary.analyses.items()},
     }
 

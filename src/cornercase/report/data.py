@@ -13,7 +13,10 @@ from cornercase.exploration import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
 from cornercase.reduction import Gaps, measure_gaps
+from cornercase.report.knowledge import MissedAfter, find_missed
+from cornercase.report.roads import recorded_region
 from cornercase.report.summary import Summary, collide, summarize_with
+from cornercase.roads import Region
 from cornercase.scenario import Parameter
 from cornercase.study import Row, Study
 
@@ -52,6 +55,10 @@ class ReportData:
         How scenarios ended, by id; empty before the study was analysed.
     notes : mapping of int to str
         What somebody noted of scenarios, by id.
+    missed : tuple of MissedAfter
+        How much of the critical set was not found after some of the scenarios; empty where nothing is known of it.
+    region : tuple of float, or None
+        Least x and y, and greatest x and y, in m, of a region around all that moves; None where nothing exists.
     """
 
     study: str
@@ -70,6 +77,8 @@ class ReportData:
     gaps: Mapping[str, Gaps]
     outcomes: Mapping[int, str]
     notes: Mapping[int, str]
+    missed: tuple[MissedAfter, ...]
+    region: Region | None
 
     @property
     def parameters(self) -> Sequence[Parameter]:
@@ -129,7 +138,8 @@ def read_report_data(study: Study) -> ReportData:
     times: dict[int, FloatArray] = {}
     known: dict[bytes, FloatArray] = {}
     courses: dict[str, dict[int, Float32Array]] = {one.name: {} for one in metrics}
-    collided = []
+    collided: list[int] = []
+    region: Region | None = None
     # One recording after the other: all of a large study would not fit into memory.
     for scenario, recording, each in study.recorded():
         # Most scenarios have the same instants.
@@ -138,6 +148,7 @@ def read_report_data(study: Study) -> ReportData:
             courses[one.name][scenario] = one.capped(each[one.name]).astype(np.float32)
         if collide(recording, study.meta.ego, study.meta.other):
             collided.append(scenario)
+        region = _joined(region, recorded_region([recording]))
     summary = summarize_with(study, len(collided))
     return ReportData(
         study=study.path.name,
@@ -156,7 +167,15 @@ def read_report_data(study: Study) -> ReportData:
         gaps={} if summary.reduced is None else _gaps(study, summary.analyses, summary.reduced.ids),
         outcomes=study.outcomes(),
         notes=study.notes(),
+        missed=tuple(find_missed(study, summary.knowledge)),
+        region=region,
     )
+
+
+def _joined(one: Region | None, two: Region | None) -> Region | None:
+    if one is None or two is None:
+        return one or two
+    return (min(one[0], two[0]), min(one[1], two[1]), max(one[2], two[2]), max(one[3], two[3]))
 
 
 def _examples(study: Study, analyses: Mapping[str, Analysis]) -> dict[int, Recording]:

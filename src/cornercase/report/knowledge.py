@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -10,8 +10,11 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.evidence import REGION, Estimate, Sensitivity, bounds_of_share, estimate_sensitivity
-from cornercase.exploration import Objective, critical_set_of, on_front
+from cornercase.exploration import Objective, critical_set_of, learns_from_features, on_front
 from cornercase.study import Study
+
+# What was missed is found after so many scenarios, and at so many sizes.
+_FEWEST, _MOST_JUDGED, _MOST_SIZES = 10, 1000, 8
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,60 @@ class Knowledge:
     front: Mapping[int, Mapping[str, float]] | None = None
     critical: CriticalKnowledge | None = None
     sensitivity: Sensitivity | None = None
+
+
+@dataclass(frozen=True)
+class MissedAfter:
+    """How much of the critical set was not found after some of the scenarios.
+
+    Attributes
+    ----------
+    run : int
+        Number of scenarios that had been run.
+    share : Estimate
+        Share of the critical set that was not found.
+    doubt : str or None
+        Why its interval cannot be given; None where it can.
+    """
+
+    run: int
+    share: Estimate
+    doubt: str | None
+
+
+def find_missed(study: Study, knowledge: Knowledge) -> Iterator[MissedAfter]:
+    """Find how much of the critical set was missed at the ends of some rounds.
+
+    Parameters
+    ----------
+    study : Study
+        What was run.
+    knowledge : Knowledge
+        What is known at its end.
+
+    Yields
+    ------
+    MissedAfter
+        At most eight: each of about twice as many scenarios as the one before, and the last of all. Of more than
+        1,000 scenarios, and by a committee, which takes long to fit, only the last is found.
+    """
+    critical, rows = knowledge.critical, study.done()
+    if critical is None or critical.known is None:
+        return
+    rounds = np.array([row.round for row in rows])
+    ends = (np.flatnonzero(np.diff(rounds)) + 1).tolist()
+    objective = Objective.of_study(study.meta)
+    scores, threshold = objective.oriented_of(study), objective.flip(critical.threshold)
+    sizes: list[int] = []
+    if not learns_from_features(study.meta.optimizer):
+        wanted = [len(rows) / 2.0**k for k in range(_MOST_SIZES - 1, 0, -1)]
+        nearest = {min(ends, key=lambda end: abs(end - size)) for size in wanted if ends}
+        sizes = sorted(size for size in nearest if _FEWEST <= size <= _MOST_JUDGED)
+    for size in sizes:
+        with suppress(ValueError):
+            found = critical_set_of(study, scores, threshold, last=rows[size - 1].id)
+            yield MissedAfter(size, found.missed, found.missed_doubt)
+    yield MissedAfter(len(rows), critical.known.missed, critical.known.missed_doubt)
 
 
 def find_knowledge(study: Study) -> Knowledge:

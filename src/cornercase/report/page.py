@@ -7,6 +7,7 @@ import importlib.resources
 import json
 import time
 import zlib
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,7 +22,9 @@ from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
 from cornercase.report.details import page_details
 from cornercase.report.packing import PackedRecordings, pack_recordings
+from cornercase.report.roads import find_roads, pack_roads
 from cornercase.report.sections.overview import tell_provenance
+from cornercase.scenario import Scenario
 from cornercase.study import Study, open_study
 
 if TYPE_CHECKING:
@@ -80,7 +83,13 @@ POLICY: Final = (
 """What the page may load: nothing from anywhere; what is in it is all that it may run."""
 
 
-def write_report(study: Study | Path | str, path: Path | str, *, figures: Path | str | bool = False) -> Path:
+def write_report(
+    study: Study | Path | str,
+    path: Path | str,
+    *,
+    figures: Path | str | bool = False,
+    scenario: Path | str | Scenario | None = None,
+) -> Path:
     """Write one page without outside references.
 
     Parameters
@@ -93,6 +102,9 @@ def write_report(study: Study | Path | str, path: Path | str, *, figures: Path |
     figures : bool or path, default False
         Write the figures too, as PNG and SVG, with ``captions.txt``, into this folder; True for one beside the page
         that is called after it, with ``-figures`` at the end.
+    scenario : path or Scenario, optional
+        File that was explored, whose road is drawn. By default it is looked for beside the study and in the current
+        folder, and known by its fingerprint; where it is not found the page says so, and draws no road.
 
     Returns
     -------
@@ -102,7 +114,8 @@ def write_report(study: Study | Path | str, path: Path | str, *, figures: Path |
     Raises
     ------
     InputError
-        No scenario has ended without failing, the page is the study itself, or something cannot be written.
+        No scenario has ended without failing, the page is the study itself, something cannot be written, or `scenario`
+        is not what was explored.
 
     See Also
     --------
@@ -117,20 +130,22 @@ def write_report(study: Study | Path | str, path: Path | str, *, figures: Path |
         begun = time.monotonic()
         data = read_report_data(opened)
         packed = pack_recordings(opened, [row.id for row in data.rows])
+        sketch, missing = find_roads(opened, data.region, scenario, data.rows[0].values)
         if not opened.readonly:
             # Kept in the study, so that the page of a study that is only read is the same each time.
             opened.add_elapsed("draw", time.monotonic() - begun)
             data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
+    roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing}
     if folder is not False:
         from cornercase.report.album import write_figures
 
         write_figures(data, arguments.path("figures", folder))
     with written_whole(path) as temporary:
-        temporary.write_text(fill_page(data, packed), encoding="utf-8", newline="\n")
+        temporary.write_text(fill_page(data, packed, roads), encoding="utf-8", newline="\n")
     return path
 
 
-def fill_page(data: ReportData, packed: PackedRecordings) -> str:
+def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, Any]) -> str:
     """Put the page of a study together.
 
     Parameters
@@ -139,13 +154,15 @@ def fill_page(data: ReportData, packed: PackedRecordings) -> str:
         What the report shows.
     packed : PackedRecordings
         The recordings that it holds.
+    roads : mapping of str to object
+        What is drawn of roads, as ``roads``, and why nothing is, as ``roads_missing``.
 
     Returns
     -------
     str
         HTML.
     """
-    contents = page_contents(data) | {"recordings": packed.index}
+    contents = page_contents(data) | {"recordings": packed.index, **roads}
     return _fill(
         live=False,
         title=contents["title"],
