@@ -2,6 +2,8 @@
 
 // Plotly is in the file as compressed text: it is unpacked once, when the first view needs it.
 let plotlyLoaded = null;
+// After how many ms Plotly is unpacked, if no view needed it before.
+const UNHURRIED = 6000;
 
 function loadPlotly() {
   plotlyLoaded ??= unpack(document.getElementById("plotly").textContent).then((bytes) => {
@@ -31,6 +33,8 @@ async function begin() {
   // The page can be used when filters, table and the views on the screen are there; what needs Plotly comes after.
   await views.settled();
   document.documentElement.dataset.ready = "true";
+  // Before a page is printed there is no time to wait for Plotly.
+  views.makeAll(() => setTimeout(() => whenIdle(() => views.drawAll()), UNHURRIED));
 }
 
 begin();

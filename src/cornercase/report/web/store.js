@@ -149,7 +149,7 @@ class Store {
     const [kind, key] = Store.split(name);
     if (!key) return { title: name === "id" ? "scenario [id]" : `${name} [1]`, choices: [] };
     const one = (kind === "score" ? this.contents.metrics : this.contents.parameters).find((each) => each.name === key);
-    return { title: `${key} [${one.unit || "1"}]`, unit: one.unit, choices: one.choices ?? [] };
+    return { title: one.unit ? `${key} [${one.unit}]` : key, unit: one.unit, choices: one.choices ?? [] };
   }
 
   // Whether there is such a column: addresses are written by people, too.

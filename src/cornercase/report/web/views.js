@@ -2,6 +2,7 @@
 
 // Views of the scenarios, each in a box of its own. A view is an object with
 //   name, title, about (what to see in it), wanted(store) (whether there is something to see), wide (the whole row),
+//   heavy (to be drawn only when it is seen or printed),
 //   create(box, store) -> { redraw(events) }, where `events` are the store's since it last drew.
 // All views draw in one frame after a change, those off the screen when they get there.
 const VIEWS = [];
@@ -89,6 +90,20 @@ class Views {
     one.made.redraw(events);
   }
 
+  // Who walks through the page by keyboard must find in each view what can be focused, before it was ever seen.
+  makeAll(done) {
+    const missing = [...this.boxes.values()].find((one) => one.made === null && !one.view.heavy);
+    if (!missing) return done();
+    whenIdle(() => {
+      if (missing.made === null) this.draw(missing);
+      this.makeAll(done);
+    });
+  }
+
+  drawAll() {
+    for (const one of this.boxes.values()) this.draw(one);
+  }
+
   // Resolves when what is on the screen shows the last change.
   settled() {
     this.schedule();
@@ -97,7 +112,7 @@ class Views {
 
   // A printer is finer than a screen, and prints what was never scrolled to.
   print() {
-    for (const one of this.boxes.values()) this.draw(one);
+    this.drawAll();
     for (const plot of PRINTED) {
       if (plot.measure(3)) plot.redraw(new Set(["contents"]));
     }
@@ -106,4 +121,9 @@ class Views {
   get(name) {
     return this.boxes.get(name)?.made ?? null;
   }
+}
+
+function whenIdle(work) {
+  if (window.requestIdleCallback) requestIdleCallback(work, { timeout: 500 });
+  else setTimeout(work, 30);
 }

@@ -31,6 +31,7 @@ function chartLayout(more) {
 function chartView({ fill, height = 330, events: more = [], ...view }) {
   return {
     ...view,
+    heavy: true,
     create(box, store) {
       const place = document.createElement("div");
       place.className = "plotly-box";

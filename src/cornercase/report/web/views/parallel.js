@@ -73,13 +73,15 @@ class ParallelPlot extends Plot {
       }
       g.fillStyle = colours.text;
       g.font = `12px ${colours.font}`;
-      g.textAlign = "center";
+      // The outermost ones grow inwards.
+      const last = k === this.axes.length - 1;
+      g.textAlign = k === 0 ? "left" : last ? "right" : "center";
       g.textBaseline = "alphabetic";
       // Names of neighbours stand above and beneath where there is no room for all in a row.
       const low = apart < 130 && k % 2 === 1;
-      const edge = 2 * Math.min(at, this.width - at);
-      const room = Math.min(edge, (apart < 130 ? 2 : 1) * apart - 10);
-      g.fillText(fitted(g, axis.title, Math.max(room, 60)), at, low ? this.height - this.bottom + 24 : this.top - 14);
+      const room = (apart < 130 ? 2 : 1) * apart - 10;
+      const place = k === 0 ? 4 : last ? this.width - 4 : at;
+      g.fillText(fitted(g, axis.title, Math.max(room, 60)), place, low ? this.height - this.bottom + 24 : this.top - 14);
     });
   }
 

@@ -46,7 +46,7 @@ class ScenarioTable {
     const { store } = this;
     const { contents } = store;
     const { scenarios } = contents;
-    const columns = [{ key: "id", title: "id", width: 5, number: true, text: (row) => String(scenarios.id[row]) }];
+    const columns = [{ key: "id", title: "id", number: true, text: (row) => String(scenarios.id[row]) }];
     for (const { name } of contents.metrics) {
       const key = `score ${name}`;
       const text = (row) => formatNumber(scenarios.scores[name][row]);
@@ -62,15 +62,24 @@ class ScenarioTable {
     if (contents.outcomes.length) {
       const text = (row) => contents.outcomes[scenarios.outcome[row]] ?? "";
       const value = (row) => scenarios.outcome[row] ?? Infinity;
-      columns.push({ key: "outcome", title: "outcome", width: 13, text, value });
+      columns.push({ key: "outcome", title: "outcome", text, value });
     }
     if (store.options.aspect !== null) {
       const text = (row) => (scenarios.failed[row] ? "" : store.kindName(store.kindOf(row)));
       columns.push({ key: "kind", title: "kind", width: 18, text, value: (row) => store.kindOf(row) ?? Infinity });
     }
-    columns.push({ key: "round", title: "round", width: 5, number: true, text: (row) => String(scenarios.round[row]) });
-    for (const one of columns) one.width ??= Math.max(6.5, Math.min(14, one.title.length * 0.58 + 2.4));
+    columns.push({ key: "round", title: "round", number: true, text: (row) => String(scenarios.round[row]) });
     this.columns = columns;
+  }
+
+  // As wide as the title, and the values of some rows.
+  fitColumns() {
+    const some = evenly(this.rows, 40);
+    for (const column of this.columns) {
+      const longest = some.reduce((most, row) => Math.max(most, column.text(row).length), 0);
+      const wide = Math.max(column.title.length * 0.47 + 1.9, longest * 0.47 + 1.3);
+      column.width ??= Math.max(3.6, Math.min(14, wide));
+    }
   }
 
   // What some scenarios are: those come first when a reader sorts by it.
@@ -85,7 +94,7 @@ class ScenarioTable {
     const columns = Object.keys(words).filter((name) => scenarios[name].includes(1)).map((name) => ({
       key: name,
       title: name,
-      width: name === "failed" ? 14 : 7,
+      width: name === "failed" ? 14 : undefined,
       text: (row) => (scenarios[name][row] ? words[name](scenarios.id[row]) : ""),
       value: (row) => -scenarios[name][row],
     }));
@@ -134,8 +143,10 @@ class ScenarioTable {
   redraw(events) {
     if (["contents", "shown", "options", "notes"].some((one) => events.has(one))) {
       this.makeColumns();
-      this.drawHead();
       this.order();
+      this.fitColumns();
+      this.drawHead();
+      this.measure();
       if (events.has("shown")) this.current = null;
     }
     if (events.has("selected")) this.reveal();
@@ -155,6 +166,9 @@ class ScenarioTable {
       if (Number.isNaN(a) || Number.isNaN(b)) return Number.isNaN(a) - Number.isNaN(b) || one - other;
       return sign * (a - b || 0) || one - other;
     });
+  }
+
+  measure() {
     this.grid.setAttribute("aria-rowcount", String(this.rows.length + 1));
     this.grid.setAttribute("aria-colcount", String(this.columns.length));
     this.body.style.height = `${this.rows.length * this.height}px`;
@@ -168,6 +182,8 @@ class ScenarioTable {
     const count = Math.ceil((this.grid.clientHeight || 400) / this.height) + 6;
     const rows = this.rows.slice(first, first + count);
     this.body.replaceChildren(...rows.map((row, k) => this.makeRow(row, first + k)));
+    const { scrollWidth, scrollLeft, clientWidth } = this.grid;
+    this.grid.classList.toggle("more", scrollWidth - scrollLeft > clientWidth + 2);
     const active = this.current !== null && this.current >= first && this.current < first + count;
     if (active) this.grid.setAttribute("aria-activedescendant", `scenario-row-${this.rows[this.current]}`);
     else this.grid.removeAttribute("aria-activedescendant");
