@@ -2,27 +2,25 @@
 
 // Long answers begin folded, so that the scenarios are in sight beneath them; the button opens them.
 function foldAnswers(section) {
-  let button = section.querySelector("#more-answers");
-  if (button === null) {
-    button = document.createElement("button");
-    button.type = "button";
-    button.id = "more-answers";
-    button.className = "button-quiet";
-    button.addEventListener("click", () => {
-      section.classList.toggle("folded");
-      name();
-    });
-    section.append(button);
-    section.classList.add("folded");
-  }
-  const inner = section.querySelector(".answers") ?? section;
+  const button = document.createElement("button");
+  button.type = "button";
+  button.id = "more-answers";
+  button.className = "button-quiet";
+  section.append(button);
+  section.classList.add("folded");
+  const cut = () =>
+    section.querySelector(".answer ul") !== null ||
+    [...section.querySelectorAll(".answer p")].some((one) => one.scrollHeight > one.clientHeight + 4);
   const name = () => {
     const folded = section.classList.contains("folded");
     button.textContent = folded ? "Read on" : "Fold";
     button.setAttribute("aria-expanded", String(!folded));
-    button.hidden = folded && inner.scrollHeight <= inner.clientHeight + 4;
+    button.hidden = folded && !cut();
   };
-  name();
-  new ResizeObserver(name).observe(inner);
+  button.addEventListener("click", () => {
+    section.classList.toggle("folded");
+    name();
+  });
+  new ResizeObserver(name).observe(section);
   addEventListener("beforeprint", () => section.classList.remove("folded"));
 }

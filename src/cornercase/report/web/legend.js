@@ -17,7 +17,8 @@ function legendItem(list, text, draw = null) {
   return item;
 }
 
-function fillLegend(list, store) {
+// `sample` draws what stands for a look: a symbol, or where scenarios are lines a piece of one.
+function fillLegend(list, store, sample = (g, style) => drawSymbol(g, style, 8, 8, 4.5)) {
   const looks = rowLooks(store);
   const { scenarios } = store.contents;
   list.replaceChildren();
@@ -33,9 +34,10 @@ function fillLegend(list, store) {
   if (looks.column) addScale(list, store, looks);
   else {
     looks.styles.forEach((style, k) => {
-      if (counts[k]) legendItem(list, `${style.name} (${counts[k]})`, (g) => drawSymbol(g, style, 8, 8, 4.5));
+      if (counts[k]) legendItem(list, `${style.name} (${counts[k]})`, (g) => sample(g, style));
     });
   }
+  if (sample === legendLine) return;
   const kept = { colour: themeColours().muted, symbol: "circle" };
   for (const [role, count] of roles) {
     const text = role === "kept" ? `kept (${count})` : `kept, ${role} (${count})`;
@@ -52,4 +54,11 @@ function addScale(list, store, looks) {
   bar.style.background = `linear-gradient(to right, ${stops.join(", ")})`;
   const item = legendItem(list, `${store.axis(looks.column).title}: ${formatNumber(looks.low)}`);
   item.append(bar, formatNumber(looks.high));
+}
+
+function legendLine(g, { colour, label }) {
+  g.strokeStyle = colour;
+  g.lineWidth = 2;
+  g.setLineDash(label > 0 ? DASHES[label % DASHES.length].map((one) => one / 2) : []);
+  line(g, 0, 8, 16, 8);
 }

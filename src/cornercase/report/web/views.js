@@ -2,6 +2,7 @@
 
 // Views of the scenarios, each in a box of its own. A view is an object with
 //   name, title, about (what to see in it), wanted(store) (whether there is something to see), wide (the whole row),
+//   finding (what was found in it, in the contents' captions, is told after it),
 //   heavy (to be drawn only when it is seen or printed),
 //   create(box, store) -> { redraw(events) }, where `events` are the store's since it last drew.
 // All views draw in one frame after a change, those off the screen when they get there.
@@ -48,7 +49,7 @@ class Views {
 
   tellAbout({ view, caption }) {
     const about = typeof view.about === "function" ? view.about(this.store) : view.about;
-    let told = this.store.contents.captions?.[view.name];
+    let told = view.finding ? this.store.contents.captions?.[view.name] : null;
     // Some captions speak of one metric or one aspect.
     if (told && typeof told === "object") told = told[this.store.options.metric] ?? told[this.store.options.aspect];
     caption.textContent = told ? `${about} ${told}` : about;

@@ -100,6 +100,7 @@ VIEWS.push(chartView({
   name: "search",
   title: "Search over time",
   about: "What the search had found after how many scenarios.",
+  finding: true,
   wanted: (store) => (store.contents.search?.run.length ?? 0) > 1,
   height: 420,
   fill(store) {

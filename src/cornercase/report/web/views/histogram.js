@@ -127,6 +127,7 @@ VIEWS.push({
     const line = store.threshold() === null ? "" : " The dashed line is where critical begins.";
     return `How many scenarios have which ${name}; ${low ? "low" : "high"} is critical.${line} Drag to keep a range.`;
   },
+  finding: true,
   wanted: () => true,
   create(box, store) {
     const plot = new HistogramPlot(box, store);

@@ -81,7 +81,8 @@ class ParallelPlot extends Plot {
       const low = apart < 130 && k % 2 === 1;
       const room = (apart < 130 ? 2 : 1) * apart - 10;
       const place = k === 0 ? 4 : last ? this.width - 4 : at;
-      g.fillText(fitted(g, axis.title, Math.max(room, 60)), place, low ? this.height - this.bottom + 24 : this.top - 14);
+      const height = low ? this.height - this.bottom + 24 : this.top - 14;
+      g.fillText(fitted(g, axis.title, Math.max(room, 60)), place, height);
     });
   }
 
@@ -195,7 +196,7 @@ VIEWS.push({
       redraw(events) {
         plot.redraw(events);
         if (onlyMarks(events)) return;
-        fillLegend(legend, store);
+        fillLegend(legend, store, legendLine);
         note.textContent = tellPicked(plot.drawn.length, store.shownCount);
         menu();
       },

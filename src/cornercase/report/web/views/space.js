@@ -109,6 +109,7 @@ VIEWS.push({
   name: "space",
   title: "Parameter space",
   about: "Each point is a concrete scenario. Drag to keep a part of the space; click to see a scenario move.",
+  finding: true,
   wanted: () => true,
   create(box, store) {
     const columns = () => {
