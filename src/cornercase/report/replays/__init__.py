@@ -1,0 +1,1 @@
+"""Replays of single scenarios, as films and as pages."""

@@ -1,0 +1,165 @@
+"""Frames of a replay: scenes from above, and the metric's course beneath."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from cornercase._common.texts import plain_text, shorten
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import Metric
+from cornercase.report.replays.footage import Footage, Take
+from cornercase.report.replays.motion import motion_at
+from cornercase.report.replays.scene import EGO, GROUND, LABEL, LINE, OTHER, Scene
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+# Inches of a frame; even as pixels, as some films have to be.
+_SIZE: Final = {1: (9.6, 7.2), 2: (14.4, 7.2)}
+# Where scenes and the course lie in a frame, as shares of it.
+_ABOVE: Final = (0.35, 0.915)
+_BELOW: Final = (0.09, 0.25)
+_LEFT: Final = 0.075
+_RIGHT: Final = 0.985
+_BETWEEN: Final = 0.06
+# The two are all in view where their ways fit into so many m; else from so many s before the most critical instant on.
+_WIDEST: Final = 60.0
+_BEFORE: Final = (20.0, 15.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 1.0)
+_AFTER: Final = 1.0
+_MARGIN: Final = 6.0
+_LEAST: Final = 22.0
+_LONGEST_TITLE: Final = 110
+
+Frame = npt.NDArray[np.uint8]
+"""Red, green and blue of each pixel, shape (height, width, 3)."""
+
+
+class Film:
+    """Draws a replay, frame by frame.
+
+    Parameters
+    ----------
+    footage : Footage
+        What is shown.
+    dots : int, default 100
+        Pixels for an inch: a frame of one scenario is 9.6 by 7.2 inches.
+    """
+
+    def __init__(self, footage: Footage, *, dots: int = 100) -> None:
+        self._footage = footage
+        self._figure = Figure(figsize=_SIZE[len(footage.takes)], dpi=dots, facecolor="white")
+        self._canvas = FigureCanvasAgg(self._figure)
+        places = np.concatenate([self._places(take) for take in footage.takes])
+        # All scenes show the same part of the plane.
+        self._middle: tuple[float, float] = tuple(((places.min(axis=0) + places.max(axis=0)) / 2.0).tolist())
+        self._high = max(_LEAST, float(np.ptp(places, axis=0).max()) + 2.0 * _MARGIN) / 2.0
+        with rc_context({"text.parse_math": False, "font.size": 10.0}):
+            self._scenes = [self._scene(k, take) for k, take in enumerate(footage.takes)]
+            self._course = self._draw_course(footage.metrics[0])
+            self._clock = self._figure.text(_RIGHT, 0.955, "", ha="right", fontsize=12, color=LABEL, animated=True)
+        for text in self._figure.findobj(Text):
+            text.set_parse_math(False)
+
+    def _scene(self, k: int, take: Take) -> Scene:
+        count = len(self._footage.takes)
+        width = (_RIGHT - _LEFT - _BETWEEN * (count - 1)) / count
+        left = _LEFT + k * (width + _BETWEEN)
+        axes = self._figure.add_axes((left, _ABOVE[0], width, _ABOVE[1] - _ABOVE[0]))
+        (x, y), high, size = self._middle, self._high, self._figure.get_size_inches()
+        wide = high * width * size[0] / ((_ABOVE[1] - _ABOVE[0]) * size[1])
+        axes.set_xlim(x - wide, x + wide)
+        axes.set_ylim(y - high, y + high)
+        axes.set_facecolor(GROUND)
+        axes.set_xlabel("x [m]", labelpad=1.0)
+        axes.set_ylabel("y [m]", labelpad=1.0)
+        axes.tick_params(labelsize=8)
+        about = [f"scenario {take.row.id}", take.outcome, *(("critical",) if take.critical else ())]
+        title = plain_text(" · ".join(filter(None, about)))
+        axes.set_title(shorten(title, _LONGEST_TITLE // count), loc="left", fontsize=11, pad=5)
+        return Scene(axes, take.recording, self._footage)
+
+    def _draw_course(self, metric: Metric) -> tuple[Axes, list[Artist]]:
+        footage = self._footage
+        axes = self._figure.add_axes((_LEFT, _BELOW[0], _RIGHT - _LEFT, _BELOW[1] - _BELOW[0]))
+        moving: list[Artist] = [axes.axvline(footage.begin, color=LABEL, linewidth=1.0, animated=True)]
+        for take, colour, line in zip(footage.takes, (EGO, OTHER), ("-", "--"), strict=False):
+            course = take.courses[metric.name]
+            label = f"scenario {take.row.id}"
+            axes.plot(take.recording.time, course, line, color=colour, linewidth=1.8, label=label)
+            moving += axes.plot([], [], "o", color=colour, markersize=6, animated=True)
+        if footage.threshold is not None:
+            axes.axhline(footage.threshold, color="#b3261e", linestyle=":", linewidth=1.2, label="threshold")
+        unit = f" [{metric.unit}]" if metric.unit else ""
+        axes.set_xlim(footage.begin, max(footage.end, footage.begin + 1e-3))
+        axes.set_xlabel("time [s]", labelpad=1.0)
+        axes.set_ylabel(shorten(plain_text(f"{metric.name}{unit}"), 24))
+        axes.tick_params(labelsize=8)
+        axes.grid(color=LINE, linewidth=0.5, alpha=0.5)
+        if len(axes.lines) > 1 + len(footage.takes):
+            axes.legend(
+                loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, frameon=False, fontsize=8, borderaxespad=0.0
+            )
+        return axes, moving
+
+    def _places(self, take: Take) -> FloatArray:
+        """Where the ego and the other are while they are in view, in m, shape (P, 2)."""
+        recording, meta = take.recording, self._footage.meta
+        both = [recording.center(name) for name in (meta.ego, meta.other) if name in recording.names]
+        places = np.stack(both or [recording.center(name) for name in recording.names])
+        middle = take.critical_time(self._footage.metrics[0])
+        found = np.zeros((1, 2))
+        for before in (np.inf, *_BEFORE):
+            near = recording.time >= middle - before
+            near &= recording.time <= middle + (_AFTER if np.isfinite(before) else np.inf)
+            some = places[:, near].reshape(-1, 2)
+            some = some[np.isfinite(some).all(axis=1)]
+            if len(some):
+                found = some
+                if float(np.ptp(some, axis=0).max()) <= _WIDEST:
+                    break
+        return found
+
+    def frames(self, times: FloatArray) -> Iterator[Frame]:
+        """Draw the frames at some times.
+
+        Parameters
+        ----------
+        times : ndarray of float64, shape (F,)
+            s.
+
+        Yields
+        ------
+        ndarray of uint8, shape (height, width, 3)
+            One frame for each time; it is drawn over by the next one.
+        """
+        metric = self._footage.metrics[0].name
+        axes, (cursor, *dots) = self._course
+        takes = self._footage.takes
+        motions = [
+            motion_at(take.recording, np.clip(times, take.recording.time[0], take.recording.time[-1])) for take in takes
+        ]
+        values = [np.interp(times, take.recording.time, take.courses[metric]) for take in takes]
+        # What does not move is drawn once.
+        self._canvas.draw()
+        still = self._canvas.copy_from_bbox(self._figure.bbox)
+        for k, time in enumerate(times.tolist()):
+            self._canvas.restore_region(still)
+            for scene, motion in zip(self._scenes, motions, strict=True):
+                scene.draw(motion, k, time)
+            cursor.set(xdata=[time, time])
+            for dot, value, take in zip(dots, values, takes, strict=True):
+                dot.set(xdata=[min(time, float(take.recording.time[-1]))], ydata=[value[k]])
+            for artist in (cursor, *dots):
+                axes.draw_artist(artist)
+            self._clock.set_text(f"{time:.2f} s")
+            self._figure.draw_artist(self._clock)
+            yield np.asarray(self._canvas.buffer_rgba())[..., :3]

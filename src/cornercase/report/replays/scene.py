@@ -1,0 +1,162 @@
+"""One scene of a film: the road, and the entities on it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.collections import PolyCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Polygon
+from matplotlib.patheffects import withStroke
+
+from cornercase._common.texts import plain_text, shorten
+from cornercase.recordings import Recording
+from cornercase.report.replays.footage import Footage
+from cornercase.report.replays.motion import Motion, contact, sees, shadow
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+# The colours of the page in light.
+GROUND: Final = "#e9ebe4"
+EGO: Final = "#005a94"
+OTHER: Final = "#b84a00"
+LABEL: Final = "#23272b"
+LINE: Final = "#8e949b"
+_AREAS: Final = {"verge": "#d5dccb", "walk": "#dedad2", "road": "#c9ccd1"}
+_THIRD: Final = "#4a4f55"
+_HIT: Final = "#b3261e"
+_SHADOW: Final = (0.08, 0.09, 0.12, 0.24)
+_LONGEST_NAME: Final = 24
+# A disc is at least so large, in m by metre that is shown upwards.
+_SMALLEST: Final = 0.009
+
+
+class Scene:
+    """Draws the entities of a recording onto axes.
+
+    Parameters
+    ----------
+    axes : Axes
+        Of which the limits are set.
+    recording : Recording
+        What is shown.
+    footage : Footage
+        Says who is the ego and who the other, and where the road is.
+    """
+
+    def __init__(self, axes: Axes, recording: Recording, footage: Footage) -> None:
+        self._axes, self._recording = axes, recording
+        names = recording.names
+        self._ego = names.index(footage.meta.ego) if footage.meta.ego in names else -1
+        self._other = names.index(footage.meta.other) if footage.meta.other in names else -1
+        self._high = float(np.ptp(axes.get_ylim()))
+        if footage.road is not None:
+            self._draw_road(footage)
+        self._ways = [recording.center(name) for name in names]
+        for entity, way in enumerate(self._ways):
+            axes.plot(*way.T, ":", color=self._colour(entity), linewidth=1.0, alpha=0.55)
+        self._hits = [
+            (hit.time, contact(recording, hit.time, *map(recording.index, hit.entities))) for hit in recording.collisions
+        ]
+        halo = [withStroke(linewidth=3.0, foreground="white")]
+        self._text = axes.text(
+            0.0, 0.0, "", ha="center", fontsize=9, clip_on=True, animated=True, path_effects=halo
+        )
+
+    def _draw_road(self, footage: Footage) -> None:
+        assert footage.road is not None
+        for order, (kind, colour) in enumerate(_AREAS.items()):
+            areas = [points for one, points in footage.road.areas if one == kind]
+            # All outlines lie below all areas: only the outline of their union is left.
+            self._axes.add_collection(
+                PolyCollection(areas, facecolors="none", edgecolors=LINE, linewidths=1.8, zorder=0.1 + order),
+                autolim=False,
+            )
+            self._axes.add_collection(
+                PolyCollection(areas, facecolors=colour, edgecolors=colour, linewidths=0.5, zorder=0.2 + order),
+                autolim=False,
+            )
+        for kind, points in footage.road.lines:
+            dashes = (0, (4, 4)) if kind == "lane" else "-"
+            self._axes.add_line(Line2D(*points.T, color="white", linewidth=1.0, linestyle=dashes, zorder=3.0))
+
+    def _colour(self, entity: int) -> str:
+        return EGO if entity == self._ego else OTHER if entity == self._other else _THIRD
+
+    def draw(self, motion: Motion, k: int, time: float) -> None:
+        """Draw what moves, as it is at one time.
+
+        Parameters
+        ----------
+        motion : Motion
+            Of the recording.
+        k : int
+            Number of the time.
+        time : float
+            s.
+        """
+        there = motion.there(k)
+        if self._ego in there:
+            for other in there:
+                dark = shadow(motion, self._ego, other, k) if other not in (self._ego, self._other) else None
+                if dark is not None:
+                    self._show(Polygon(dark, facecolor=_SHADOW, edgecolor="none"))
+        for entity in there:
+            past = self._ways[entity][self._recording.time <= time + 1e-6]
+            line = "--" if entity == self._other else "-"
+            self._show(Line2D(*past.T, color=self._colour(entity), linewidth=1.6, linestyle=line))
+        for entity in there:
+            self._draw_entity(motion, entity, k)
+        if self._ego in there and self._other in there:
+            seen = sees(motion, self._ego, self._other, k)
+            goal = [motion.x[self._other, k], motion.y[self._other, k]]
+            way = np.stack([motion.eye(self._ego, k), goal])
+            self._show(Line2D(*way.T, color=EGO, linewidth=1.3, linestyle="-" if seen else (0, (1, 3))))
+        for when, place in self._hits:
+            if time >= when - 1e-6:
+                self._show(Line2D(*place[:, None], marker=(8, 1, 0), markersize=18, color=_HIT, markeredgecolor="white"))
+                self._write(f"collision at {when:.2f} s", place[0], place[1] + 0.035 * self._high, _HIT)
+        for entity in there:
+            self._draw_label(motion, entity, k)
+
+    def _draw_entity(self, motion: Motion, entity: int, k: int) -> None:
+        colour, heading = self._colour(entity), motion.heading[entity, k]
+        x, y = motion.x[entity, k], motion.y[entity, k]
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        left = np.array([-ahead[1], ahead[0]])
+        center = np.array([x, y])
+        if self._recording.kinds[entity] == "pedestrian":
+            radius = max(0.5 * motion.length[entity], 0.5 * motion.width[entity], _SMALLEST * self._high)
+            self._show(Circle((x, y), radius, facecolor=colour, edgecolor="white", linewidth=1.0))
+            tip, base = center + 1.8 * radius * ahead, center + 1.05 * radius * ahead
+            self._show(Polygon([tip, base + 0.6 * radius * left, base - 0.6 * radius * left], color=colour))
+            return
+        self._show(Polygon(motion.corners(entity, k), facecolor=colour, edgecolor="white", linewidth=1.0))
+        long, wide = 0.5 * motion.length[entity] * ahead, 0.5 * motion.width[entity] * left
+        nose = [center + 0.92 * long, center + 0.45 * long + 0.75 * wide, center + 0.45 * long - 0.75 * wide]
+        self._show(Polygon(nose, facecolor="white", edgecolor="none", alpha=0.85))
+
+    def _draw_label(self, motion: Motion, entity: int, k: int) -> None:
+        speed = motion.speed[entity, k]
+        name = shorten(plain_text(self._recording.names[entity]), _LONGEST_NAME)
+        third = entity not in (self._ego, self._other)
+        text = name if third and not abs(speed) > 0.05 else f"{name} {speed:.1f} m/s"
+        # Of the ego and the other, whoever is further up has its label above.
+        up = {one: motion.y[one, k] if one in motion.there(k) else -np.inf for one in (self._ego, self._other)}
+        lower = self._other if up[self._ego] >= up[self._other] else self._ego
+        reach = float(np.ptp(motion.corners(entity, k)[:, 1])) / 2.0 + 0.02 * self._high
+        y = motion.y[entity, k] + (-reach if entity == lower else reach)
+        self._write(text, motion.x[entity, k], y, self._colour(entity), "top" if entity == lower else "bottom")
+
+    def _write(self, text: str, x: float, y: float, colour: str, align: str = "bottom") -> None:
+        self._text.set(text=text, position=(x, y), color=colour, va=align)
+        self._axes.draw_artist(self._text)
+
+    def _show(self, artist: Artist) -> None:
+        """Draw something that is gone in the next frame."""
+        self._axes.add_artist(artist)
+        self._axes.draw_artist(artist)
+        artist.remove()
