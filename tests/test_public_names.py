@@ -8,7 +8,7 @@ import sys
 import cornercase
 
 FUNCTIONS = (
-    "analyze", "check", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "simulate",
+    "analyze", "check", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "replay", "simulate",
     "summarize", "watch", "write_report",
 )  # fmt: skip
 TYPES = (

@@ -22,6 +22,7 @@ from .recordings import read_recording as read_recording
 from .reduction import ReducedSet as ReducedSet
 from .reduction import reduce as reduce
 from .report import Summary as Summary
+from .report import replay as replay
 from .report import summarize as summarize
 from .report import watch as watch
 from .report import write_report as write_report

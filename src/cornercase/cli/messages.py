@@ -10,11 +10,11 @@ from cornercase._common.errors import NoticeWarning
 from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
-    "archetypes", "archetypes_by", "batch", "budget", "by", "continuous", "cover", "critical", "duration", "ego",
-    "encounter", "eps", "gamma", "host", "keep", "max_seconds",
+    "archetypes", "archetypes_by", "batch", "beside", "budget", "by", "continuous", "cover", "critical", "duration", "ego",
+    "encounter", "eps", "fps", "gamma", "host", "keep", "max_seconds",
     "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size",
-    "space", "stop_when", "time_step", "timeout", "window", "within", "workers",
+    "space", "speed", "stop_when", "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {
@@ -22,6 +22,7 @@ _RENAMED: Final = {
     "folder": "-o",
     "metrics": "--metric",
     "output": "-o",
+    "path": "-o",
     "ranges": "--range",
     "study": "-o",
     "table": "--parameters",
@@ -29,7 +30,7 @@ _RENAMED: Final = {
     "weights": "--weight",
 }
 _COMMANDS: Final = (
-    "analyze", "check", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce", "report",
+    "analyze", "check", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce", "replay", "report",
     "show", "simulate", "watch",
 )  # fmt: skip
 _QUOTED: Final = re.compile(r"`(\w+)`")

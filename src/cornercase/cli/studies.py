@@ -222,6 +222,41 @@ def watch(
 
 
 @app.command()
+def replay(
+    study: StudyFile,
+    scenario_id: Annotated[int, typer.Argument(metavar="ID", help="Which scenario.", min=1)],
+    *,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE.html|gif|mp4", help="Page or film to write.")
+    ],
+    beside: Annotated[
+        int | None, typer.Option(metavar="ID", help="Another scenario, shown beside it on the same clock.", min=1)
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(metavar="N", help="Frames per second of a film; default: 25, of a GIF 10.")
+    ] = None,
+    speed: Annotated[float, typer.Option(metavar="X", help="How fast a film runs: 0.5 is slow motion.")] = 1.0,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study."),
+    ] = None,
+) -> None:
+    """Show how a scenario went, as a page to play or as a film.
+
+    \b
+    Example:
+      cornercase replay study.db 45 -o run.html
+      cornercase replay study.db 45 --beside 3 --speed 0.5 -o run.mp4
+    """
+    from cornercase import report
+
+    written = report.replay(
+        study, scenario_id, output, beside=beside, fps=fps, speed=speed, scenario=scenario, progress=True
+    )
+    out.print(f"The replay is {written.resolve()}")
+
+
+@app.command()
 def demo(
     name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")],
     *,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import importlib.resources
-import json
 import time
 import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from markupsafe import Markup
 
@@ -24,11 +23,9 @@ from cornercase.report.details import page_details
 from cornercase.report.packing import PackedRecordings, pack_recordings
 from cornercase.report.roads import find_roads, pack_roads
 from cornercase.report.sections.overview import tell_provenance
+from cornercase.report.templates import fill_template
 from cornercase.scenario import Scenario
 from cornercase.study import Study, open_study
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 REPLAY_SCRIPTS: Final = tuple(
     f"replay/{name}.js"
@@ -194,42 +191,13 @@ def fill_frame(title: str) -> str:
 
 
 def _fill(**parts: Any) -> str:
-    page: str = (
-        _environment()
-        .get_template("page.html.j2")
-        .render(
-            policy=POLICY,
-            plotly=_plotly(),
-            styles=[Markup(_asset(name)) for name in _STYLES],
-            scripts=[Markup(_asset(name)) for name in _SCRIPTS],
-            **parts,
-        )
-    )
-    return page
-
-
-def _asset(name: str) -> str:
-    return importlib.resources.files("cornercase.report.web").joinpath(name).read_text(encoding="utf-8")
+    return fill_template("page.html.j2", _STYLES, _SCRIPTS, policy=POLICY, plotly=_plotly(), **parts)
 
 
 @cache
 def _plotly() -> str:
     code = importlib.resources.files("plotly.package_data").joinpath("plotly.min.js").read_bytes()
     return base64.b64encode(zlib.compress(code, 9)).decode()
-
-
-def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader
-
-    environment = Environment(loader=PackageLoader("cornercase.report", "web"), autoescape=True, trim_blocks=True)
-    environment.filters["json"] = _json
-    return environment
-
-
-def _json(value: Any) -> Markup:
-    # In a script nothing is escaped, so what would end it must not be there.
-    text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
 
 
 def _tell_why_empty(study: Study) -> NoReturn:

@@ -32,7 +32,7 @@ _LEFT: Final = 0.075
 _RIGHT: Final = 0.985
 _BETWEEN: Final = 0.06
 # The two are all in view where their ways fit into so many m; else from so many s before the most critical instant on.
-_WIDEST: Final = 60.0
+_WIDEST: Final = 45.0
 _BEFORE: Final = (20.0, 15.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 1.0)
 _AFTER: Final = 1.0
 _MARGIN: Final = 6.0
@@ -139,7 +139,7 @@ class Film:
         Yields
         ------
         ndarray of uint8, shape (height, width, 3)
-            One frame for each time; it is drawn over by the next one.
+            One frame for each time.
         """
         metric = self._footage.metrics[0].name
         axes, (cursor, *dots) = self._course
@@ -149,10 +149,10 @@ class Film:
         ]
         values = [np.interp(times, take.recording.time, take.courses[metric]) for take in takes]
         # What does not move is drawn once.
-        self._canvas.draw()
-        still = self._canvas.copy_from_bbox(self._figure.bbox)
+        self._canvas.draw()  # type: ignore[no-untyped-call]
+        still = self._canvas.copy_from_bbox(self._figure.bbox)  # type: ignore[no-untyped-call]
         for k, time in enumerate(times.tolist()):
-            self._canvas.restore_region(still)
+            self._canvas.restore_region(still)  # type: ignore[no-untyped-call]
             for scene, motion in zip(self._scenes, motions, strict=True):
                 scene.draw(motion, k, time)
             cursor.set(xdata=[time, time])
@@ -162,4 +162,4 @@ class Film:
                 axes.draw_artist(artist)
             self._clock.set_text(f"{time:.2f} s")
             self._figure.draw_artist(self._clock)
-            yield np.asarray(self._canvas.buffer_rgba())[..., :3]
+            yield np.array(self._canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -111,7 +112,7 @@ class Footage:
         return max(float(take.recording.time[-1]) for take in self.takes)
 
 
-def read_footage(study: Study, ids: Sequence[int], scenario: Scenario | str | None = None) -> Footage:
+def read_footage(study: Study, ids: Sequence[int], scenario: Path | str | Scenario | None = None) -> Footage:
     """Read what a replay shows.
 
     Parameters
@@ -136,28 +137,21 @@ def read_footage(study: Study, ids: Sequence[int], scenario: Scenario | str | No
     meta = study.meta
     metrics = tuple(METRICS.create(name) for name in meta.metrics)
     objective = Objective.of_study(meta)
-    alone = not objective.pareto and not objective.weights
-    outcomes = study.outcomes()
+    # A front has no threshold, and that of a weighted sum is none of a course.
+    threshold = None if objective.pareto or objective.weights else meta.critical
+    first = metrics[0]
+    outcomes, done = study.outcomes(), [row.id for row in study.done()]
     rows = {row.id: row for row in study.rows()}
     takes = []
     for one in ids:
         row = _require_run(study, rows, one)
-        scores = {metric.name: _score_of(study, metric, one) for metric in metrics}
+        scores = {metric.name: float(study.scores(metric.name)[done.index(one)]) for metric in metrics}
         courses = {metric.name: metric.capped(study.course(one, metric.name)) for metric in metrics}
-        critical = meta.critical is not None and alone and metrics[0].oriented(scores[metrics[0].name]) <= metrics[
-            0
-        ].oriented(meta.critical)
-        takes.append(Take(row, study.recording(one), courses, scores, outcomes.get(one, ""), bool(critical)))
+        critical = threshold is not None and bool(first.oriented(scores[first.name]) <= first.oriented(threshold))
+        takes.append(Take(row, study.recording(one), courses, scores, outcomes.get(one, ""), critical))
     region = recorded_region(take.recording for take in takes)
     road, missing = find_roads(study, region, scenario, takes[0].row.values)
-    return Footage(
-        study.path.name, meta, metrics, meta.critical if alone else None, tuple(takes), road, missing
-    )
-
-
-def _score_of(study: Study, metric: Metric, scenario: int) -> float:
-    done = [row.id for row in study.done()]
-    return float(study.scores(metric.name)[done.index(scenario)])
+    return Footage(study.path.name, meta, metrics, threshold, tuple(takes), road, missing)
 
 
 def _require_run(study: Study, rows: Mapping[int, Row], scenario: int) -> Row:

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.geometry import box_corners, within_half_turn
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.recordings import Recording
 
 EYE_AHEAD: Final = 0.25
@@ -125,7 +125,7 @@ def sees(motion: Motion, driver: int, target: int, k: int) -> bool:
     return bool((~hidden).any())
 
 
-def _meets(start: FloatArray, step: FloatArray, half: FloatArray) -> FloatArray:
+def _meets(start: FloatArray, step: FloatArray, half: FloatArray) -> BoolArray:
     """Whether ways from a point meet a box around the origin (slabs)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         one, other = (-half - start) / step, (half - start) / step

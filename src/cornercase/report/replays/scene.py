@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from matplotlib.collections import PolyCollection
@@ -59,12 +59,11 @@ class Scene:
         for entity, way in enumerate(self._ways):
             axes.plot(*way.T, ":", color=self._colour(entity), linewidth=1.0, alpha=0.55)
         self._hits = [
-            (hit.time, contact(recording, hit.time, *map(recording.index, hit.entities))) for hit in recording.collisions
+            (hit.time, contact(recording, hit.time, *map(recording.index, hit.entities)))
+            for hit in recording.collisions
         ]
         halo = [withStroke(linewidth=3.0, foreground="white")]
-        self._text = axes.text(
-            0.0, 0.0, "", ha="center", fontsize=9, clip_on=True, animated=True, path_effects=halo
-        )
+        self._text = axes.text(0.0, 0.0, "", ha="center", fontsize=9, clip_on=True, animated=True, path_effects=halo)
 
     def _draw_road(self, footage: Footage) -> None:
         assert footage.road is not None
@@ -80,7 +79,7 @@ class Scene:
                 autolim=False,
             )
         for kind, points in footage.road.lines:
-            dashes = (0, (4, 4)) if kind == "lane" else "-"
+            dashes: Any = (0, (4, 4)) if kind == "lane" else "-"
             self._axes.add_line(Line2D(*points.T, color="white", linewidth=1.0, linestyle=dashes, zorder=3.0))
 
     def _colour(self, entity: int) -> str:
@@ -106,7 +105,7 @@ class Scene:
                     self._show(Polygon(dark, facecolor=_SHADOW, edgecolor="none"))
         for entity in there:
             past = self._ways[entity][self._recording.time <= time + 1e-6]
-            line = "--" if entity == self._other else "-"
+            line: Any = "--" if entity == self._other else "-"
             self._show(Line2D(*past.T, color=self._colour(entity), linewidth=1.6, linestyle=line))
         for entity in there:
             self._draw_entity(motion, entity, k)
@@ -117,7 +116,9 @@ class Scene:
             self._show(Line2D(*way.T, color=EGO, linewidth=1.3, linestyle="-" if seen else (0, (1, 3))))
         for when, place in self._hits:
             if time >= when - 1e-6:
-                self._show(Line2D(*place[:, None], marker=(8, 1, 0), markersize=18, color=_HIT, markeredgecolor="white"))
+                self._show(
+                    Line2D(*place[:, None], marker=(8, 1, 0), markersize=18, color=_HIT, markeredgecolor="white")
+                )
                 self._write(f"collision at {when:.2f} s", place[0], place[1] + 0.035 * self._high, _HIT)
         for entity in there:
             self._draw_label(motion, entity, k)
