@@ -10,8 +10,8 @@ from cornercase._common.errors import NoticeWarning
 from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
-    "archetypes", "archetypes_by", "batch", "beside", "budget", "by", "continuous", "cover", "critical", "duration", "ego",
-    "encounter", "eps", "fps", "gamma", "host", "keep", "max_seconds",
+    "archetypes", "archetypes_by", "batch", "beside", "budget", "by", "continuous", "cover", "critical", "duration",
+    "ego", "encounter", "eps", "fps", "gamma", "host", "keep", "max_seconds",
     "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size",
     "space", "speed", "stop_when", "time_step", "timeout", "window", "within", "workers",
@@ -30,8 +30,8 @@ _RENAMED: Final = {
     "weights": "--weight",
 }
 _COMMANDS: Final = (
-    "analyze", "check", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce", "replay", "report",
-    "show", "simulate", "watch",
+    "analyze", "check", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce", "replay",
+    "report", "show", "simulate", "watch",
 )  # fmt: skip
 _QUOTED: Final = re.compile(r"`(\w+)`")
 

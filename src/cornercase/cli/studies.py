@@ -226,9 +226,7 @@ def replay(
     study: StudyFile,
     scenario_id: Annotated[int, typer.Argument(metavar="ID", help="Which scenario.", min=1)],
     *,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE.html|gif|mp4", help="Page or film to write.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.html|gif|mp4", help="Page or film to write.")],
     beside: Annotated[
         int | None, typer.Option(metavar="ID", help="Another scenario, shown beside it on the same clock.", min=1)
     ] = None,
