@@ -14,7 +14,7 @@ _PARAMETERS: Final = (
     "ego", "encounter", "eps", "fps", "gamma", "host", "keep", "max_seconds",
     "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size",
-    "space", "speed", "stop_when", "time_step", "timeout", "window", "within", "workers",
+    "space", "stop_when", "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {
