@@ -21,6 +21,7 @@ from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
 from cornercase.report.details import page_details
 from cornercase.report.packing import PackedRecordings, pack_recordings
+from cornercase.report.rerun import tell_rerun
 from cornercase.report.roads import find_roads, pack_roads
 from cornercase.report.sections.overview import tell_provenance
 from cornercase.report.templates import fill_template
@@ -51,6 +52,9 @@ _SCRIPTS: Final = (
     "recordings.js",
     "knowledge.js",
     "live.js",
+    "running.js",
+    "notes.js",
+    "actions.js",
     "colours.js",
     "describe.js",
     "plot.js",
@@ -128,11 +132,12 @@ def write_report(
         data = read_report_data(opened)
         packed = pack_recordings(opened, [row.id for row in data.rows])
         sketch, missing = find_roads(opened, data.region, scenario, data.rows[0].values)
+        rerun = tell_rerun(opened, scenario)
         if not opened.readonly:
             # Kept in the study, so that the page of a study that is only read is the same each time.
             opened.add_elapsed("draw", time.monotonic() - begun)
             data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
-    roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing}
+    roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing, "rerun": rerun}
     if folder is not False:
         from cornercase.report.album import write_figures
 
@@ -152,7 +157,8 @@ def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, An
     packed : PackedRecordings
         The recordings that it holds.
     roads : mapping of str to object
-        What is drawn of roads, as ``roads``, and why nothing is, as ``roads_missing``.
+        What is drawn of roads, as ``roads``, why nothing is, as ``roads_missing``, and how a scenario is run again,
+        as ``rerun``.
 
     Returns
     -------

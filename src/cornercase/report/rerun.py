@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -9,47 +11,66 @@ from typing import Any, Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.files import portable_name
 from cornercase._common.texts import plain_text
 from cornercase.reduction import read_reduction
-from cornercase.scenario import Scenario, Value, fill_concrete, typed_value, value_text
-from cornercase.study import IMPORTED, Row, Study, StudyMeta
+from cornercase.scenario import INTEGERS, Scenario, Value, fill_concrete, typed_value, value_text
+from cornercase.study import IMPORTED, Row, Study, StudyMeta, explored_scenario
 
 # Settings of the builtin simulator that are options of `simulate`.
 _OPTIONS: Final = {"time_step": "--time-step", "duration": "--duration", "on_collision": "--on-collision"}
 _BUILTIN: Final = "builtin"
 
 
-def tell_rerun(meta: StudyMeta, scenario: Scenario | None, kept: Mapping[int, str]) -> dict[str, Any]:
+def tell_rerun(study: Study, given: Path | str | Scenario | None = None, *, whole: bool = True) -> dict[str, Any]:
     """Give what the page needs to run a scenario again.
 
     Parameters
     ----------
-    meta : StudyMeta
-        What the study is about.
-    scenario : Scenario or None
-        The one that was explored, where it is known.
-    kept : mapping of int to str
-        Why scenarios are kept, by id.
+    study : Study
+        Open.
+    given : path or Scenario, optional
+        The one that was explored; by default it is looked for beside the study and in the current folder.
+    whole : bool, default True
+        Whether the page holds the scenario's file itself, and asks no server for it.
 
     Returns
     -------
     dict of str to object
-        ``command``: words before and after those that set the parameters, or None, and ``why`` there is none; ``file``:
-        the scenario in pieces, between which the values of its ``slots`` come, or None.
+        ``name`` of what was explored; ``key``: another one for each search; ``command``: words before and after those
+        that set the parameters, or None, and ``why`` there is none; ``file``: the scenario in pieces, between which the
+        values of its ``slots`` come, or None, and ``file_why`` nobody can have it.
     """
+    meta = study.meta
     why = _why_no_command(meta)
     name = meta.file_name
+    scenario, file_why = _find(study, given)
+    pieces = _pieces(meta, scenario, why_kept(study)) if whole and scenario is not None else None
+    facts = json.dumps({key: value for key, value in meta.to_json().items() if key != "budget"}, sort_keys=True)
     return {
+        "name": portable_name(meta.title),
+        "key": hashlib.sha256(facts.encode()).hexdigest()[:16],
         "command": None
         if why
         else {
             # A name that begins like an option is none.
             "before": ["cornercase", "simulate", f"./{name}" if name.startswith("-") else name],
-            "after": [*_settings(meta)],
+            "after": _settings(meta),
         },
         "why": why,
-        "file": None if scenario is None else _pieces(meta, scenario, kept),
+        "file": pieces,
+        "file_why": file_why or ("" if pieces or not whole else "The scenario needs a file that was not found."),
     }
+
+
+def _find(study: Study, given: Path | str | Scenario | None) -> tuple[Scenario | None, str]:
+    """Find the scenario that was explored, or say why there is none."""
+    try:
+        found = explored_scenario(study, given)
+    except InputError:
+        name = study.meta.file_name
+        return None, f"The scenario file {name} was not found as it was explored, so that no concrete one can be made."
+    return found, "" if found is not None else "There is no scenario file: the recordings were imported."
 
 
 def why_kept(study: Study) -> dict[int, str]:
@@ -95,7 +116,7 @@ def _why_no_command(meta: StudyMeta) -> str:
     if meta.simulator == IMPORTED:
         return "Its recording was imported: what made it is not known."
     if meta.simulator.partition(":")[0] != _BUILTIN:
-        return f"It was run by {meta.simulator}; `cornercase simulate` runs scenarios in the builtin simulator."
+        return f"It was run by {meta.simulator}, and `cornercase simulate` runs scenarios in the builtin simulator."
     if not all(isinstance(one, str) for one in _drivers(meta).values()):
         return "A driver of one's own drove, whose name the study does not hold."
     return ""
@@ -141,11 +162,11 @@ def _pieces(meta: StudyMeta, scenario: Scenario, kept: Mapping[int, str]) -> dic
         one.name: [_in_attribute(_typed(choice, kinds.get(one.name))) for choice in one.choices] for one in varied
     }
     return {
-        "name": meta.title,
         "pieces": pieces,
         # The number of a parameter; None for the description.
         "slots": [None if one == "n" else int(one) for one in slots],
         "kinds": [kinds.get(one.name, "string") for one in varied],
+        "whole": sorted(INTEGERS),
         "choices": [choices[one.name] for one in varied],
         # Of a scenario that is not kept, what stands before and after its id.
         "description": [_in_attribute(plain_text(one)) for one in _describe(meta, "\0", None).split("\0")],

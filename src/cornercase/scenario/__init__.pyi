@@ -5,6 +5,7 @@ from .concrete_files import write_concrete as write_concrete
 from .constraints import Constraint as Constraint
 from .constraints import Declaration as Declaration
 from .constraints import read_declarations as read_declarations
+from .declared_types import INTEGERS as INTEGERS
 from .declared_types import typed_value as typed_value
 from .declared_types import unusable_values as unusable_values
 from .declared_types import value_text as value_text

@@ -14,6 +14,7 @@ from cornercase.report.contents import knowledge_part, scenario_part
 from cornercase.report.data import read_report_data
 from cornercase.report.details import page_details
 from cornercase.report.live.follower import Follower
+from cornercase.report.live.surroundings import Surroundings
 from cornercase.report.sections.overview import tell_provenance
 from cornercase.study import Study
 
@@ -22,8 +23,8 @@ _LEAST: Final = 3.0
 _TIMES: Final = 4.0
 # s between two looks at whether anything has changed.
 _PAUSE: Final = 0.25
-# What lies in columns, which a browser has to ask for again where it changed.
-_COLUMNS: Final = ("kinds", "kept", "outcomes")
+# What a browser has to ask for again with everything where it changed.
+_COLUMNS: Final = ("kinds", "kept", "outcomes", "roads", "rerun", "default_aspect")
 
 
 @dataclass(frozen=True)
@@ -55,15 +56,18 @@ class Finder:
     ----------
     follower : Follower
         Knows when the study has changed.
+    scenario : Path or None, default None
+        Scenario that was explored; None where it is looked for.
 
     Attributes
     ----------
     knowledge : Knowledge
     """
 
-    def __init__(self, follower: Follower) -> None:
+    def __init__(self, follower: Follower, scenario: Path | None = None) -> None:
         self.knowledge = Knowledge()
         self._follower = follower
+        self._surroundings = Surroundings(scenario)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._find_always, name="finder of knowledge", daemon=True)
 
@@ -84,7 +88,7 @@ class Finder:
             begun = time.monotonic()
             # What cannot be read now may be whole the next time.
             with suppress(InputError):
-                if (found := _find(self._follower.path)) is not None:
+                if (found := _find(self._follower.path, self._surroundings)) is not None:
                     self._take(*found)
             seen = now
             self._end.wait(max(_LEAST, _TIMES * (time.monotonic() - begun)))
@@ -105,13 +109,14 @@ def _by_id(kinds: dict[str, Any], ids: list[int]) -> dict[str, Any]:
     }
 
 
-def _find(path: Path) -> tuple[dict[str, Any], dict[int, str]] | None:
+def _find(path: Path, surroundings: Surroundings) -> tuple[dict[str, Any], dict[int, str]] | None:
     # The explorer writes on; the log that it writes to grows meanwhile, and is taken up after it.
     with Study.open(path, readonly=True) as study, study.snapshot():
         if not study.done():
             return None
         data = read_report_data(study)
-    parts, scenarios = knowledge_part(data), scenario_part(data)
+        around = surroundings.of(study, data)
+    parts, scenarios = knowledge_part(data) | around, scenario_part(data)
     ids, named = scenarios["scenarios"]["id"], scenarios["outcomes"]
     places = zip(ids, scenarios["scenarios"]["outcome"], strict=True)
     outcomes = {scenario: named[place] for scenario, place in places if place is not None}

@@ -17,7 +17,7 @@ from cornercase.report.live.knowing import Finder, Knowledge
 from cornercase.study import StudyMeta
 
 # What is not told with the rest of what is known: it comes with all contents, or by itself.
-_APART: Final = ("kinds", "outcomes", "kept", "notes")
+_APART: Final = ("kinds", "outcomes", "kept", "notes", "roads", "rerun")
 
 
 @dataclass(frozen=True)
@@ -206,6 +206,9 @@ def _plain(meta: StudyMeta, path: Path) -> dict[str, Any]:
         "outcomes": [],
         "answers": [],
         "captions": {},
+        "roads": None,
+        "roads_missing": "",
+        "rerun": None,
         "details": [],
         "provenance": "",
         "kept": {},

@@ -78,7 +78,7 @@ def watch(
         ) from error
     token = secrets.token_urlsafe(24)
     follower = Follower(path)
-    finder = Finder(follower)
+    finder = Finder(follower, file)
     with _bound(host, number) as listening:
         servers: list[uvicorn.Server] = []
         app = make_app(path, Teller(follower, finder), token, file, lambda: bool(servers) and servers[0].should_exit)

@@ -38,7 +38,7 @@ function describeScenario(store, row, most = 10) {
   if (scenarios.outcome[row] !== null) lines.push(["outcome", outcomes[scenarios.outcome[row]]]);
   if (scenarios.critical[row]) lines.push(["critical", "yes"]);
   if (kept[id]) lines.push(["kept as", kept[id].role]);
-  const note = store.contents.notes?.[id];
+  const note = store.notes.get(id);
   if (note) lines.push(["note", shortened(note, 90)]);
   return lines;
 }

@@ -8,9 +8,10 @@ function parsed(html) {
 }
 
 function showAnswers(answers) {
-  const box = document.getElementById("answers");
+  const section = document.getElementById("answers");
+  const box = section.querySelector(".answers") ?? section;
   const before = new Map([...box.querySelectorAll(".answer")].map((one) => [one.dataset.question, one]));
-  for (const { name, question, text } of answers) {
+  for (const { name, question, text, points } of answers) {
     let one = before.get(name);
     before.delete(name);
     if (one === undefined) {
@@ -21,6 +22,12 @@ function showAnswers(answers) {
     }
     one.querySelector("h3").textContent = question;
     one.querySelector("p").textContent = text;
+    one.querySelector("ul")?.remove();
+    if (points?.length) {
+      const list = document.createElement("ul");
+      for (const point of points) list.append(Object.assign(document.createElement("li"), { textContent: point }));
+      one.append(list);
+    }
     box.append(one);
   }
   for (const one of before.values()) one.remove();

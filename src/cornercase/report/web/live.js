@@ -135,7 +135,7 @@ class Following {
     on("scenarios", (told) => this.add(told));
     on("contents", () => this.fetchAgain());
     on("knowledge", (told) => this.know(told));
-    on("notes", (notes) => this.store.setNotes?.(notes));
+    on("notes", (notes) => this.store.setNotes(notes));
     on("state", (state) => {
       this.last = state;
       this.state.show(state);

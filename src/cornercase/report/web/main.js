@@ -29,6 +29,7 @@ async function begin() {
   foldAnswers(document.getElementById("answers"));
   const views = new Views(document.getElementById("views"), store);
   window.cornercase = { ...window.cornercase, store, recordings, bar, link, views, settled: () => views.settled() };
+  window.cornercase.actions = showActions(document.getElementById("replay"), store, recordings);
   if (live) window.cornercase.following = new Following(store, recordings);
   // The page can be used when filters, table and the views on the screen are there; what needs Plotly comes after.
   await views.settled();

@@ -14,6 +14,7 @@ class Store {
     // One kind would give all points one colour.
     const kinds = new Set(aspect === null ? [] : contents.kinds[aspect].labels.filter((one) => one !== null));
     this.options = { metric: contents.metrics[0].name, aspect, colour: kinds.size > 1 ? "kind" : "metric" };
+    this.notes = new Map();
     this.selected = null;
     this.beside = null;
     this.hovered = null;
@@ -46,6 +47,18 @@ class Store {
     this.shown = new Uint8Array(this.n);
     this.applyFilters(false);
     if (tell) this.tell("contents");
+  }
+
+  // Notes by id: `NoteKeeper` knows where they are kept.
+  setNotes(notes) {
+    this.notes = new Map(Object.entries(notes).map(([id, text]) => [Number(id), text]));
+    this.tell("notes");
+  }
+
+  setNote(id, text) {
+    if (text) this.notes.set(id, text);
+    else this.notes.delete(id);
+    this.tell("notes");
   }
 
   on(event, listener) {

@@ -1,0 +1,61 @@
+"""The road around the scenarios of a study that grows, and how one of them is run again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase.report.data import ReportData
+from cornercase.report.rerun import tell_rerun
+from cornercase.report.roads import find_roads, pack_roads
+from cornercase.roads import Region
+from cornercase.study import Study
+
+# m that the road is drawn further than it has to be, so that it is not drawn anew for each scenario.
+_MORE: Final = 60.0
+
+
+class Surroundings:
+    """Draws the road when it has to: at first, and when scenarios leave what was drawn.
+
+    Parameters
+    ----------
+    scenario : Path or None
+        Scenario that was explored; None where it is looked for.
+    """
+
+    def __init__(self, scenario: Path | None) -> None:
+        self._scenario = scenario
+        self._fingerprint = ""
+        self._region: Region | None = None
+        self._roads: dict[str, Any] = {}
+
+    def of(self, study: Study, data: ReportData) -> dict[str, Any]:
+        """Give the road and how a scenario is run again.
+
+        Parameters
+        ----------
+        study : Study
+            Open.
+        data : ReportData
+            What is known of it.
+
+        Returns
+        -------
+        dict of str to object
+            ``roads``, ``roads_missing`` and ``rerun`` of the page's contents.
+        """
+        new, old = data.region, self._region
+        is_known = study.meta.fingerprint == self._fingerprint and bool(self._roads.get("roads"))
+        if not is_known or not _holds(old, new):
+            region = None if new is None else (new[0] - _MORE, new[1] - _MORE, new[2] + _MORE, new[3] + _MORE)
+            sketch, missing = find_roads(study, region, self._scenario, data.rows[0].values)
+            self._roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing}
+            self._fingerprint, self._region = study.meta.fingerprint, region
+        return self._roads | {"rerun": tell_rerun(study, self._scenario, whole=False)}
+
+
+def _holds(old: Region | None, new: Region | None) -> bool:
+    if old is None or new is None:
+        return new is None
+    return old[0] <= new[0] and old[1] <= new[1] and old[2] >= new[2] and old[3] >= new[3]

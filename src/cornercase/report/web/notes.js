@@ -1,0 +1,67 @@
+"use strict";
+
+// Notes on scenarios. In a file they are kept by the browser until the page is saved with them; live they go to the study.
+
+const LONGEST_NOTE = 2000;
+// The page as it came, to be saved again; only references, as nothing of it has been changed yet.
+const PRISTINE = document.documentElement.cloneNode(true);
+
+class NoteKeeper {
+  constructor(store) {
+    this.store = store;
+    this.key = `cornercase notes ${store.contents.rerun?.key ?? store.contents.study}`;
+    this.own = isLive() ? {} : this.remembered();
+    const found = { ...store.contents.notes };
+    for (const [id, { before, text }] of Object.entries(this.own)) {
+      // Where the file says something else by now, it was saved or written anew since.
+      if ((found[id] ?? "") === before) found[id] = text;
+      else delete this.own[id];
+    }
+    store.setNotes(found);
+  }
+
+  remembered() {
+    try {
+      return JSON.parse(localStorage.getItem(this.key)) ?? {};
+    } catch {
+      return {};
+    }
+  }
+
+  // Resolves to a sentence for the reader, or null where nothing was changed.
+  async write(id, given) {
+    const text = given.trim();
+    if ((this.store.notes.get(id) ?? "") === text) return null;
+    if (isLive()) {
+      const answer = await fetch(servedAt(`notes/${id}`), { method: "PUT", body: text }).catch(() => null);
+      if (answer === null) return "The note was not saved: the server does not answer.";
+      if (!answer.ok) return `The note was not saved: ${await answer.text()}`;
+      this.store.setNote(id, text);
+      return "Saved in the study.";
+    }
+    this.store.setNote(id, text);
+    this.own[id] = { before: this.store.contents.notes?.[id] ?? "", text };
+    try {
+      localStorage.setItem(this.key, JSON.stringify(this.own));
+      return "Kept by this browser; “Save page with notes” makes a file to send.";
+    } catch {
+      return "Kept until the page is closed; “Save page with notes” makes a file that keeps it.";
+    }
+  }
+
+  // The page as it came, with all notes in it.
+  page() {
+    const { store } = this;
+    const root = PRISTINE.cloneNode(true);
+    const notes = Object.fromEntries([...store.notes].map(([id, text]) => [String(id), text]));
+    const holder = root.querySelector("#contents");
+    const contents = { ...JSON.parse(holder.textContent), notes };
+    // In a script nothing is escaped, so what would end it must not be there.
+    holder.textContent = JSON.stringify(contents).replace(/[<\u2028\u2029]/g, escaped);
+    return `<!DOCTYPE html>\n${root.outerHTML}\n`;
+  }
+}
+
+function escaped(sign) {
+  return `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`;
+}
