@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.linalg import cholesky
-from scipy.linalg.lapack import dpotri
 
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
-from cornercase.evidence.kernel import Kernel, learned_kernel
+from cornercase.evidence.kernel import Floats, Kernel, learned_kernel
+from cornercase.evidence.posterior import ExactPosterior
 
 _MOST_NOISE: Final = 0.5
 _LEAST: Final = 1e-9
 """Standard deviation up to which a feature is the same for all."""
-# Of the variance, beside the noise, so that points that lie close to each other can be told apart.
-_JITTER: Final = 1e-8
+# Of the variance, beside the noise, so that points that lie close to each other can be told apart; an `ExactPosterior`
+# adds 1e-10 of it by itself.
+_JITTER: Final = 1e-8 - 1e-10
 
 
 class Foretold:
@@ -56,25 +57,23 @@ class Foretold:
         spread = features.std(axis=0)
         scaled = (features - features.mean(axis=0)) / np.maximum(spread, _LEAST)
         self._points = points
+        self._each: list[tuple[Kernel, Floats]] = []
+        left_out = []
         # Sums in one order, whatever the number of threads.
         with one_thread():
             if kernels is None:
                 varied = (spread > _LEAST).tolist()
-                self.kernels = [
+                kernels = [
                     learned_kernel(points, scaled[:, j], _MOST_NOISE) if one else None for j, one in enumerate(varied)
                 ]
-            else:
-                self.kernels = list(kernels)
-            self._known = [j for j, kernel in enumerate(self.kernels) if kernel is not None]
-            self._weights = np.empty((len(points), len(self._known)))
-            self.left_out = np.empty_like(self._weights)
-            for k, (kernel, values) in enumerate(self._each(scaled)):
-                inverse = _inverse(kernel, points)
-                self._weights[:, k] = inverse @ values
-                self.left_out[:, k] = values - self._weights[:, k] / np.diag(inverse)
-
-    def _each(self, scaled: FloatArray) -> list[tuple[Kernel, FloatArray]]:
-        return [(kernel, scaled[:, j]) for j in self._known if (kernel := self.kernels[j]) is not None]
+            self.kernels = list(kernels)
+            for kernel, values in zip(self.kernels, scaled.T, strict=True):
+                if kernel is not None:
+                    noise = float(np.sqrt(kernel.noise**2 + _JITTER * kernel.signal**2))
+                    known = ExactPosterior(replace(kernel, noise=noise), points, values)
+                    self._each.append((kernel, known.weights.astype(np.float32)))
+                    left_out.append(known.leave_one_out()[0])
+        self.left_out = np.array(left_out).reshape(-1, len(points)).T
 
     def predict(self, points: FloatArray) -> FloatArray:
         """Foretell the features at points.
@@ -88,20 +87,8 @@ class Foretold:
         ndarray of float64, shape (m, g)
             Scaled as `left_out`.
         """
-        weights = self._weights.astype(np.float32)
-        found = np.empty((len(points), len(self._known)))
+        found = np.empty((len(points), len(self._each)))
         with one_thread():
-            for k, j in enumerate(self._known):
-                if (kernel := self.kernels[j]) is not None:
-                    found[:, k] = kernel.single_covariance(points, self._points) @ weights[:, k]
+            for k, (kernel, weights) in enumerate(self._each):
+                found[:, k] = kernel.single_covariance(points, self._points) @ weights
         return found
-
-
-def _inverse(kernel: Kernel, points: FloatArray) -> FloatArray:
-    """Inverse of the covariance of values at points, noise included."""
-    covariance = kernel.covariance(points, points)
-    covariance[np.diag_indices(len(points))] += kernel.noise**2 + _JITTER * kernel.signal**2
-    lower = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
-    inverse: FloatArray = dpotri(lower, lower=1)[0]
-    inverse += np.tril(inverse, -1).T
-    return inverse
