@@ -7,8 +7,8 @@ from typing import Final
 
 from scipy.optimize import brentq
 from scipy.special import betaln, xlog1py, xlogy
-from scipy.stats import beta
 
+from cornercase._common.shares import clopper_pearson
 from cornercase.evidence.estimate import Estimate
 
 _CONFIDENCE: Final = 0.9
@@ -29,15 +29,11 @@ def bounds_of_share(hits: int, drawn: int) -> Estimate:
 
     Notes
     -----
-    Source: C. J. Clopper, E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the
-    binomial", Biometrika 26 (1934). Without a hit the upper end is that of the rule of three: 3 over the draws.
+    Without a hit the upper end is that of the rule of three: 3 over the draws.
     """
     if not drawn:
         return Estimate(0.5, 0.0, 1.0)
-    tail = (1.0 - _CONFIDENCE) / 2.0
-    low = float(beta.ppf(tail, hits, drawn - hits + 1)) if hits else 0.0
-    high = float(beta.ppf(1.0 - tail, hits + 1, drawn - hits)) if hits < drawn else 1.0
-    return Estimate(hits / drawn, low, high)
+    return Estimate(hits / drawn, *clopper_pearson(hits, drawn, (1.0 - _CONFIDENCE) / 2.0))
 
 
 def highest_share(hits: int, drawn: int, doubt: float = 0.05) -> float:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy.special import betaincinv, stdtrit
+from scipy.special import stdtrit
 
+from cornercase._common.shares import clopper_pearson
 from cornercase._common.typing import BoolArray, FloatArray
 
 _LEVELS: Final = (0.95, 0.9)
@@ -94,10 +95,7 @@ def of_counts(met: int, scenarios: int) -> Probability:
     Probability
     """
     value = met / scenarios if scenarios else 0.0
-    bounds = _bounds(
-        lambda tail: float(betaincinv(met, scenarios - met + 1, tail)) if met else 0.0,
-        lambda tail: float(betaincinv(met + 1, scenarios - met, 1.0 - tail)) if met < scenarios else 1.0,
-    )
+    bounds = _bounds(lambda tail: clopper_pearson(met, scenarios, tail))
     # What was always met may still fail once in as many and one more.
     error = math.sqrt(max(1.0 - value, 1.0 / (scenarios + 1)) / met) if met else None
     largest = 1.0 / met if met else 0.0
@@ -188,20 +186,18 @@ def quotient(both: Probability, given: Probability) -> Probability | None:
 Bounds = tuple[float, float, float, float]
 
 
-def _bounds(low: Callable[[float], float], high: Callable[[float], float]) -> Bounds:
-    """Bounds of the intervals of both levels, each a function of the probability that it leaves out."""
+def _bounds(interval: Callable[[float], tuple[float, float]]) -> Bounds:
+    """Bounds of the intervals of both levels, each a function of the probability that it leaves out on each side."""
     wide, narrow = (0.5 * (1.0 - level) for level in _LEVELS)
-    return low(wide), high(wide), low(narrow), high(narrow)
+    return *interval(wide), *interval(narrow)
 
 
 def _of_logarithm(value: float, error: float, effective: float) -> Bounds:
     """Bounds of the intervals from the standard error of the logarithm."""
 
-    def reach(tail: float) -> float:
+    def interval(tail: float) -> tuple[float, float]:
         # Beyond, nothing is left of a probability.
-        return min(float(stdtrit(max(effective - 1.0, 1.0), 1.0 - tail)) * error, 700.0)
+        reach = min(float(stdtrit(max(effective - 1.0, 1.0), 1.0 - tail)) * error, 700.0)
+        return value * math.exp(-reach), min(value * math.exp(reach), 1.0)
 
-    return _bounds(
-        lambda tail: value * math.exp(-reach(tail)),
-        lambda tail: min(value * math.exp(reach(tail)), 1.0),
-    )
+    return _bounds(interval)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cornercase._common.shares import clopper_pearson
 from cornercase._common.typing import FloatArray
 
 _TAIL = 0.05
@@ -26,13 +27,8 @@ def shares_of_runs(scores: Sequence[Sequence[float]], threshold: float) -> Float
     ndarray of float64, shape (n, 3)
         Share, and bounds of the 90 % interval.
     """
-    # Loaded here, since opening a study does not need it.
-    from scipy.special import betaincinv
-
     rows = []
     for one in scores:
         runs, met = len(one), sum(score <= threshold for score in one)
-        low = betaincinv(met, runs - met + 1, _TAIL) if met else 0.0
-        high = betaincinv(met + 1, runs - met, 1.0 - _TAIL) if met < runs else 1.0
-        rows.append((met / runs, low, high))
+        rows.append((met / runs, *clopper_pearson(met, runs, _TAIL)))
     return np.array(rows, dtype=np.float64)
