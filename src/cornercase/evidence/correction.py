@@ -29,8 +29,6 @@ class Correction:
         What was said of scenarios without knowing their scores.
     critical : ndarray of bool, shape (n,)
         What they were.
-    weights : ndarray of float64, shape (n,)
-        As how many independent scenarios each of them counts.
 
     Notes
     -----
@@ -38,18 +36,15 @@ class Correction:
     normal distribution function, and all of the posterior on a grid.
     """
 
-    def __init__(self, t: FloatArray, critical: BoolArray, weights: FloatArray) -> None:
+    def __init__(self, t: FloatArray, critical: BoolArray) -> None:
         a, log_b = (each.ravel() for each in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
         likely = -0.5 * (a**2 + log_b**2)
         slope = np.exp(log_b)
-        for side, these in ((1.0, critical), (-1.0, ~critical)):
-            order = np.argsort(t[these], kind="stable")
+        for side, said in ((1.0, t[critical]), (-1.0, t[~critical])):
             # Of many the neighbours count together.
-            for some in np.array_split(order, min(_MANY, max(len(order), 1))):
-                weight = weights[these][some].sum()
-                if weight > 0.0:
-                    middle = weights[these][some] @ t[these][some] / weight
-                    likely += weight * log_ndtr(-side * (a + slope * middle))
+            for some in np.array_split(np.sort(said), min(_MANY, max(len(said), 1))):
+                if len(some):
+                    likely += len(some) * log_ndtr(-side * (a + slope * some.mean()))
         share = np.exp(likely - likely.max())
         self._a, self._b, self._likely = a, slope, share / share.sum()
 

@@ -143,7 +143,7 @@ class CriticalSet:
         if len(self._audits):
             t = np.concatenate([t, self._foretold(encoded(self._space, self._audits))[1]])
             critical = np.concatenate([critical, self._audited])
-        return Correction(t, critical, np.ones(len(t)))
+        return Correction(t, critical)
 
     @cached_property
     def _joint(self) -> tuple[IntArray, FloatArray, BoolArray, FloatArray]:
