@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import gammaln, logsumexp
 
 from cornercase._common.typing import FloatArray
 
@@ -136,7 +136,7 @@ class Mixture:
             roots = np.linalg.cholesky((scatters + prior) / (mass + _PRIOR_POINTS)[:, None, None])
             one = cls(mass / mass.sum(), means, roots, np.full(count, _FREEDOM))
             each = one._log_densities(points, normal=True)
-            new = np.exp(each - _added(each)[:, None])
+            new = np.exp(each - logsumexp(each, axis=1, keepdims=True))
             if np.abs(new - belongs).max() < 1e-3:
                 break
             belongs = new
@@ -155,7 +155,7 @@ class Mixture:
         -------
         ndarray of float64, shape (n,)
         """
-        return _added(self._log_densities(points, normal))
+        return np.asarray(logsumexp(self._log_densities(points, normal), axis=1))
 
     def _log_densities(self, points: FloatArray, normal: bool = False) -> FloatArray:
         """Logarithm of each component's share of the density, (n, K)."""
@@ -192,9 +192,3 @@ class Mixture:
         freedoms = np.where(heavy, self.freedoms[which], 1.0)
         stretch = np.where(heavy, np.sqrt(freedoms / rng.chisquare(freedoms)), 1.0)
         return np.asarray(self.means[which] + stretch[:, None] * np.einsum("nij,nj->ni", self.roots[which], steps))
-
-
-def _added(logarithms: FloatArray) -> FloatArray:
-    """Logarithm of the sum of each row."""
-    top = logarithms.max(axis=1)
-    return np.asarray(top + np.log(np.exp(logarithms - top[:, None]).sum(axis=1)))
