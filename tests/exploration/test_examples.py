@@ -33,7 +33,7 @@ def sample(logical, simulator, size):
 
 def outcome(recording, other):
     """Return who is first where their ways meet: the ego, the other, or a collision."""
-    if any(set(c.entities) == {"Ego", other} for c in recording.collisions):
+    if recording.first_collision("Ego", other) is not None:
         return "collision"
     a, b = recording.center("Ego"), recording.center(other)
     gaps = np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1))

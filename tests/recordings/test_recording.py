@@ -74,6 +74,15 @@ def test_the_centre_lies_ahead_of_the_reference_point():
     np.testing.assert_allclose(shifted.center("ego"), reference + ahead)
 
 
+def test_two_entities_collide_when_they_do_so_with_each_other():
+    hits = (Collision(0.1, ("ego", "wall")), Collision(0.2, ("ego", "walker")), Collision(0.3, ("walker", "ego")))
+    busy = replace(recording(), collisions=hits)
+    assert busy.first_collision("ego", "walker") == busy.first_collision("walker", "ego") == hits[1]
+    assert replace(busy, collisions=hits[::-1]).first_collision("ego", "walker") == hits[1]
+    assert busy.first_collision("walker", "wall") is None
+    assert replace(busy, collisions=()).first_collision("ego", "walker") is None
+
+
 def test_rows_of_other_tools_in_any_order_with_more_columns_and_a_byte_order_mark(tmp_path):
     rows = [
         "0.5,b,car,1,2,0,3,0,4,2,0,note",

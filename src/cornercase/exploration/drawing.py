@@ -151,12 +151,12 @@ class ProbabilityEstimator:
                 [one.score(self._study.course(row.id, one.name)) for one in self._objective.metrics] for row in done
             ]
             scores[known] = self._objective.oriented(np.array(each))
-        pair = {self._about.ego, self._about.other}
+        ego, other = self._about.ego, self._about.other
         with self._clock("measure"):
             for k, row in zip(np.flatnonzero(known).tolist(), done, strict=True):
                 recording = self._study.recording(row.id)
-                collision[k] = any(set(hit.entities) == pair for hit in recording.collisions)
-                gap = self._clearance.score(self._clearance.course(recording, self._about.ego, self._about.other))
+                collision[k] = recording.first_collision(ego, other) is not None
+                gap = self._clearance.score(self._clearance.course(recording, ego, other))
                 encounter[k] = gap <= self._within
         return Outcomes(scores, scores <= self._threshold, collision, encounter)
 

@@ -197,8 +197,8 @@ class Whole(FeatureGroup):
     features = (Feature("duration", "s"), Feature("way", "m"), Feature("contact", "1", branch=True))
 
     def values(self, meeting: Meeting) -> FloatArray:
-        pair = {meeting.ego, meeting.other}
-        touched = meeting.nearest[1] == 0.0 or any(set(one.entities) == pair for one in meeting.recording.collisions)
+        recorded = meeting.recording.first_collision(meeting.ego, meeting.other)
+        touched = meeting.nearest[1] == 0.0 or recorded is not None
         return np.array([meeting.duration, meeting.way_until(None), float(touched)])
 
 

@@ -135,10 +135,10 @@ def velocity_change(recording: Recording, ego: str, other: str) -> float | None:
         that time are not known.
     """
     touch = touching(recording, ego, other)
-    times = [one.time for one in recording.collisions if set(one.entities) == {ego, other}]
-    if times:
+    recorded = recording.first_collision(ego, other)
+    if recorded is not None:
         # Of the instant of a recorded contact on, though boxes may overlap from the next one only.
-        touch[min(np.searchsorted(recording.time, min(times) - _ROUNDED), len(touch) - 1)] = True
+        touch[min(np.searchsorted(recording.time, recorded.time - _ROUNDED), len(touch) - 1)] = True
     if not touch.any():
         return None
     first = int(np.argmax(touch))

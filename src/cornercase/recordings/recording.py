@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from html import escape
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -163,6 +164,22 @@ class Recording:
         i = self.index(name)
         ahead = self.center_x[i]
         return np.stack([self.x[i] + ahead * np.cos(self.heading[i]), self.y[i] + ahead * np.sin(self.heading[i])], -1)
+
+    def first_collision(self, one: str, other: str) -> Collision | None:
+        """Return the collision of two entities with each other.
+
+        Parameters
+        ----------
+        one, other : str
+            Names of two entities, in any order.
+
+        Returns
+        -------
+        Collision or None
+            The first one; None where there is none.
+        """
+        found = (each for each in self.collisions if set(each.entities) == {one, other})
+        return min(found, key=attrgetter("time"), default=None)
 
     def table(self) -> pandas.DataFrame:
         """Return the recording as a table.

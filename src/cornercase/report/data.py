@@ -15,7 +15,7 @@ from cornercase.recordings import Recording
 from cornercase.reduction import Gaps, measure_gaps
 from cornercase.report.knowledge import MissedAfter, find_missed
 from cornercase.report.roads import recorded_region
-from cornercase.report.summary import Summary, collide, summarize_with
+from cornercase.report.summary import Summary, summarize_with
 from cornercase.roads import Region
 from cornercase.scenario import Parameter
 from cornercase.study import Row, Study
@@ -146,7 +146,7 @@ def read_report_data(study: Study) -> ReportData:
         times[scenario] = known.setdefault(recording.time.tobytes(), recording.time)
         for one in metrics:
             courses[one.name][scenario] = one.capped(each[one.name]).astype(np.float32)
-        if collide(recording, study.meta.ego, study.meta.other):
+        if recording.first_collision(study.meta.ego, study.meta.other) is not None:
             collided.append(scenario)
         region = _joined(region, recorded_region([recording]))
     summary = summarize_with(study, len(collided))

@@ -12,7 +12,6 @@ import numpy as np
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
 from cornercase.exploration import Objective, tell_alike
 from cornercase.metrics import METRICS
-from cornercase.recordings import Recording
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.report.knowledge import Knowledge, find_knowledge
 from cornercase.scenario import Value
@@ -133,26 +132,9 @@ def summarize(study: Study | Path | str) -> Summary:
     """
     with open_study(study, readonly=True) as opened:
         meta = opened.meta
-        collided = [collide(opened.recording(row.id), meta.ego, meta.other) for row in opened.done()]
-        return summarize_with(opened, sum(collided))
-
-
-def collide(recording: Recording, ego: str, other: str) -> bool:
-    """Say whether two entities collide.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of both.
-    ego, other : str
-        Their names.
-
-    Returns
-    -------
-    bool
-        Whether they do.
-    """
-    return any(set(hit.entities) == {ego, other} for hit in recording.collisions)
+        recordings = (opened.recording(row.id) for row in opened.done())
+        hits = [one.first_collision(meta.ego, meta.other) for one in recordings]
+        return summarize_with(opened, sum(hit is not None for hit in hits))
 
 
 def summarize_with(study: Study, collisions: int) -> Summary:
