@@ -121,7 +121,11 @@ def hidden(half: str, rng: np.random.Generator) -> HardSet:
     large = of_share(shape(half, a, rng), space, 0.08)
     small = of_share(shape(half, b, rng), space, 0.01)
     steep = 5.0 if half == "choose" else 4.0
-    felt: Function = lambda points: np.where(small(points) > 0.0, steep, 1.0) * small(points)  # noqa: E731
+
+    def felt(points: Floats) -> Floats:
+        distance = small(points)
+        return np.where(distance > 0.0, steep, 1.0) * distance
+
     return HardSet(space, (large, felt), saturating(half, 0.4))
 
 
@@ -162,14 +166,17 @@ def full(half: str, rng: np.random.Generator) -> HardSet:
     """Ten parameters that all matter; 10 % of the space."""
     space = cube(10)
     weights, centre = np.exp(rng.normal(0.0, 0.4, 10)), rng.uniform(0.2, 0.8, 10)
-    if half == "choose":
-        region: Function = lambda points: np.linalg.norm((points - centre) * weights, axis=1)  # noqa: E731
-    else:
-        signs = rng.choice((-1.0, 1.0), 10)
-        region = lambda points: (  # noqa: E731
-            (points - centre) @ (weights * signs) / 3.0 + 0.5 * np.sin(3.0 * points[:, 0]) * points[:, 1]
-        )
-    return HardSet(space, (of_share(region, space, 0.1),), saturating(half, 0.6))
+    signs = rng.choice((-1.0, 1.0), 10)
+
+    def ellipse(points: Floats) -> Floats:
+        return np.asarray(np.linalg.norm((points - centre) * weights, axis=1))
+
+    def wave(points: Floats) -> Floats:
+        slope = (points - centre) @ (weights * signs) / 3.0
+        return np.asarray(slope + 0.5 * np.sin(3.0 * points[:, 0]) * points[:, 1])
+
+    region = of_share(ellipse if half == "choose" else wave, space, 0.1)
+    return HardSet(space, (region,), saturating(half, 0.6))
 
 
 def kinds(half: str, rng: np.random.Generator) -> HardSet:
@@ -255,7 +262,10 @@ def classifier(
     """Which scenarios are critical, by the better of a process and of trees for scenarios that were left out."""
     at, critical = encoded(space, points), scores <= 0.0
     process = boundary_process(at, scores, 0.0)
-    by_process = lambda places: process.predict(encoded(space, places))[0] <= 0.0  # noqa: E731
+
+    def by_process(places: Floats) -> npt.NDArray[np.bool_]:
+        return np.asarray(process.predict(encoded(space, places))[0] <= 0.0)
+
     if process_only or critical.sum() < 5:
         return by_process
     trees = ExtraTreesClassifier(200, min_samples_leaf=1, random_state=0)
