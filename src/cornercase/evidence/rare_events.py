@@ -27,6 +27,7 @@ _LAW_AT_LAST, _EARLIER_AT_LAST = 0.05, 0.2
 _CANDIDATES: Final = 20_000
 _INSIDE: Final = 20_000
 _MOST_TRIES: Final = 10_000
+_HARDLY_ANY: Final = "Hardly any scenario fulfils the constraints of the parameters; vary them within these."
 
 
 class ImportanceSampling:
@@ -97,7 +98,7 @@ class ImportanceSampling:
             found = np.concatenate([found, points[self._space.admits(points)]])
             if len(found) == wanted:
                 return found
-        raise InputError("Hardly any scenario fulfils the constraints of the parameters; vary them within these.")
+        raise InputError(_HARDLY_ANY)
 
     def tell(self, points: FloatArray, scores: FloatArray, met: BoolArray) -> None:
         """Take what came out of a round.
@@ -150,9 +151,7 @@ class ImportanceSampling:
                 float(self._space.admits(ndtr(one.draw(_INSIDE, rng))).mean()) for one in (self._proposal, self._law)
             ]
             if not all(inside):
-                raise InputError(
-                    "Hardly any scenario fulfils the constraints of the parameters; vary them within these."
-                )
+                raise InputError(_HARDLY_ANY)
             error = np.sqrt(sum((1.0 - share) / share for share in inside) / _INSIDE)
             self._factor = inside[0] / inside[1], float(error)
         return self._factor
