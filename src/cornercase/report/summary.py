@@ -153,6 +153,7 @@ def summarize_with(study: Study, collisions: int) -> Summary:
         Typed values.
     """
     states = [row.state for row in study.rows()]
+    names, alike = study.meta.metrics, tell_alike(study)
     return Summary(
         meta=study.meta,
         searched=Objective.of_study(study.meta).text,
@@ -160,7 +161,7 @@ def summarize_with(study: Study, collisions: int) -> Summary:
         failed=states.count("failed"),
         pending=states.count("pending"),
         collisions=collisions,
-        metrics={name: _of_metric(study, name) for name in study.meta.metrics} if "done" in states else {},
+        metrics={name: _of_metric(study, name, alike.get(name, "")) for name in names} if "done" in states else {},
         analyses=read_analyses(study),
         agreements=compare_clusterings(study),
         seconds=study.elapsed(),
@@ -182,7 +183,7 @@ def _probability(study: Study) -> dict[str, Any] | None:
     return found
 
 
-def _of_metric(study: Study, name: str) -> MetricSummary:
+def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
     metric, scores = METRICS.create(name), study.scores(name)
     worst = int(metric.oriented(scores).argmin())
     row = study.done()[worst]
@@ -197,5 +198,5 @@ def _of_metric(study: Study, name: str) -> MetricSummary:
         scenario=row.id,
         at=row.values,
         spread=None if width is None else (float(np.median(width)), float(width.max())),
-        alike=tell_alike(study).get(name, ""),
+        alike=alike,
     )
