@@ -279,6 +279,7 @@ def test_features_of_the_recordings_find_what_one_process_of_the_scores_cannot()
     plain = CriticalSet(CUBE, points, scores, 1.0, 3).found(everywhere)
     known = CriticalSet(CUBE, points, scores, 1.0, 3, happened=(columns, features))
     found = known.found(everywhere)
+    assert known.by_committee
     assert (found == true).mean() > (plain == true).mean() + 0.03
     missed = (true & ~found).sum() / true.sum()
     assert missed < 0.15

@@ -124,6 +124,11 @@ class CriticalSet:
             self._correction = self._learned()
             self._a, self._b = self._correction.draws(_DRAWS, np.random.default_rng([seed, 3]))
 
+    @property
+    def by_committee(self) -> bool:
+        """Whether a `Committee` predicts in place of the process: where there are features, and something to tell."""
+        return self._committee is not None
+
     def _foretold(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What is below 0 at encoded places that are found, and how many deviations it is from there."""
         if self._committee is not None:

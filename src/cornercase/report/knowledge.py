@@ -62,6 +62,8 @@ class CriticalSetKnowledge:
         Share of the critical set that a region could have which nothing was run in.
     share_doubt, missed_doubt : str or None, default None
         Why the intervals of `share` and `missed` cannot be given; None where they can.
+    by_committee : bool, default False
+        Whether a committee predicts which scenarios are critical, rather than a Gaussian process of the scores.
     """
 
     share: Estimate
@@ -72,6 +74,7 @@ class CriticalSetKnowledge:
     hidden: float
     share_doubt: str | None = None
     missed_doubt: str | None = None
+    by_committee: bool = False
 
 
 @dataclass(frozen=True)
@@ -214,6 +217,7 @@ def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> Cr
             found.hidden,
             found.doubt,
             found.missed_doubt,
+            found.by_committee,
         )
         missed = found.audited_missed
     hits = int((oriented[audits] <= threshold).sum())

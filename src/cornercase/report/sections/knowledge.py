@@ -90,10 +90,14 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterat
     if found.missed_doubt is not None:
         both = "the share and of " if found.share_doubt is not None else ""
         yield f"<p>No interval of {both}what is missed is given: {escape(found.missed_doubt)}.</p>"
+    judge = "a Gaussian process of the scores"
+    if found.by_committee:
+        judge = (
+            f"a committee of trees that learn from what happened in the runs, a forest of the parameters and {judge}"
+        )
     yield (
-        "<p>The share, what is missed and what is overlooked come from a Gaussian process of the scores, corrected"
-        " by how well it predicts the scenarios that fill the space from all others, and the audits; the rest needs no"
-        " process.</p>"
+        f"<p>The share, what is missed and what is overlooked come from {judge}, corrected by how well it predicts the"
+        " scenarios that fill the space from all others, and the audits; the rest does without it.</p>"
     )
 
 
