@@ -179,9 +179,7 @@ def test_an_address_of_another_study_is_no_error(tab, reports, fragment):
 
 def test_the_keyboard_is_enough(tab, reports):
     page = tab.open(reports("plain"))
-    for figure in page.locator("figure.view").all():
-        figure.scroll_into_view_if_needed()
-        tab.settle()
+    page.wait_for_function("() => document.querySelectorAll('figure.view .drawing:empty').length === 0")
     reached: list[tuple[list[str], bool]] = []
     while len(reached) < 200:
         page.keyboard.press("Tab")

@@ -1,0 +1,172 @@
+"""Pictures of the report for docs/report.md and the README.
+
+    python docs/pictures.py [--x STUDY.db] [--four STUDY.db] [--only TEXT]…
+
+Needs Chromium: the one of ``CORNERCASE_CHROMIUM``, of the PATH, or Playwright's. STUDY.db is that of `cornercase demo
+x-intersection`, and one of four parameters with a Pareto front; they are made where they are not given. The same
+studies and the same Chromium give the same pictures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PIL import Image
+
+import cornercase as cc
+
+ROOT = Path(__file__).resolve().parents[1]
+IMAGES = ROOT / "docs" / "images"
+sys.path.insert(0, str(ROOT / "tests"))
+
+from browser.conftest import ARGUMENTS, SETTLED, find_chromium  # noqa: E402
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+RANGES = ("ego_start=20:80", "pedestrian_wait=2:10", "p1_speed=6:12", "ego_speed=7:13")
+# An archetype of scenarios in which the ego goes first would be found by name; these two meet in any study of the demo.
+BRUSH = "() => cornercase.store.setRanges([['parameter ego_start', 45, 70], ['parameter pedestrian_wait', 5, 9]])"
+
+
+def write_picture(data: bytes, name: str) -> None:
+    """Write a PNG with a palette: what the page draws has few colours, and so a third of the bytes."""
+    picture = Image.open(io.BytesIO(data)).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    picture.save(IMAGES / f"{name}.png", optimize=True)
+    print(f"{name}.png: {(IMAGES / f'{name}.png').stat().st_size / 1000:.0f} kB")
+
+
+@contextmanager
+def opened(browser: Browser, report: Path, fragment: str = "", **options: object) -> Iterator[Page]:
+    """The page of a study, ready, with what needs time drawn."""
+    settings = {"viewport": {"width": 1600, "height": 1000}, "color_scheme": "light", "reduced_motion": "reduce"}
+    with browser.new_context(**(settings | options)) as context:  # type: ignore[arg-type]
+        page = context.new_page()
+        page.goto(f"{report.as_uri()}{fragment}")
+        page.wait_for_selector("html[data-ready]")
+        for view in page.locator("figure.view").all():
+            view.scroll_into_view_if_needed()
+            page.evaluate(SETTLED)
+        page.wait_for_timeout(1500)
+        page.evaluate("() => scrollTo(0, 0)")
+        page.evaluate(SETTLED)
+        yield page
+
+
+def take_element(page: Page, selector: str, name: str) -> None:
+    """Take a picture of a part of the page."""
+    part = page.locator(selector)
+    part.scroll_into_view_if_needed()
+    page.evaluate(SETTLED)
+    page.mouse.move(0, 0)
+    write_picture(part.screenshot(animations="disabled"), name)
+
+
+def take_x(browser: Browser, study: Path, folder: Path, wanted: Callable[[str], bool]) -> None:
+    """Take the pictures of the X-intersection."""
+    report = cc.write_report(study, folder / "x.html")
+    if wanted("report"):
+        with opened(browser, report) as page:
+            write_picture(page.screenshot(animations="disabled"), "report")
+    if wanted("report-dark"):
+        with opened(browser, report, color_scheme="dark") as page:
+            write_picture(page.screenshot(animations="disabled"), "report-dark")
+    if wanted("report-phone"):
+        with opened(browser, report, viewport={"width": 400, "height": 800}) as page:
+            page.locator("#views").scroll_into_view_if_needed()
+            page.evaluate(SETTLED)
+            write_picture(page.screenshot(animations="disabled"), "report-phone")
+    with opened(browser, report) as page:
+        for part in ("courses", "kernel", "histogram", "search", "matters", "coverage", "table"):
+            if wanted(f"report-{part}") and page.locator(f"#view-{part}").count():
+                take_element(page, f"#view-{part}", f"report-{part}")
+        if wanted("report-answers"):
+            take_element(page, "#answers", "report-answers")
+        if wanted("report-brush"):
+            page.evaluate(BRUSH)
+            page.locator("#filters").scroll_into_view_if_needed()
+            page.evaluate(SETTLED)
+            box = page.locator("#scenarios").bounding_box()
+            assert box is not None
+            clip = {"x": box["x"], "y": max(box["y"], 0), "width": box["width"], "height": 1000 - max(box["y"], 0)}
+            write_picture(page.screenshot(clip=clip, animations="disabled"), "report-brush")  # type: ignore[arg-type]
+            page.locator("#reset-filters").click()
+        if wanted("report-replay"):
+            page.locator("#neighbour").click()
+            page.wait_for_selector("#replay [data-replay=beside][data-time]")
+            take_element(page, "#replay", "report-replay")
+
+
+def take_four(browser: Browser, study: Path, folder: Path, wanted: Callable[[str], bool]) -> None:
+    """Take the pictures of four parameters and a front."""
+    report = cc.write_report(study, folder / "four.html")
+    with opened(browser, report) as page:
+        for part in ("parallel", "front"):
+            if wanted(f"report-{part}"):
+                take_element(page, f"#view-{part}", f"report-{part}")
+
+
+def study_of_x(path: Path) -> Path:
+    """The demonstration, as its command makes it."""
+    from cornercase.exploration import demonstration, explore_configuration
+
+    configuration = demonstration("x-intersection")
+    explore_configuration(configuration, path)
+    cc.analyze(path)
+    cc.reduce(path, path.parent / "reduced", scenario=configuration.logical.scenario)
+    return path
+
+
+def study_of_four(path: Path) -> Path:
+    """Four parameters, searched for the Pareto front of two metrics."""
+    cc.explore(
+        ROOT / "examples" / "x_intersection" / "x_intersection.xosc",
+        path,
+        ego="Ego",
+        other="Pedestrian",
+        metrics=["wttc", "traffic-quality"],
+        ranges=RANGES,
+        optimizer="evolutionary",
+        pareto=True,
+        budget=300,
+    )
+    cc.analyze(path)
+    return path
+
+
+def main() -> int:
+    """Take all pictures, or those that are asked for."""
+    from playwright.sync_api import sync_playwright
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--x", type=Path, metavar="STUDY.db", help="of the demonstration")
+    parser.add_argument("--four", type=Path, metavar="STUDY.db", help="of four parameters, with a Pareto front")
+    parser.add_argument("--only", action="append", metavar="TEXT", help="pictures of these names")
+    options = parser.parse_args()
+
+    def wanted(name: str) -> bool:
+        return not options.only or name in options.only
+
+    with tempfile.TemporaryDirectory() as temporary, sync_playwright() as driver, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        folder = Path(temporary)
+        path = find_chromium(Path(driver.chromium.executable_path))
+        if path is None:
+            parser.error("there is no Chromium: install it, or name it in CORNERCASE_CHROMIUM.")
+        with driver.chromium.launch(executable_path=path, args=list(ARGUMENTS)) as browser:
+            take_x(browser, options.x or study_of_x(folder / "x.db"), folder, wanted)
+            if wanted("report-parallel") or wanted("report-front"):
+                take_four(browser, options.four or study_of_four(folder / "four.db"), folder, wanted)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""The page while a search runs: it grows with its study, and outlives the explorer."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from browser.studies import X
+from cornercase.study import Study
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+
+CLI = (sys.executable, "-c", "from cornercase.cli import main; main()")
+# It simulates a scenario at a time, each some hundredths of a second, so that there is something to watch.
+EXPLORE = (
+    *CLI, "explore", str(X / "x_intersection.xosc"), "--space", str(X / "x_intersection.space.xosc"), "--ego", "Ego",
+    "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--batch", "1", "--budget",
+)  # fmt: skip
+# When each number of scenarios was first shown, in ms since 1970.
+LISTEN = """() => {
+  window.seen = new Map();
+  const note = () => { if (!seen.has(cornercase.store.n)) seen.set(cornercase.store.n, Date.now()); };
+  note();
+  cornercase.store.on("contents", note);
+}"""
+
+
+@contextmanager
+def serving(study):
+    process = subprocess.Popen(
+        [*CLI, "watch", str(study), "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert process.stdout is not None
+    try:
+        lines = ""
+        while (found := re.search(r"http://127\.0\.0\.1:\d+/\?token=[\w-]+", lines.replace("\n", ""))) is None:
+            line = process.stdout.readline()
+            assert line, lines
+            lines += line
+        yield found[0]
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            assert process.wait(timeout=20) in (0, 130)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
+        finally:
+            process.stdout.close()
+
+
+def wait_for(page, count):
+    page.wait_for_function("(count) => cornercase.store.n >= count", arg=count, timeout=30_000)
+
+
+def run(study):
+    with Study.open(study, readonly=True) as opened:
+        return len(opened.done())
+
+
+def test_scenarios_appear_while_the_search_runs_is_killed_and_goes_on(tab, tmp_path):
+    study = tmp_path / "s.db"
+    subprocess.run([*EXPLORE, "8", "-o", str(study)], check=True, capture_output=True)
+    with serving(study) as address:
+        page = tab.open(address)
+        assert page.evaluate("() => cornercase.store.n") == 8
+        assert "8" in page.locator("#live-state").inner_text()
+        page.evaluate(LISTEN)
+        page.evaluate("() => cornercase.store.select(3)")
+        explorer = subprocess.Popen([*EXPLORE, "2000", "-o", str(study)], stderr=subprocess.DEVNULL)
+        try:
+            wait_for(page, 12)
+        finally:
+            explorer.kill()
+            explorer.wait()
+        ended = time.time()
+        known = run(study)
+        wait_for(page, known)
+        # All that was stored when the explorer died is there within two seconds of that.
+        assert page.evaluate("() => Math.max(...seen.values())") / 1000 - ended < 2.0
+        assert page.evaluate("() => cornercase.store.selected") == 3
+        subprocess.run([*EXPLORE, str(known + 4), "-o", str(study)], check=True, capture_output=True)
+        ended = time.time()
+        wait_for(page, known + 4)
+        assert page.evaluate("() => Math.max(...seen.values())") / 1000 - ended < 2.0
+        assert run(study) == known + 4
+        tab.settle()
+        assert page.locator("#shown-count").inner_text() == f"{known + 4} of {known + 4} scenarios"
+        page.evaluate("(id) => cornercase.store.select(id)", known + 4)
+        page.wait_for_selector(f"#replay [data-replay=selected][data-scenario='{known + 4}'][data-time]")
+
+
+def test_nothing_is_served_without_the_token(tab, studies):
+    with serving(studies("plain")) as address:
+        base, _, token = address.partition("?token=")
+        for path in ("", "contents", "events", "recordings/1"):
+            for given in ("", "?token=", f"?token={token[:-1]}"):
+                answer = tab.page.request.get(f"{base}{path}{given}")
+                assert answer.status in (401, 403), path
+        assert tab.page.request.get(f"{base}contents?token={token}").status == 200
