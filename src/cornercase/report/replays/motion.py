@@ -158,7 +158,7 @@ def shadow(motion: Motion, driver: int, other: int, k: int) -> FloatArray | None
     middle = np.array([motion.x[other, k], motion.y[other, k]]) - eye
     angles = np.arctan2(middle[0] * corners[:, 1] - middle[1] * corners[:, 0], corners @ middle)
     right, left = corners[angles.argmin()], corners[angles.argmax()]
-    if float(np.ptp(angles)) >= np.pi:
+    if float(np.ptp(angles)) >= np.pi or not middle.any():
         return None
     far = [one * (_FAR / max(float(np.hypot(*one)), 1e-9)) for one in (right, left)]
     return np.array([right, far[0], far[1], left]) + eye

@@ -107,13 +107,13 @@ class Scene:
             past = self._ways[entity][self._recording.time <= time + 1e-6]
             line: Any = "--" if entity == self._other else "-"
             self._show(Line2D(*past.T, color=self._colour(entity), linewidth=1.6, linestyle=line))
-        for entity in there:
-            self._draw_entity(motion, entity, k)
         if self._ego in there and self._other in there:
             seen = sees(motion, self._ego, self._other, k)
             goal = [motion.x[self._other, k], motion.y[self._other, k]]
             way = np.stack([motion.eye(self._ego, k), goal])
             self._show(Line2D(*way.T, color=EGO, linewidth=1.3, linestyle="-" if seen else (0, (1, 3))))
+        for entity in there:
+            self._draw_entity(motion, entity, k)
         for when, place in self._hits:
             if time >= when - 1e-6:
                 self._show(

@@ -37,11 +37,7 @@ function drawScene(context, scene) {
   for (const [when, one, another] of recording.collisions) {
     if (time >= when - 1e-6) drawCollision(context, recording, when, one, another, place, colours);
   }
-  const above = labelsAbove(scene, boxes, place);
-  boxes.forEach((box, entity) => {
-    const name = recording.names[entity];
-    if (box) drawLabel(context, box, name, lookOf(entity), above(entity), place, view.scale, colours);
-  });
+  drawLabels(context, scene, boxes, lookOf, place);
   drawScaleBar(context, view.scale, height, colours);
 }
 
@@ -180,15 +176,32 @@ function labelsAbove(scene, boxes, place) {
   return (entity) => entity !== (egoFirst ? scene.other : scene.ego);
 }
 
-function drawLabel(context, box, name, look, above, place, scale, colours) {
-  const [x, y] = place(box.x, box.y);
-  const reach = Math.max(
-    Math.abs(box.sin) * box.halfLength * scale + Math.abs(box.cos) * box.halfWidth * scale,
-    SMALLEST_RADIUS,
-  );
-  const speed = Number.isFinite(box.speed) ? `${box.speed.toFixed(1)} m/s` : "";
-  const text = look === "third" && !(Math.abs(box.speed) > 0.05) ? shortName(name) : `${shortName(name)} ${speed}`;
-  writeText(context, text, x, above ? y - reach - 8 : y + reach + 16, colours[look], colours.halo, "center");
+// Names stand beside boxes, those of the ego and the other first; a third one goes without where it would cover them.
+function drawLabels(context, scene, boxes, lookOf, place) {
+  const above = labelsAbove(scene, boxes, place);
+  const taken = [];
+  const order = boxes.map((_, entity) => entity).filter((entity) => boxes[entity]);
+  order.sort((one, other) => (lookOf(one) === "third") - (lookOf(other) === "third"));
+  for (const entity of order) {
+    const [box, look, name] = [boxes[entity], lookOf(entity), shortName(scene.recording.names[entity])];
+    const { colours, view } = scene;
+    const stands = !(Math.abs(box.speed) > 0.05);
+    const text = look === "third" && stands ? name : `${name} ${box.speed.toFixed(1)} m/s`;
+    const [x, y] = place(box.x, box.y);
+    const reach = Math.max(
+      (Math.abs(box.sin) * box.halfLength + Math.abs(box.cos) * box.halfWidth) * view.scale,
+      SMALLEST_RADIUS,
+    );
+    context.font = SCENE_FONT;
+    const half = context.measureText(text).width / 2 + 2;
+    const heights = above(entity) ? [y - reach - 8, y + reach + 16] : [y + reach + 16, y - reach - 8];
+    const clear = ([left, right, up], down) => x + half < left || x - half > right || Math.abs(up - down) > 14;
+    const free = (down) => taken.every((one) => clear(one, down));
+    const down = look === "third" ? heights.find(free) : heights[0];
+    if (down === undefined) continue;
+    taken.push([x - half, x + half, down]);
+    writeText(context, text, x, down, colours[look], colours.halo, "center");
+  }
 }
 
 function writeText(context, text, x, y, colour, halo, align = "left") {

@@ -52,7 +52,7 @@ function shadowOf(box, [eyeX, eyeY]) {
   });
   angles.sort((one, other) => one.angle - other.angle);
   const [right, left] = [angles[0], angles[angles.length - 1]];
-  if (left.angle - right.angle >= Math.PI) return null;
+  if (left.angle - right.angle >= Math.PI || (dx === 0 && dy === 0)) return null;
   const far = ({ u, v }) => {
     const reach = SHADOW_REACH / Math.max(Math.hypot(u, v), 1e-9);
     return [eyeX + u * reach, eyeY + v * reach];
