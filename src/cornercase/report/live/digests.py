@@ -75,12 +75,11 @@ class Digester:
             one.name: np.interp(spread, time, one.capped(study.course(row.id, one.name)).astype(np.float32))
             for one in self._objective.metrics
         }
-        pair = {meta.ego, meta.other}
         return Digest(
             row,
             scores,
             self._is_critical(scores),
-            any(set(hit.entities) == pair for hit in recording.collisions),
+            recording.first_collision(meta.ego, meta.other) is not None,
             (float(time[0]), float(time[-1])),
             courses,
         )
