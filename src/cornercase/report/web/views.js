@@ -45,6 +45,21 @@ class Views {
       this.tellAbout(boxes.get(view.name));
       this.observer.observe(box);
     });
+    this.fillRows();
+  }
+
+  // A view that would stand alone in its row takes all of it.
+  fillRows() {
+    let run = [];
+    const end = () => {
+      run.forEach(({ box }, k) => box.classList.toggle("wide", run.length % 2 === 1 && k === run.length - 1));
+      run = [];
+    };
+    for (const one of [...this.boxes.values()].sort((a, b) => a.order - b.order)) {
+      if (one.view.wide) end();
+      else run.push(one);
+    }
+    end();
   }
 
   tellAbout({ view, caption }) {

@@ -14,8 +14,8 @@ function chartLayout(more) {
     font: { family: font, size: 12, color: text },
     paper_bgcolor: "rgba(0,0,0,0)",
     plot_bgcolor: "rgba(0,0,0,0)",
-    margin: { l: 56, r: 14, t: 8, b: 44 },
-    legend: { orientation: "h", y: -0.2, yanchor: "top", x: 0, font: { size: 12 } },
+    margin: { l: 56, r: 14, t: 30, b: 44 },
+    legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: 12 } },
     hoverlabel: { bgcolor: raised, bordercolor: edge, font: { color: text } },
     hovermode: "closest",
     uirevision: "kept",
@@ -123,7 +123,7 @@ VIEWS.push(chartView({
     titles.forEach((title, k) => {
       const high = 1 - k / count;
       const domain = [high - 1 / count + (k < count - 1 ? 0.06 : 0), high];
-      layout[k ? `yaxis${k + 1}` : "yaxis"] = { title: { text: title }, domain, rangemode: k ? "tozero" : "normal" };
+      layout[k ? `yaxis${k + 1}` : "yaxis"] = { title: { text: title }, domain, rangemode: "tozero" };
     });
     const last = run.length - 1;
     const parts = [`Search over time: after ${run[last]} scenarios`];

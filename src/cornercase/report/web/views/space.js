@@ -21,7 +21,23 @@ class SpacePlot extends PointPlot {
     this.scaleY(...columnRange(store, yName), yAxis.choices);
     this.drawAxes(g, xAxis.title, yAxis.title);
     drawThreshold(g, this, xName, yName);
+    if (this.hulls) this.drawHulls(g, x, y);
     this.drawPoints(g, x.map((value) => this.x.at(value)), y.map((value) => this.y.at(value)));
+  }
+
+  // Edges of the hulls that the archetypes were found on.
+  drawHulls(g, x, y) {
+    const { store } = this;
+    g.lineWidth = 0.8;
+    g.globalAlpha = 0.5;
+    for (const [label, edges] of Object.entries(store.contents.hulls)) {
+      g.strokeStyle = kindColour(Number(label));
+      for (const pair of edges) {
+        const [one, other] = pair.map((id) => store.rows.get(id));
+        line(g, this.x.at(x[one]), this.y.at(y[one]), this.x.at(x[other]), this.y.at(y[other]));
+      }
+    }
+    g.globalAlpha = 1;
   }
 
   drawOver(g) {
@@ -105,6 +121,24 @@ function firstColumns(store) {
   return names.length > 1 ? names : [names[0] ?? "id", `score ${metrics[0].name}`];
 }
 
+function hasHulls(store, columns) {
+  const { hulls, reduced_by: aspect } = store.contents;
+  const parameters = columns.every((name) => name.startsWith("parameter "));
+  return parameters && Object.keys(hulls ?? {}).length > 0 && (!aspect || aspect === store.options.aspect);
+}
+
+function hullBox(box, changed) {
+  const label = document.createElement("label");
+  label.className = "check";
+  const check = document.createElement("input");
+  check.type = "checkbox";
+  check.id = "space-hulls";
+  check.addEventListener("change", changed);
+  label.append(check, "Hulls");
+  box.append(label);
+  return check;
+}
+
 VIEWS.push({
   name: "space",
   title: "Parameter space",
@@ -126,6 +160,10 @@ VIEWS.push({
       return select;
     });
     const plot = new SpacePlot(box, store, columns);
+    const hulls = hullBox(options, () => {
+      plot.hulls = hulls.checked;
+      plot.redraw(new Set(["options"]));
+    });
     const legend = document.createElement("ul");
     legend.className = "legend";
     box.append(legend);
@@ -133,6 +171,8 @@ VIEWS.push({
     return {
       plot,
       redraw(events) {
+        hulls.parentElement.hidden = !hasHulls(store, columns());
+        plot.hulls = hulls.checked && !hulls.parentElement.hidden;
         plot.redraw(events);
         if (onlyMarks(events)) return;
         columns().forEach((name, k) => (selects[k].value = name));
