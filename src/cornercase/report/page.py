@@ -58,6 +58,7 @@ _SCRIPTS: Final = (
     "colours.js",
     "describe.js",
     "plot.js",
+    "raster.js",
     "points.js",
     "legend.js",
     "ranges.js",

@@ -46,30 +46,6 @@ function drawSymbol(g, { colour, symbol }, x, y, r) {
   }
 }
 
-// Each look is drawn once and then copied: thousands of paths would take a frame each.
-class Stamps {
-  constructor() {
-    this.made = new Map();
-  }
-
-  get(style, r, ratio) {
-    const key = `${style.colour} ${style.symbol} ${r} ${ratio}`;
-    if (!this.made.has(key)) {
-      if (this.made.size > 500) this.made.clear();
-      const canvas = document.createElement("canvas");
-      canvas.width = canvas.height = Math.ceil((3 * r + 2) * ratio);
-      const g = canvas.getContext("2d");
-      g.scale(ratio, ratio);
-      const middle = canvas.width / ratio / 2;
-      drawSymbol(g, style, middle, middle, r);
-      this.made.set(key, canvas);
-    }
-    return this.made.get(key);
-  }
-}
-
-const STAMPS = new Stamps();
-
 // Scenarios as points: a plot that knows where they are (px, py: one place for each row, NaN for none).
 class PointPlot extends Plot {
   radius() {
@@ -84,11 +60,10 @@ class PointPlot extends Plot {
     const looks = rowLooks(store);
     const { scenarios } = store.contents;
     const r = this.radius();
+    this.raster ??= new Raster();
+    this.raster.begin(this.lower.width, this.lower.height);
     const stamp = (row, style, radius = r) => {
-      if (!(px[row] > -1e6)) return;
-      const canvas = STAMPS.get(style, radius, ratio);
-      const size = canvas.width / ratio;
-      g.drawImage(canvas, px[row] - size / 2, py[row] - size / 2, size, size);
+      if (px[row] > -1e6) this.raster.put(STAMPS.get(style, radius, ratio), px[row] * ratio, py[row] * ratio);
     };
     const ghost = { colour: themeColours().ghost, symbol: "circle" };
     for (let row = 0; row < store.n; row++) if (!store.shown[row]) stamp(row, ghost, r * 0.75);
@@ -98,6 +73,7 @@ class PointPlot extends Plot {
       if (scenarios.failed[row]) stamp(row, cross);
       else stamp(row, looks.styles[looks.of[row]]);
     }
+    this.raster.end(g);
     for (let row = 0; row < store.n; row++) {
       if (!scenarios.kept[row] || !store.shown[row] || !(px[row] > -1e6)) continue;
       drawKept(g, looks.styles[looks.of[row]], keptRole(store, row), px[row], py[row], Math.max(3, r));
