@@ -81,10 +81,10 @@ class ReplayControls {
       replayButton("to-critical", "near", "To the most critical instant (C)", () => panel.goTo("critical")),
       this.scrub,
       this.clockText,
-      this.speed,
     );
     const look = newElement("div", "replay-row");
     look.append(
+      this.speed,
       this.follow,
       replayButton("fit", "all", "Show all that moves (0)", () => panel.fit("all")),
       replayButton("zoom-in", "closer", "Closer (+)", () => camera.zoom(1.4)),

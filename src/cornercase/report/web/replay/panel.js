@@ -6,10 +6,12 @@ class ReplayPanel {
     Object.assign(this, { section, store, recordings });
     this.clock = new ReplayClock(() => this.changed());
     this.camera = new ReplayCamera(() => this.changed());
-    this.road = store.contents.roads ? new RoadDrawing(store.contents.roads) : null;
     this.sight = true;
     this.waiting = false;
     this.colours = null;
+    this.never = true;
+    this.roads = undefined;
+    this.road = null;
     this.shown = { selected: null, beside: null };
     this.panes = { selected: new ReplayPane("selected", this), beside: new ReplayPane("beside", this) };
     this.controls = new ReplayControls(this);
@@ -18,7 +20,14 @@ class ReplayPanel {
       this.clock.seek(time);
     });
     this.build();
-    for (const event of ["selected", "contents"]) store.on(event, () => this.follow());
+    store.on("selected", () => this.follow());
+    store.on("contents", () => {
+      this.takeRoad();
+      for (const pane of this.there()) pane.describe();
+      // A study that began empty shows its first scenario when it comes.
+      if (this.never && store.selected === null) store.select(mostCriticalScenario(store));
+      this.follow();
+    });
     store.on("options", () => this.choose());
     store.on("theme", () => this.recolour());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
@@ -33,13 +42,25 @@ class ReplayPanel {
     this.scenes.append(this.panes.selected.box, this.panes.beside.box);
     this.chart.canvas.setAttribute("role", "img");
     this.legend = newElement("p", "replay-legend");
-    this.notice = newElement("p", "replay-notice", this.road ? "" : this.store.contents.roads_missing ?? "");
-    this.notice.hidden = !this.notice.textContent;
+    this.notice = newElement("p", "replay-notice");
+    this.notice.hidden = true;
+    this.takeRoad();
     this.tables = newElement("div", "replay-tables");
     this.tables.append(this.panes.selected.values, this.panes.beside.values);
     this.box.append(this.scenes, this.controls.box, this.chart.canvas, this.legend, this.tables, this.notice);
     this.section.append(this.nothing, this.box);
     new ResizeObserver(() => this.changed()).observe(this.chart.canvas);
+  }
+
+  // The road comes with the first knowledge of a study that is still explored, and grows with its region.
+  takeRoad() {
+    const { roads, roads_missing: missing } = this.store.contents;
+    if (roads === this.roads) return;
+    this.roads = roads;
+    this.road = roads ? new RoadDrawing(roads) : null;
+    this.notice.textContent = roads ? "" : missing ?? "";
+    this.notice.hidden = !this.notice.textContent;
+    this.changed();
   }
 
   empty() {
@@ -55,6 +76,7 @@ class ReplayPanel {
   async follow() {
     const { store, panes } = this;
     const before = this.shown;
+    if (store.selected !== null) this.never = false;
     this.shown = { selected: store.selected, beside: store.beside };
     const changed = Object.keys(panes).filter((slot) => before[slot] !== this.shown[slot]);
     this.nothing.hidden = store.selected !== null || store.beside !== null;

@@ -64,7 +64,9 @@ class RoadDrawing {
 // Where no road is known, lines each 10 m show that one moves.
 function drawGrid(context, place, view, width, height, colour) {
   const step = 10 * 10 ** Math.max(0, Math.ceil(Math.log10(12 / (10 * view.scale))));
+  context.save();
   context.strokeStyle = colour;
+  context.globalAlpha = 0.35;
   context.lineWidth = 1;
   context.beginPath();
   const [halfWide, halfHigh] = [width / 2 / view.scale, height / 2 / view.scale];
@@ -79,4 +81,5 @@ function drawGrid(context, place, view, width, height, colour) {
     context.lineTo(width, down);
   }
   context.stroke();
+  context.restore();
 }

@@ -34,8 +34,8 @@ function drawScene(context, scene) {
     if (box) drawEntity(context, box, recording.kinds[entity], colours[lookOf(entity)], colours, place, view.scale);
   });
   if (scene.sight) drawLook(context, scene, boxes, place);
-  for (const [when, one, another] of recording.collisions) {
-    if (time >= when - 1e-6) drawCollision(context, recording, when, one, another, place, colours);
+  for (const collision of recording.collisions) {
+    if (time >= collision[0] - 1e-6) drawCollision(context, scene, collision, place);
   }
   drawLabels(context, scene, boxes, lookOf, place);
   drawScaleBar(context, view.scale, height, colours);
@@ -216,7 +216,7 @@ function writeText(context, text, x, y, colour, halo, align = "left") {
 }
 
 // A star with as many points as no other mark has, and when it happened.
-function drawCollision(context, recording, when, one, another, place, colours) {
+function drawCollision(context, { recording, colours, width }, [when, one, another], place) {
   const [first, second] = [boxAt(recording, one, when), boxAt(recording, another, when)];
   if (!first || !second) return;
   const [x, y] = place(...contactOf(first, second));
@@ -233,7 +233,11 @@ function drawCollision(context, recording, when, one, another, place, colours) {
   context.fill();
   context.stroke();
   context.restore();
-  writeText(context, `collision at ${when.toFixed(2)} s`, x + 15, y + 4, colours.hit, colours.halo);
+  const text = `collision at ${when.toFixed(2)} s`;
+  context.font = SCENE_FONT;
+  // To the left of the star where there is no room to its right.
+  const fits = x + 20 + context.measureText(text).width < width;
+  writeText(context, text, x + (fits ? 15 : -15), y + 4, colours.hit, colours.halo, fits ? "left" : "right");
 }
 
 function drawScaleBar(context, scale, height, colours) {
