@@ -3,7 +3,7 @@
     python docs/pictures.py [--x STUDY.db] [--four STUDY.db] [--only TEXT]…
 
 Needs Chromium: the one of ``CORNERCASE_CHROMIUM``, of the PATH, or Playwright's. STUDY.db is that of `cornercase demo
-x-intersection`, and one of four parameters with a Pareto front; they are made where they are not given. The same
+x-intersection`, and one of four parameters; they are made where they are not given. The same
 studies and the same Chromium give the same pictures.
 """
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 RANGES = ("ego_start=20:80", "pedestrian_wait=2:10", "p1_speed=6:12", "ego_speed=7:13")
-# An archetype of scenarios in which the ego goes first would be found by name; these two meet in any study of the demo.
+# Where the ego and the pedestrian meet.
 BRUSH = "() => cornercase.store.setRanges([['parameter ego_start', 45, 70], ['parameter pedestrian_wait', 5, 9]])"
 
 
@@ -81,7 +81,7 @@ def take_x(browser: Browser, study: Path, folder: Path, wanted: Callable[[str], 
             write_picture(page.screenshot(animations="disabled"), "report-dark")
     if wanted("report-phone"):
         with opened(browser, report, viewport={"width": 400, "height": 800}) as page:
-            page.locator("#views").scroll_into_view_if_needed()
+            page.locator("#view-space").evaluate("(one) => one.scrollIntoView()")
             page.evaluate(SETTLED)
             write_picture(page.screenshot(animations="disabled"), "report-phone")
     with opened(browser, report) as page:
@@ -105,13 +105,11 @@ def take_x(browser: Browser, study: Path, folder: Path, wanted: Callable[[str], 
             take_element(page, "#replay", "report-replay")
 
 
-def take_four(browser: Browser, study: Path, folder: Path, wanted: Callable[[str], bool]) -> None:
-    """Take the pictures of four parameters and a front."""
+def take_four(browser: Browser, study: Path, folder: Path) -> None:
+    """Take the picture of four parameters."""
     report = cc.write_report(study, folder / "four.html")
     with opened(browser, report) as page:
-        for part in ("parallel", "front"):
-            if wanted(f"report-{part}"):
-                take_element(page, f"#view-{part}", f"report-{part}")
+        take_element(page, "#view-parallel", "report-parallel")
 
 
 def study_of_x(path: Path) -> Path:
@@ -126,17 +124,16 @@ def study_of_x(path: Path) -> Path:
 
 
 def study_of_four(path: Path) -> Path:
-    """Four parameters, searched for the Pareto front of two metrics."""
+    """Four parameters."""
     cc.explore(
         ROOT / "examples" / "x_intersection" / "x_intersection.xosc",
         path,
         ego="Ego",
         other="Pedestrian",
-        metrics=["wttc", "traffic-quality"],
+        metrics=["wttc"],
         ranges=RANGES,
-        optimizer="evolutionary",
-        pareto=True,
-        budget=300,
+        optimizer="level-set",
+        budget=200,
     )
     cc.analyze(path)
     return path
@@ -148,7 +145,7 @@ def main() -> int:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--x", type=Path, metavar="STUDY.db", help="of the demonstration")
-    parser.add_argument("--four", type=Path, metavar="STUDY.db", help="of four parameters, with a Pareto front")
+    parser.add_argument("--four", type=Path, metavar="STUDY.db", help="of four parameters")
     parser.add_argument("--only", action="append", metavar="TEXT", help="pictures of these names")
     options = parser.parse_args()
 
@@ -163,8 +160,8 @@ def main() -> int:
             parser.error("there is no Chromium: install it, or name it in CORNERCASE_CHROMIUM.")
         with driver.chromium.launch(executable_path=path, args=list(ARGUMENTS)) as browser:
             take_x(browser, options.x or study_of_x(folder / "x.db"), folder, wanted)
-            if wanted("report-parallel") or wanted("report-front"):
-                take_four(browser, options.four or study_of_four(folder / "four.db"), folder, wanted)
+            if wanted("report-parallel"):
+                take_four(browser, options.four or study_of_four(folder / "four.db"), folder)
     return 0
 
 
