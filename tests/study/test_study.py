@@ -197,6 +197,19 @@ def test_a_foreign_database_is_left_as_it_is(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["other.db"]
 
 
+def test_a_new_study_holds_nothing_of_one_that_was_removed(study):
+    # A reader keeps the log of the one that is removed, as a killed explorer does.
+    with Study.open(study.path, readonly=True):
+        study.close()
+        study.path.unlink()
+        assert study.path.with_name(study.path.name + "-wal").exists()
+        with Study.create(study.path, META) as anew:
+            assert anew.rows() == []
+            anew.propose(1, POINTS[:1], SPACE.values(POINTS[:1]))
+        with Study.open(study.path, readonly=True) as reader:
+            assert [row.state for row in reader.rows()] == ["pending"]
+
+
 def test_another_schema_version_is_refused(study):
     study.close()
     with sqlite3.connect(study.path) as connection:
@@ -304,7 +317,9 @@ def test_what_is_read_together_is_of_one_moment(study):
         assert len(reader.scores("wttc")) == len(reader.done()) == 2
 
 
-def test_a_study_says_what_it_is_and_escapes_names(tmp_path):
+def test_a_study_says_what_it_is_and_escapes_names(tmp_path, monkeypatch):
+    # One that is too large for a page in a notebook.
+    monkeypatch.setattr("cornercase.report.inline._MOST", 1)
     space = ParameterSpace.from_ranges(["<b>=0:1"])
     points = np.array([[0.25], [0.75]])
     with Study.create(tmp_path / "s.db", about(space, "distance", ego="<i>Ego</i>")) as study:

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from cornercase._common.displays import DISPLAYS
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
@@ -63,6 +64,9 @@ class StudyContents(ScenarioContents):
         )
 
     def _repr_html_(self) -> str:
+        with suppress(InputError):
+            if "study" in DISPLAYS and (page := DISPLAYS.create("study", path=self.path)) is not None:
+                return page
         table = self.table()
         # A metric of another package may not be there; then the first scenarios are shown.
         with suppress(InputError):

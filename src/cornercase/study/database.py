@@ -73,6 +73,7 @@ class Database:
             # Looked for under the lock: of two explorers that begin at once, one makes the file.
             if path.exists():
                 raise InputError(f"{path}: exists already; choose another name or remove it.")
+            _remove_log(path)
             # The file appears under its name only when it is whole.
             with written_whole(path) as temporary, _sentences(path), closing(sqlite3.connect(temporary)) as connection:
                 connection.executescript(SCHEMA)
@@ -242,6 +243,16 @@ class Database:
     def _require_open(self) -> None:
         if self._closed:
             raise InputError(f"{self.path}: is closed; open it again with `Study.open`.")
+
+
+def _remove_log(path: Path) -> None:
+    """Remove what a killed explorer wrote beside a file that is gone."""
+    # SQLite would take it into the new one.
+    try:
+        for ending in ("-wal", "-shm"):
+            path.with_name(path.name + ending).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
 
 
 @contextmanager

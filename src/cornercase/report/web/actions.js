@@ -56,7 +56,9 @@ class ActionBar {
     this.copyCommand = add("copy-command", "Copy command", () => this.copy(this.running.command(this.id), "The command"));
     this.xosc = add("download-xosc", "Scenario (.xosc)", () => this.saveScenario());
     this.csv = add("download-csv", `Recording (CSV${exact})`, () => this.saveRecording());
-    add("copy-link", "Copy link", () => this.copy(linkTo(this.id), "The link"));
+    const link = add("copy-link", "Copy link", () => this.copy(linkTo(this.id), "The link"));
+    // In a notebook the page has no address.
+    link.hidden = location.protocol === "about:";
     this.save = add("save-page", "Save page with notes", () => this.savePage());
     this.save.hidden = isLive();
     this.command = document.createElement("pre");

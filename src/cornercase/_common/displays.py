@@ -1,0 +1,10 @@
+"""How notebooks show what early rooms make, where a later room knows how."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from cornercase._common.registry import Registry
+
+DISPLAYS: Final[Registry[str | None]] = Registry("display", "cornercase.displays")
+"""What makes HTML of a thing, by its name: of a ``"study"`` from its ``path``; None where there is none."""

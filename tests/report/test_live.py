@@ -1,0 +1,338 @@
+"""The page of a study while it grows: what its server answers, to whom, and what it tells of an explorer that is killed."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+import zlib
+from contextlib import closing, contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cornercase as cc
+from command_line import SPACE, X, cornercase
+from cornercase._common.errors import InputError
+from cornercase.recordings import read_recording
+from cornercase.report.blocks import pack_record
+from cornercase.report.contents import page_contents
+from cornercase.report.data import read_report_data
+from cornercase.report.live.follower import Follower
+from cornercase.report.live.knowing import Finder
+from cornercase.report.live.telling import Cursor, Teller
+from cornercase.study import Study, write_note
+from strangers import whole_study
+
+pytest.importorskip("starlette")
+from starlette.testclient import TestClient
+
+from cornercase.report.live.server import make_app
+
+TOKEN = "a-token"
+ENDED = "SELECT COUNT(*) FROM scenarios WHERE state <> 'pending'"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return whole_study(tmp_path_factory.mktemp("whole"))
+
+
+@contextmanager
+def followed(path):
+    follower = Follower(path)
+    finder = Finder(follower)
+    follower.start()
+    finder.start()
+    try:
+        yield Teller(follower, finder)
+    finally:
+        finder.stop()
+        follower.stop()
+
+
+def until(holds, seconds=20.0):
+    """Wait until something holds, and give it."""
+    end = time.monotonic() + seconds
+    while not (found := holds()):
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.02)
+    return found
+
+
+@pytest.fixture(scope="module")
+def client(whole):
+    with followed(whole) as teller:
+        until(lambda: teller.contents().get("details"))
+        app = make_app(whole, teller, TOKEN, None, lambda: False)
+        made = TestClient(app, base_url="http://127.0.0.1:80")
+        made.params = {"token": TOKEN}
+        yield made
+
+
+def test_live_contents_are_those_of_the_report(whole, client):
+    found = client.get("/contents").json()
+    with Study.open(whole, readonly=True) as study:
+        expected = json.loads(json.dumps(page_contents(read_report_data(study))))
+    for name, value in expected.items():
+        assert found[name] == value, name
+    assert {"answers", "scenarios", "courses", "kinds", "kept"} <= set(expected)
+    assert found["live"]["run"] == 12
+    assert found["roads"] is not None
+
+
+def test_a_scenario_is_given_exactly(whole, client, tmp_path):
+    with Study.open(whole, readonly=True) as study:
+        recording = study.recording(7)
+        metrics = [cc.METRICS.create(name) for name in study.meta.metrics]
+        courses = {one.name: one.capped(study.course(7, one.name)) for one in metrics}
+    assert zlib.decompress(client.get("/recordings/7").content) == pack_record(7, recording, courses)
+    (tmp_path / "r.csv").write_bytes(client.get("/recordings/7.csv").content)
+    read = read_recording(tmp_path / "r.csv")
+    np.testing.assert_array_equal(read.x, recording.x)
+    manifest = json.loads((whole.parent / "reduced" / "manifest.json").read_text())
+    for one in manifest["scenarios"]:
+        answer = client.get(f"/scenarios/{one['id']}.xosc")
+        assert answer.content == (whole.parent / "reduced" / one["file"]).read_bytes()
+        assert answer.headers["content-disposition"].startswith("attachment")
+
+
+@pytest.mark.parametrize(
+    "path", ["/recordings/99", "/recordings/99.csv", "/scenarios/99.xosc", "/recordings/x", "/s.db", "/../s.db"]
+)
+def test_what_is_not_there_is_not_found(client, path):
+    answer = client.get(path)
+    assert answer.status_code == 404
+    assert "Traceback" not in answer.text
+
+
+def test_only_who_knows_the_token_comes_in(client, whole):
+    app = client.app
+    stranger = TestClient(app, base_url="http://127.0.0.1:80")
+    for path in ("/", "/contents", "/events", "/recordings/1", "/recordings/1.csv", "/scenarios/1.xosc", "/missing"):
+        for token in ("", "?token=", "?token=a-tokem", "?token=%ff", "?" + "a=1&" * 50, "?token=a-token&token=x"):
+            assert stranger.get(path + token).status_code == 403, (path, token)
+    assert stranger.put("/notes/1", content="x").status_code == 403
+    with Study.open(whole, readonly=True) as study:
+        assert 1 not in study.notes()
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "localhost.evil.example:80", ""]
+)
+def test_a_name_of_elsewhere_is_refused(client, host):
+    assert client.get("/contents", headers={"host": host}).status_code == 403
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:80", "localhost:80", "[::1]:80", "192.168.1.5:80"])
+def test_an_address_of_the_machine_is_taken(client, host):
+    assert client.get("/contents", headers={"host": host}).status_code == 200
+
+
+def test_another_page_is_refused(client):
+    for origin in ("http://evil.example", "null", "http://127.0.0.1:81"):
+        assert client.put("/notes/1", content="x", headers={"origin": origin}).status_code == 403
+        assert client.get("/contents", headers={"origin": origin}).status_code == 403
+    assert client.get("/contents", headers={"origin": "http://127.0.0.1", "host": "127.0.0.1"}).status_code == 200
+
+
+def test_nothing_is_kept_framed_or_sent_on(client):
+    for path in ("/", "/contents", "/missing"):
+        headers = client.get(path).headers
+        assert headers["cache-control"] == "no-store"
+        assert headers["referrer-policy"] == "no-referrer"
+        assert headers["x-content-type-options"] == "nosniff"
+        assert "frame-ancestors 'none'" in headers["content-security-policy"]
+        assert "default-src 'none'" in headers["content-security-policy"]
+        assert "access-control-allow-origin" not in headers
+    page = client.get("/").text
+    assert 'data-live="true"' in page
+    assert TOKEN not in page
+
+
+def test_notes_are_all_that_is_written(client, whole):
+    before = {name: (whole.parent / name).read_bytes() for name in ("scenario.xosc", "road.xodr")}
+    assert client.put("/notes/2", content="brakes <b>late</b> 行人".encode()).status_code == 204
+    with Study.open(whole, readonly=True) as study:
+        assert study.notes()[2] == "brakes <b>late</b> 行人"
+    until(lambda: client.get("/contents").json()["notes"].get("2") == "brakes <b>late</b> 行人")
+    for path, body in (
+        ("/notes/99", b"x"),
+        ("/notes/2", b"x" * 2001),
+        ("/notes/2", b"x" * 10**6),
+        ("/notes/2", b"\xff\xfe"),
+    ):
+        answer = client.put(path, content=body)
+        assert answer.status_code == 400
+        assert len(answer.text.strip().splitlines()) == 1
+    assert client.put("/notes/2", content=b"").status_code == 204
+    for method in ("post", "delete", "patch", "put"):
+        for path in ("/contents", "/", "/recordings/1", "/scenarios/1.xosc"):
+            assert getattr(client, method)(path).status_code == 405
+    with Study.open(whole, readonly=True) as study:
+        assert study.notes() == {}
+    assert before == {name: (whole.parent / name).read_bytes() for name in before}
+
+
+def news(teller, cursor):
+    """All that a page with a cursor is told by now: events with their data."""
+    text = "".join(teller.write_events(cursor)())
+    return [(event, json.loads(data)) for event, data in re.findall(r"event: (\w+)\ndata: (.*)\n", text)]
+
+
+def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
+    with Study.open(whole, readonly=True) as study:
+        meta, rows = study.meta, study.done()
+        recording = study.recording(1)
+        courses = {name: (study.course(1, name), 1.0) for name in meta.metrics}
+    with followed(tmp_path / "new.db") as teller:
+        assert until(lambda: teller.state()["why"]) == "new.db is not there yet."
+        assert set(teller.contents()) == {"live"}
+        with Study.create(tmp_path / "new.db", meta) as study:
+            points = np.array([row.point for row in rows])
+            study.propose(1, points, [row.values for row in rows])
+            until(lambda: teller.state()["name"] == "live")
+            study.finish(3, recording, courses)
+            until(lambda: "scenarios" in teller.contents())
+            contents = teller.contents()
+            assert contents["scenarios"]["id"] == [3]
+            cursor = Cursor.of(contents["live"]["cursor"])
+            study.fail(1, cc.SimulationError("the road <ends>"))
+            study.finish(2, recording, courses)
+            until(lambda: teller.state()["run"] == 2 and teller.state()["failed"] == 1)
+            events = news(teller, cursor)
+            ((_, columns),) = [one for one in events if one[0] == "scenarios"]
+            assert columns["scenarios"]["id"] == [1, 2]
+            assert columns["scenarios"]["failed"] == [1, 0]
+            assert columns["errors"] == {"1": "the road <ends>"}
+            assert columns["courses"]["distance"][0] is None
+            assert len(columns["courses"]["distance"][1]) == contents["courses"]["distance"]["points"]
+            # Whoever asks again with the cursor after them is not told of them again.
+            again = Cursor.of(teller.contents()["live"]["cursor"])
+            assert not [one for one in news(teller, again) if one[0] == "scenarios"]
+            assert teller.contents()["scenarios"]["id"] == [1, 2, 3]
+        # Something else of that name: everything is asked for anew.
+        (tmp_path / "new.db").unlink()
+        until(lambda: teller.state()["name"] == "waiting")
+        with Study.create(tmp_path / "new.db", meta) as study:
+            study.propose(1, points[:1], [rows[0].values])
+            study.finish(1, recording, courses)
+            until(lambda: teller.state()["run"] == 1)
+        assert news(teller, again)[0][0] == "contents"
+        write_note(tmp_path / "new.db", 1, "seen")
+        until(lambda: teller.follower.notes == {1: "seen"})
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "a.b.c.d", "a.1.2", "a.-1.0.0", "a.1.2.3.4", "..." * 1000, "a.１.0.0", "a.99999.0.0"]
+)
+def test_a_cursor_that_was_made_up_asks_for_everything(whole, text):
+    with followed(whole) as teller:
+        until(lambda: "scenarios" in teller.contents())
+        assert news(teller, Cursor.of(text))[0][0] == "contents"
+
+
+def test_what_is_no_study_is_waited_for(tmp_path):
+    (tmp_path / "s.db").write_text("no study")
+    with followed(tmp_path / "s.db") as teller:
+        assert "s.db" in until(lambda: "not a database" in teller.state()["why"] and teller.state()["why"])
+
+
+def test_a_port_that_is_taken_is_said(tmp_path):
+    with closing(socket.create_server(("127.0.0.1", 0))) as taken:
+        done = cornercase("watch", tmp_path / "s.db", "--port", taken.getsockname()[1], "--no-browser")
+    assert done.returncode == 2
+    assert re.fullmatch(r"cornercase: --port \d+: nothing can be served at 127\.0\.0\.1 .*\n", done.stderr)
+
+
+@pytest.mark.parametrize(
+    "options", [{"host": "example.org"}, {"host": ""}, {"port": -1}, {"port": 65536}, {"scenario": "missing.xosc"}]
+)
+def test_what_cannot_be_served_is_said(tmp_path, options):
+    with pytest.raises(InputError, match=f"`{next(iter(options))}`"):
+        cc.watch(tmp_path / "s.db", **options)
+    with pytest.raises(InputError, match="is not a file"):
+        cc.watch(tmp_path)
+
+
+def test_without_the_extra_the_error_names_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(InputError, match=r"cornercase\[live\]"):
+        cc.watch(tmp_path / "s.db")
+
+
+class Listener(threading.Thread):
+    """Hears the events of a server, as a browser does, and when they came."""
+
+    def __init__(self, address):
+        super().__init__(daemon=True)
+        self.heard: list[tuple[float, str, Any]] = []
+        self._address = address
+
+    def run(self):
+        with urllib.request.urlopen(self._address, timeout=60) as stream:
+            event = ""
+            for raw in stream:
+                line = raw.decode()
+                if line.startswith("event: "):
+                    event = line[7:].strip()
+                elif line.startswith("data: "):
+                    self.heard.append((time.monotonic(), event, json.loads(line[6:])))
+
+    def run_by_now(self):
+        """How many scenarios the page says were run."""
+        states = [data for _, event, data in self.heard if event == "state"]
+        return states[-1]["run"] if states else 0
+
+
+def started(*arguments):
+    run = [sys.executable, "-c", "from cornercase.cli import main; main()", *map(str, arguments)]
+    return subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def ended(path):
+    if not path.exists():
+        return 0
+    try:
+        with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as connection:
+            return int(connection.execute(ENDED).fetchone()[0])
+    except sqlite3.Error:
+        return 0
+
+
+def test_the_page_grows_with_an_exploration_that_is_killed_and_started_again(tmp_path):
+    study = tmp_path / "s.db"
+    explore = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol",
+               "--batch", "4", "--budget", "400", "-o", study)  # fmt: skip
+    with started("watch", study, "--no-browser") as server:
+        assert server.stdout is not None
+        address = server.stdout.readline().split()[-1]
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/\?token=[\w-]{32}", address)
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(address[:-1])
+        listener = Listener(address.replace("/?", "/events?"))
+        listener.start()
+        with started(*explore) as explorer:
+            until(lambda: ended(study) >= 8, 120)
+            explorer.send_signal(signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
+        killed = ended(study)
+        assert killed < 400
+        until(lambda: listener.run_by_now() == killed, 5)
+        with started(*explore) as explorer:
+            until(lambda: ended(study) >= killed + 8, 120)
+            seen, since = ended(study), time.monotonic()
+            until(lambda: listener.run_by_now() >= seen, 5)
+            assert time.monotonic() - since < 2.0
+            explorer.terminate()
+        server.send_signal(signal.SIGINT)
+        out, err = server.communicate(timeout=20)
+        assert (server.returncode, out, err) == (0, "", "")
