@@ -19,6 +19,8 @@ _LEAST: Final = 1e-9
 # Of the variance, beside the noise, so that points that lie close to each other can be told apart; an `ExactPosterior`
 # adds 1e-10 of it by itself.
 _JITTER: Final = 1e-8 - 1e-10
+# Rounding errors up to which single precision does, in standard deviations of a feature.
+_ROUNDING: Final = 0.01
 
 
 class Foretold:
@@ -71,7 +73,7 @@ class Foretold:
                 if kernel is not None:
                     noise = float(np.sqrt(kernel.noise**2 + _JITTER * kernel.signal**2))
                     known = ExactPosterior(replace(kernel, noise=noise), points, values)
-                    self._each.append((kernel, known.weights.astype(np.float32)))
+                    self._each.append((kernel, _short(known.weights, kernel)))
                     left_out.append(known.leave_one_out()[0])
         self.left_out = np.array(left_out).reshape(-1, len(points)).T
 
@@ -90,5 +92,13 @@ class Foretold:
         found = np.empty((len(points), len(self._each)))
         with one_thread():
             for k, (kernel, weights) in enumerate(self._each):
-                found[:, k] = kernel.single_covariance(points, self._points) @ weights
+                single = weights.dtype == np.float32
+                covariance = kernel.single_covariance if single else kernel.covariance
+                found[:, k] = covariance(points, self._points) @ weights
         return found
+
+
+def _short(weights: FloatArray, kernel: Kernel) -> Floats:
+    """Weights in single precision, where no sum of them and covariances is off by much for it."""
+    rounding = np.finfo(np.float32).eps * np.abs(weights).sum() * kernel.signal**2
+    return weights.astype(np.float32) if rounding <= _ROUNDING else weights
