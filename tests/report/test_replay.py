@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from cornercase.report.replays import encoding, motion
 from cornercase.report.replays.film import Film
 from cornercase.report.replays.footage import read_footage
 from cornercase.report.roads import find_roads, recorded_region
+from cornercase.scenario import Scenario
 from cornercase.study import Study
 from synthetic import SPACE, about, explorer
 
@@ -278,3 +280,21 @@ def test_the_road_is_found_beside_the_study_or_told_why_not(study, failing, tmp_
         sketch, missing = find_roads(opened, (0.0, 0.0, 1.0, 1.0))
         assert sketch is None
         assert str(failing.parent) not in missing
+
+
+def test_a_value_of_a_study_leads_to_no_other_road(study, tmp_path):
+    for name in ("x_intersection.xosc", "x_intersection.xodr"):
+        text = (X / name).read_text(encoding="utf-8")
+        declared = '<ParameterDeclaration name="Road" parameterType="string" value="x_intersection.xodr"/>'
+        text = text.replace("<ParameterDeclarations>", f"<ParameterDeclarations>{declared}", 1)
+        text = text.replace('<LogicFile filepath="x_intersection.xodr"', '<LogicFile filepath="$Road"')
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    shutil.copy(X / "x_intersection.xodr", tmp_path / "secret.xodr")
+    scenario = Scenario.read(tmp_path / "x_intersection.xosc")
+    with Study.open(study, readonly=True) as opened:
+        meta = replace(opened.meta, fingerprint=scenario.fingerprint())
+    with Study.create(tmp_path / "s.db", meta) as sent:
+        sketch, missing = find_roads(sent, (0.0, 0.0, 9.0, 9.0), scenario, {"Road": "secret.xodr"})
+        assert sketch is None
+        assert missing == "The road is not drawn, as it is none of those that belong to x_intersection.xosc."
+        assert find_roads(sent, (0.0, 0.0, 9.0, 9.0), scenario, {"Road": "x_intersection.xodr"})[0] is not None

@@ -66,6 +66,7 @@ def every_command(study):
     yield "show", study, "--json"
     yield "export", study, "-o", folder / "tables"
     yield "report", study, "-o", folder / "r.html"
+    yield "replay", study, "1", "-o", folder / "run.html"
     yield "reduce", study, "-o", folder / "reduced"
     yield "analyze", study
 

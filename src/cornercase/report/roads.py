@@ -66,6 +66,9 @@ def find_roads(
         path = found.road_file(values)
         if path is None:
             return None, f"The road is not drawn, as the scenario file {name} names none."
+        # A study may come from anywhere: the value of a parameter leads to no other file.
+        if path not in found.road_files():
+            return None, f"The road is not drawn, as it is none of those that belong to {name}."
         network = RoadNetwork.of_xml(found.xml(path), path)
     except InputError:
         return None, f"The road is not drawn, as the road file of {name} cannot be read."

@@ -323,6 +323,18 @@ class Scenario:
         reference = self._parameter_text(self.logic_file(), values or {})
         return self.beside(reference, "road file") if reference else None
 
+    def road_files(self) -> tuple[Path, ...]:
+        """Return the paths of all road files that belong to the scenario.
+
+        Returns
+        -------
+        tuple of Path
+            That which it names, and those of `naming`; its fingerprint counts them.
+        """
+        road = self.road_file()
+        named = [self.beside(one, "road file") for one in self._roads]
+        return tuple(dict.fromkeys([*([] if road is None else [road]), *named]))
+
     def fingerprint(self) -> str:
         """Return a digest of the scenario and all files that it is known to read, as they were when they were read.
 
@@ -349,12 +361,8 @@ class Scenario:
         return self is other or (self.path == other.path and self.fingerprint() == other.fingerprint())
 
     def _digest(self) -> str:
-        files = [self.path, *self._catalog_files]
-        road = self.road_file()
-        named = [self.beside(one, "road file") for one in self._roads]
-        files += dict.fromkeys([*([] if road is None else [road]), *named])
         digest = hashlib.sha256()
-        for file in files:
+        for file in (self.path, *self._catalog_files, *self.road_files()):
             if file.is_file():
                 digest.update(self._files.digest(file))
         return digest.hexdigest()
