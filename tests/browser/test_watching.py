@@ -105,3 +105,18 @@ def test_nothing_is_served_without_the_token(tab, studies):
                 answer = tab.page.request.get(f"{base}{path}{given}")
                 assert answer.status in (401, 403), path
         assert tab.page.request.get(f"{base}contents?token={token}").status == 200
+
+
+def test_a_note_goes_to_the_study(tab, tmp_path):
+    study = tmp_path / "s.db"
+    subprocess.run([*EXPLORE, "4", "-o", str(study)], check=True, capture_output=True)
+    with serving(study) as address:
+        page = tab.open(f"{address}#id=2")
+        page.fill("#note", "look here <b>again</b>")
+        page.locator("#note").blur()
+        for _ in range(50):
+            with Study.open(study, readonly=True) as opened:
+                if notes := opened.notes():
+                    break
+            time.sleep(0.1)
+        assert notes == {2: "look here <b>again</b>"}
