@@ -107,7 +107,17 @@ def test_a_scenario_is_given_exactly(whole, client, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "path", ["/recordings/99", "/recordings/99.csv", "/scenarios/99.xosc", "/recordings/x", "/s.db", "/../s.db"]
+    "path",
+    [
+        "/recordings/99",
+        "/recordings/99.csv",
+        "/scenarios/99.xosc",
+        "/recordings/x",
+        "/recordings/-1",
+        f"/recordings/{'9' * 5000}",
+        "/s.db",
+        "/../s.db",
+    ],
 )
 def test_what_is_not_there_is_not_found(client, path):
     answer = client.get(path)

@@ -28,6 +28,8 @@ from cornercase.study import LONGEST_NOTE, Study, explored_scenario, write_note
 # s between two looks at whether there is something to tell, and between signs that the server is there.
 _PAUSE: Final = 0.1
 _HEARTBEAT: Final = 10.0
+# Digits of an id.
+_DIGITS: Final = 18
 # Bytes of a note in UTF-8.
 _LONGEST_BODY: Final = 4 * LONGEST_NOTE + 64
 _POLICY: Final = f"{POLICY}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
@@ -128,10 +130,10 @@ def make_app(path: Path, teller: Teller, token: str, scenario: Path | None, is_e
             Route("/", answers.page),
             Route("/contents", answers.contents),
             Route("/events", answers.events),
-            Route("/recordings/{id:int}", answers.recording),
-            Route("/recordings/{id:int}.csv", answers.table),
-            Route("/scenarios/{id:int}.xosc", answers.scenario),
-            Route("/notes/{id:int}", answers.note, methods=["PUT"]),
+            Route("/recordings/{id}.csv", answers.table),
+            Route("/recordings/{id}", answers.recording),
+            Route("/scenarios/{id}.xosc", answers.scenario),
+            Route("/notes/{id}", answers.note, methods=["PUT"]),
         ],
         exception_handlers={InputError: _tell_error},
     )
@@ -143,7 +145,11 @@ async def _tell_error(request: Request, error: Exception) -> Response:
 
 
 def _id(request: Request) -> int:
-    return int(request.path_params["id"])
+    text = request.path_params["id"]
+    # Numbers of any length take Python any time.
+    if not (text.isascii() and text.isdecimal() and len(text) <= _DIGITS):
+        raise InputError("Scenarios are named by their numbers.")
+    return int(text)
 
 
 def _download(content: bytes, name: str, kind: str) -> Response:

@@ -43,7 +43,7 @@ class Store {
     this.rows = new Map(contents.scenarios.id.map((id, row) => [id, row]));
     this.columns = new Map();
     // A study that grows is analysed later, or begun anew.
-    if (!(this.options.aspect in contents.kinds)) this.options.aspect = Store.firstAspect(contents);
+    if (!Object.hasOwn(contents.kinds, this.options.aspect ?? "")) this.options.aspect = Store.firstAspect(contents);
     this.shown = new Uint8Array(this.n);
     this.applyFilters(false);
     if (tell) this.tell("contents");
