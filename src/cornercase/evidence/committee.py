@@ -13,7 +13,11 @@ from sklearn.model_selection import StratifiedKFold
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.foretold import Foretold
 from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process, near_threshold
+from cornercase.evidence.kernel import evenly
 from cornercase.metrics import Feature
+
+MOST_KNOWN: Final = 2000
+"""Scenarios that the processes of features know at most."""
 
 _TREES: Final = 64
 _FOLDS: Final = 5
@@ -40,7 +44,8 @@ class Committee:
     The members are weighed by what they say of the scenarios that are known, each told by others: such that their
     weighed mean is most likely.
 
-    `fit` does all; `know` takes further scenarios in for less.
+    `fit` does all; `know` takes further scenarios in for less. Of more than 2,000 scenarios the processes of features
+    know 2,000: half of them next to the threshold, the others evenly apart among the rest.
 
     Parameters
     ----------
@@ -87,7 +92,7 @@ class Committee:
             Itself.
         """
         self.process = boundary_process(points, scores, self._threshold)
-        self._foretold = Foretold(points, self._learned_from(scores, features))
+        self._foretold = Foretold(points, self._learned_from(scores, features), known=self._known_by_processes(scores))
         self._grow(points, scores, features)
         self._weights = _weights(self._left_out(_FEW_TREES), self._critical)
         return self
@@ -108,7 +113,8 @@ class Committee:
             Itself.
         """
         self.process.know_scores(points, scores, self._threshold)
-        self._foretold = Foretold(points, self._learned_from(scores, features), self._foretold.kernels)
+        learned_from, known = self._learned_from(scores, features), self._known_by_processes(scores)
+        self._foretold = Foretold(points, learned_from, self._foretold.kernels, known)
         self._grow(points, scores, features)
         return self
 
@@ -178,6 +184,14 @@ class Committee:
         trees = ExtraTreesClassifier(count, max_features=None, random_state=self._seed)
         forest = RandomForestClassifier(count, random_state=self._seed)
         return trees.fit(self._columns[some], self._kinds[some]), forest.fit(self._points[some], self._critical[some])
+
+    def _known_by_processes(self, scores: FloatArray) -> IntArray | None:
+        """Scenarios that the processes of features know: of many those next to the threshold, and evenly others."""
+        if len(scores) <= MOST_KNOWN:
+            return None
+        order = np.argsort(np.abs(scores - self._threshold), kind="stable")
+        near, rest = order[: MOST_KNOWN // 2], np.sort(order[MOST_KNOWN // 2 :])
+        return np.sort(np.concatenate([near, rest[evenly(len(rest), MOST_KNOWN - len(near))]]))
 
     def _learned_from(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
         if features is None or not self._inputs:

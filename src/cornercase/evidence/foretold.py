@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.threads import one_thread
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.kernel import Floats, Kernel, learned_kernel
 from cornercase.evidence.posterior import ExactPosterior
 
@@ -38,14 +38,16 @@ class Foretold:
     kernels : sequence of Kernel or None, optional
         Of each feature, f of them, where they are known; None for a feature that is left out. By default they are
         learned.
+    known : ndarray of int64, shape (k,), optional
+        Scenarios that the processes know; by default all. Matrices of k × k numbers are made.
 
     Attributes
     ----------
     kernels : list of Kernel or None
         Of each feature, scaled to a standard deviation of 1; None for one that is the same for all.
     left_out : ndarray of float64, shape (n, g)
-        What each scenario's features are by the processes of all others, scaled; g <= f, since features that are the
-        same for all are left out.
+        What each scenario's features are by the processes of all others that they know, scaled; g <= f, since features
+        that are the same for all are left out.
 
     Notes
     -----
@@ -54,11 +56,16 @@ class Foretold:
     """
 
     def __init__(
-        self, points: FloatArray, features: FloatArray, kernels: Sequence[Kernel | None] | None = None
+        self,
+        points: FloatArray,
+        features: FloatArray,
+        kernels: Sequence[Kernel | None] | None = None,
+        known: IntArray | None = None,
     ) -> None:
         spread = features.std(axis=0)
         scaled = (features - features.mean(axis=0)) / np.maximum(spread, _LEAST)
-        self._points = points
+        some: IntArray | slice = slice(None) if known is None else known
+        self._points = points[some]
         self._each: list[tuple[Kernel, Floats]] = []
         left_out = []
         # Sums in one order, whatever the number of threads.
@@ -69,13 +76,16 @@ class Foretold:
                     learned_kernel(points, scaled[:, j], _MOST_NOISE) if one else None for j, one in enumerate(varied)
                 ]
             self.kernels = list(kernels)
-            for kernel, values in zip(self.kernels, scaled.T, strict=True):
+            for kernel, values in zip(self.kernels, scaled[some].T, strict=True):
                 if kernel is not None:
                     noise = float(np.sqrt(kernel.noise**2 + _JITTER * kernel.signal**2))
-                    known = ExactPosterior(replace(kernel, noise=noise), points, values)
-                    self._each.append((kernel, _short(known.weights, kernel)))
-                    left_out.append(known.leave_one_out()[0])
-        self.left_out = np.array(left_out).reshape(-1, len(points)).T
+                    process = ExactPosterior(replace(kernel, noise=noise), self._points, values)
+                    self._each.append((kernel, _short(process.weights, kernel)))
+                    left_out.append(process.leave_one_out()[0])
+        by_others = np.array(left_out).reshape(-1, len(self._points)).T
+        # What the processes do not know they foretell without it anyway.
+        self.left_out = by_others if known is None else self.predict(points)
+        self.left_out[some] = by_others
 
     def predict(self, points: FloatArray) -> FloatArray:
         """Foretell the features at points.

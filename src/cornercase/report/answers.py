@@ -237,11 +237,11 @@ def _of_parameters(data: ReportData) -> Answer:
         f" {_share_of(found.first[k], found.first_interval[k])} alone."
         for k in order[:_MOST_POINTS]
     ]
-    little = f" Of little influence: {_listed(list(found.little))}." if found.little else ""
+    has = "has" if len(found.little) == 1 else "have"
+    little = f" {_listed(list(found.little))} {has} little influence." if found.little else ""
     text = (
-        f"{found.names[order[0]]} matters most.{little} So much of the variance of {data.summary.searched} comes from"
-        f" each parameter, by a Gaussian process that explains {percent(found.predicted)} of it (cross-validated); in"
-        " brackets 90 % intervals."
+        f"{found.names[order[0]]} matters most.{little} Shares of the variance of {data.summary.searched}, from a"
+        f" Gaussian process that explains {percent(found.predicted)} of it (cross-validated), with 90 % intervals:"
     )
     return Answer(name, question, text, tuple(points))
 

@@ -11,7 +11,15 @@ from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
 from cornercase.reduction import ReducedSet
 from cornercase.report.data import ReportData
-from cornercase.report.words import format_value, name_criterion, tell_front, tell_how_found, tell_unforetold, with_unit
+from cornercase.report.words import (
+    format_value,
+    judge_clusters,
+    name_criterion,
+    tell_front,
+    tell_how_found,
+    tell_unforetold,
+    with_unit,
+)
 
 
 def page_captions(data: ReportData) -> dict[str, Any]:
@@ -25,8 +33,8 @@ def page_captions(data: ReportData) -> dict[str, Any]:
     Returns
     -------
     dict of str to object
-        By the name of the view: a text, or texts by metric ("space", "histogram") or aspect ("kernel", "courses"). A
-        view that is not among them says the same of every study.
+        By the name of the view: a text, or texts by metric ("space", "histogram") or aspect ("kernel"). A view that
+        is not among them says the same of every study.
     """
     summary = data.summary
     known, analyses = summary.knowledge, summary.analyses
@@ -34,15 +42,52 @@ def page_captions(data: ReportData) -> dict[str, Any]:
         "space": {metric.name: of_scores(data, metric) for metric in data.metrics},
         "histogram": {metric.name: of_distribution(data, metric) for metric in data.metrics},
         "search": of_search(data),
-        "kernel": {name: of_kernel_space(one) for name, one in analyses.items()},
-        "courses": {name: of_courses(data.metric_of(name)) for name in analyses},
-        "coverage": of_coverage(),
+        "kernel": {name: of_clusters(one) for name, one in analyses.items()},
     }
     if known.front is not None:
-        found["front"] = of_front(len(known.front))
+        found["front"] = tell_front(len(known.front))
     if known.sensitivity is not None:
-        found["matters"] = of_sensitivity(known.sensitivity, summary.searched)
+        found["matters"] = of_influence(known.sensitivity)
     return found
+
+
+def of_clusters(analysis: Analysis) -> str:
+    """Say how many clusters there are by an aspect.
+
+    Parameters
+    ----------
+    analysis : Analysis
+        The clusters.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    count, noise = analysis.clustering.n_clusters, int((analysis.labels < 0).sum())
+    if count < 2:
+        return judge_clusters(analysis)
+    outside = f", and {noise} scenarios of noise" if noise else ""
+    return f"{count} kinds by {analysis.by}{outside}."
+
+
+def of_influence(found: Sensitivity) -> str:
+    """Say which parameter matters most.
+
+    Parameters
+    ----------
+    found : Sensitivity
+        The sensitivities.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    if not found.foretold:
+        return tell_unforetold()
+    little = f" {' and '.join(found.little)} {'has' if len(found.little) == 1 else 'have'} little influence."
+    return f"{found.names[int(np.argmax(found.total))]} matters most.{little if found.little else ''}"
 
 
 def of_distribution(data: ReportData, metric: Metric) -> str:
@@ -109,16 +154,13 @@ def of_scores(data: ReportData, metric: Metric) -> str:
     """
     one = data.summary.metrics[metric.name]
     at = ", ".join(
-        f"{parameter.name} = {with_unit(format_value(parameter.read(one.at)), parameter.unit)}"
+        f"{parameter.name} = {with_unit(format_value(parameter.read(one.at), 4), parameter.unit)}"
         for parameter in data.parameters
     )
-    low = "low" if metric.lower_is_critical else "high"
     many = int((data.scores[metric.name] == one.most_critical).sum())
-    which = f"One of the {many} most critical ones" if many > 1 else "The most critical one"
-    said = (
-        f"Each point is a scenario, by its {metric.name} score; {low} is critical. {which} is scenario {one.scenario}"
-        f" with {metric.name} {with_unit(f'{one.most_critical:.3g}', metric.unit)} at {at}."
-    )
+    which = f"One of the {many} most critical scenarios" if many > 1 else "The most critical"
+    best = with_unit(f"{one.most_critical:.3g}", metric.unit)
+    said = f"{which} is scenario {one.scenario}, {metric.name} {best} at {at}."
     if one.alike:
         said += f" {one.alike}"
     if one.spread is not None:

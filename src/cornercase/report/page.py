@@ -20,7 +20,7 @@ from cornercase._common.files import require_other_file, written_whole
 from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
 from cornercase.report.details import page_details
-from cornercase.report.packing import PackedRecordings, pack_recordings
+from cornercase.report.packing import PackedRecordings, pack_most, tell_left_out
 from cornercase.report.rerun import tell_rerun
 from cornercase.report.roads import find_roads, pack_roads
 from cornercase.report.sections.overview import tell_provenance
@@ -131,7 +131,7 @@ def write_report(
             _tell_why_empty(opened)
         begun = time.monotonic()
         data = read_report_data(opened)
-        packed = pack_recordings(opened, [row.id for row in data.rows])
+        packed = pack_most(opened, data)
         sketch, missing = find_roads(opened, data.region, scenario, data.rows[0].values)
         rerun = tell_rerun(opened, scenario)
         if not opened.readonly:
@@ -166,7 +166,8 @@ def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, An
     str
         HTML.
     """
-    contents = page_contents(data) | {"recordings": packed.index, **roads}
+    there = {"recordings": packed.index, "recordings_left_out": tell_left_out(data, packed)}
+    contents = page_contents(data) | there | dict(roads)
     return _fill(
         live=False,
         title=contents["title"],

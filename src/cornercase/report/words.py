@@ -186,20 +186,22 @@ def tell_how_found(analysis: Analysis) -> str:
     return text
 
 
-def format_value(value: Value) -> str:
+def format_value(value: Value, digits: int = 6) -> str:
     """Write the value of a parameter.
 
     Parameters
     ----------
     value : float or str
         The value.
+    digits : int, default 6
+        Most digits of a number.
 
     Returns
     -------
     str
-        With up to six digits.
+        A choice as it is called.
     """
-    return value if isinstance(value, str) else f"{value:.6g}"
+    return value if isinstance(value, str) else f"{value:.{digits}g}"
 
 
 def with_unit(number: str, unit: str) -> str:

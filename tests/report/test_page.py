@@ -1,0 +1,347 @@
+"""What the file of a page holds: the study, its recordings, and nothing that a name in it could run."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+import shlex
+import struct
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from command_line import cornercase
+from conftest import EXAMPLES
+from cornercase._common.errors import InputError
+from cornercase._common.version import __version__
+from cornercase.clustering import analyze
+from cornercase.recordings import Collision, Recording
+from cornercase.reduction import reduce
+from cornercase.report import packing, put_in_words, summarize, write_report
+from cornercase.report.answers import page_answers
+from cornercase.report.blocks import pack_block, pack_record
+from cornercase.report.data import read_report_data
+from cornercase.report.repeating import name_command
+from cornercase.report.words import percent
+from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.study import Study
+from synthetic import SPACE, Synthetic, about, explorer, opened
+
+# As `explorer` searches, so that the study knows which scenarios fill the space.
+BY_SOBOL = {"optimizer": "sobol", "seed": 7}
+STEPS = {"time": 1e-4, "x": 1e-3, "y": 1e-3, "heading": 1e-4, "speed": 1e-3, "acceleration": 1e-3, "course": 1e-4}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """A study with scenarios that failed, a threshold, clusters and a reduced set."""
+    path = tmp_path_factory.mktemp("page") / "s.db"
+    with Study.create(path, about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
+    analyze(path, "distance", gamma=4.0, eps=0.2, min_samples=3)
+    return path
+
+
+def contents_of(page):
+    (text,) = re.findall(r'<script type="application/json" id="contents">(.*?)</script>', page, re.DOTALL)
+    return json.loads(text)
+
+
+def page_of(study, folder, **options):
+    return write_report(study, folder / "r.html", **options).read_text(encoding="utf-8")
+
+
+def unpacked(page, scenario):
+    """A recording of a page, read as the docstring of `pack_record` says."""
+    block, offset = contents_of(page)["recordings"][str(scenario)]
+    (text,) = re.findall(f'class="recordings" data-block="{block}">([^<]*)<', page)
+    return read_record(zlib.decompress(base64.b64decode(text))[offset:])
+
+
+def read_record(data):
+    (length,) = struct.unpack_from("<I", data)
+    head = json.loads(data[4 : 4 + length])
+    rows, instants = sum(count for _, count, _ in head["fields"]), head["instants"]
+    there = np.frombuffer(data, np.uint8, rows * instants, 4 + length).reshape(rows, instants)
+    twice = np.frombuffer(data, "<i4", rows * instants, 4 + length + there.size).reshape(rows, instants)
+    whole = np.cumsum(np.cumsum(twice, axis=1, dtype=np.int32), axis=1, dtype=np.int32)
+    found, row = {}, 0
+    for name, count, step in head["fields"]:
+        values = whole[row : row + count] * step + head["origin"].get(name, 0.0)
+        found[name] = np.where(there[row : row + count] == 1, values, np.nan)
+        row += count
+    return head, found
+
+
+def test_each_scenario_of_the_study_is_in_the_contents(path, tmp_path):
+    contents = contents_of(page_of(path, tmp_path))
+    with Study.open(path, readonly=True) as study:
+        rows, table, labels = study.rows(), study.table(), study.analysis("distance", "labels")[0]["labels"]
+    columns = contents["scenarios"]
+    assert columns["id"] == [row.id for row in rows]
+    assert columns["round"] == [row.round for row in rows]
+    assert columns["failed"] == [int(row.state == "failed") for row in rows]
+    assert sum(columns["failed"]) > 0
+    for parameter, values in zip(contents["parameters"], columns["values"], strict=True):
+        assert values == [row.values[parameter["name"]] for row in rows]
+    for name in ("distance", "wttc"):
+        expected = [None if math.isnan(score) else float(f"{score:.6g}") for score in table[name].tolist()]
+        assert columns["scores"][name] == expected
+    assert columns["critical"] == [int(score <= 1.0) for score in table["distance"]]
+    assert contents["errors"] == {str(row.id): row.error for row in rows if row.state == "failed"}
+    kinds = contents["kinds"]["distance"]
+    assert [label for label in kinds["labels"] if label is not None] == labels.tolist()
+    outcomes = [contents["outcomes"][one] for one in columns["outcome"] if one is not None]
+    assert outcomes == table["outcome"].dropna().tolist()
+
+
+def test_the_search_is_told_round_by_round(path, tmp_path):
+    told = contents_of(page_of(path, tmp_path))["search"]
+    with Study.open(path, readonly=True) as study:
+        rounds, scores = [row.round for row in study.done()], study.scores("distance")
+        known = summarize(study).knowledge.critical.known
+    assert told["run"] == [sum(one <= last for one in rounds) for last in sorted(set(rounds))]
+    assert told["best"] == [float(f"{scores[:run].min():.5g}") for run in told["run"]]
+    assert told["critical"] == [int((scores[:run] <= 1.0).sum()) for run in told["run"]]
+    assert [one["run"] for one in told["missed"]] == sorted({one["run"] for one in told["missed"]})
+    assert {one["run"] for one in told["missed"]} <= set(told["run"])
+    assert told["missed"][-1]["run"] == len(scores)
+    assert told["missed"][-1]["value"] == pytest.approx(known.missed.value, rel=1e-4)
+    assert len(told["missed"]) > 1
+
+
+def test_what_was_missed_at_a_round_is_as_it_would_have_been_told_then(path, tmp_path):
+    told = contents_of(page_of(path, tmp_path))["search"]["missed"][0]
+    with Study.create(tmp_path / "short.db", about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
+        last = 10 * round(told["run"] / 9)
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=last).run()
+        assert len(study.done()) == told["run"]
+        known = summarize(study).knowledge.critical.known
+    assert told["value"] == pytest.approx(known.missed.value, rel=1e-4)
+
+
+def test_recordings_are_read_back(path, tmp_path):
+    page = page_of(path, tmp_path)
+    with Study.open(path, readonly=True) as study:
+        assert set(contents_of(page)["recordings"]) == {str(row.id) for row in study.done()}
+        for scenario in [row.id for row in study.done()][::7]:
+            head, found = unpacked(page, scenario)
+            recording = study.recording(scenario)
+            assert (head["id"], tuple(head["names"])) == (scenario, recording.names)
+            for name in ("x", "y", "heading", "speed", "acceleration"):
+                np.testing.assert_allclose(found[name], getattr(recording, name), atol=STEPS[name])
+            np.testing.assert_allclose(found["time"][0], recording.time, atol=STEPS["time"])
+            np.testing.assert_allclose(
+                found["course distance"][0], study.course(scenario, "distance"), atol=STEPS["course"]
+            )
+
+
+def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(0.01, 0.1, 200))
+    walk = np.cumsum(rng.normal(size=(3, 200)), axis=1)
+    x, heading = 5.4e6 + walk, np.cumsum(walk, axis=1) / 50.0
+    x[1, 40:90] = heading[1, 40:90] = np.nan
+    recording = Recording(
+        time=time, names=("Ego", "歩行者", "</script>"), kinds=("car", "pedestrian", "misc"), x=x, y=-x, heading=heading,
+        speed=np.abs(walk), acceleration=walk, length=np.full(3, 4.5), width=np.full(3, 1.8), center_x=np.full(3, 1.3),
+        collisions=(Collision(float(time[7]), ("Ego", "</script>")),),
+    )  # fmt: skip
+    course = np.where(time > 3.0, np.inf, time)
+    block, offsets = pack_block([b"", pack_record(4, recording, {"ttc": course})])
+    head, found = read_record(zlib.decompress(block)[offsets[1] :])
+    for name in ("x", "y", "heading", "speed", "acceleration"):
+        np.testing.assert_allclose(found[name], getattr(recording, name), atol=STEPS[name])
+    np.testing.assert_allclose(found["course ttc"][0], np.where(np.isinf(course), np.nan, course), atol=1e-4)
+    assert head["collisions"] == [[float(time[7]), 0, 2]]
+    assert head["names"][1] == "歩行者"
+
+
+def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path, monkeypatch):
+    copy = tmp_path / "s.db"
+    copy.write_bytes(path.read_bytes())
+    monkeypatch.setattr(packing, "_WHOLE", 1000)
+    monkeypatch.setattr(packing, "_SAMPLE", 1000)
+    monkeypatch.setattr(packing, "_MOST_CRITICAL", 2)
+    with Study.open(copy, readonly=True) as study:
+        examples = {one.example for one in summarize(study).analyses["distance"].profiles if one.example is not None}
+        worst = study.done()[int(study.scores("distance").argmin())].id
+        run = len(study.done())
+    page = page_of(copy, tmp_path)
+    contents = contents_of(page)
+    there = {int(one) for one in contents["recordings"]}
+    assert examples | {worst} <= there
+    assert len(there) < run
+    assert f"{len(there)} of the {run} recordings" in contents["recordings_left_out"]
+    monkeypatch.undo()
+    assert contents_of(page_of(copy, tmp_path))["recordings_left_out"] == ""
+
+
+def test_each_beginning_of_an_even_order_is_spread():
+    for count in (1, 2, 7, 100, 1000):
+        order = packing._spread(count)
+        assert sorted(order) == list(range(count))
+        for some in (count // 8, count // 3):
+            if some > 4:
+                assert np.diff(np.sort(order[:some])).max() <= 2.5 * count / some
+
+
+HOSTILE = "</script><script>alert(1)</script>\u2028 \" ' & $\\frac{ 歩行者"
+
+
+def test_no_name_ends_a_script_or_an_attribute(tmp_path):
+    plain = SPACE.to_json()
+    plain["parameters"][0]["name"] = plain["parameters"][0]["unit"] = HOSTILE
+    space = ParameterSpace.from_json(plain)
+    meta = about(space, "distance", ego=HOSTILE, other="B", settings={HOSTILE: HOSTILE})
+    with Study.create(tmp_path / "s.db", replace(meta, scenario="/x/<script><script>alert(1)<script>\u2028 歩行者.xosc")) as study:
+        points = np.random.default_rng(1).random((12, 2))
+        for row in study.propose(1, points, space.values(points)):
+            (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
+            course = np.full(5, 10 * abs(0.5 - row.point[1]))
+            study.finish(row.id, replace(found, names=(HOSTILE, "B")), {"distance": (course, float(course[0]))})
+    page = page_of(tmp_path / "s.db", tmp_path, figures=True)
+    contents = contents_of(page)
+    assert contents["ego"] == contents["parameters"][0]["name"] == HOSTILE
+    assert unpacked(page, 1)[0]["names"][0] == HOSTILE
+    assert "alert(1)</script>" not in page
+    assert page.count("<script") == page.count("</script")
+    assert "\u2028" not in page.split('id="contents">')[1]
+    assert contents["title"] == "<script><script>alert(1)<script>\u2028 歩行者"
+
+
+@pytest.mark.parametrize("kind", ["plain", "pareto", "weights", "one", "choices", "repeats", "imported"])
+def test_every_kind_of_study_has_a_page(tmp_path, kind):
+    space, more, scores = SPACE, {}, None
+    if kind == "pareto":
+        more = {"pareto": True}
+    elif kind == "weights":
+        more = {"weights": {"distance": 1.0, "wttc": 2.0}, "critical": 4.0}
+    elif kind == "choices":
+        space = ParameterSpace([Parameter("way", 0, 2, choices=("left", "right", "<b>")), SPACE.parameters[1]])
+    elif kind == "imported":
+        more = {"simulator": "imported", "files": tuple(f"{k}.csv" for k in range(1, 31))}
+    elif kind == "repeats":
+        more, scores = {"repeats": 3}, {"distance": [1.0, 2.0, 3.0]}
+    with Study.create(tmp_path / "s.db", about(space, "distance", "wttc", **more)) as study:
+        points = np.random.default_rng(1).random((1 if kind == "one" else 30, 2))
+        for row in study.propose(1, points, space.values(points)):
+            (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
+            course = np.append(np.full(4, 10 * abs(0.5 - row.point[1])), np.nan)
+            study.finish(row.id, found, {name: (course, float(course[0])) for name in ("distance", "wttc")}, scores)
+    page = page_of(tmp_path / "s.db", tmp_path, figures=True)
+    contents = contents_of(page)
+    assert len(contents["scenarios"]["id"]) == len(points)
+    asked = [one["name"] for one in contents["answers"]]
+    assert ("front" in asked) == (kind == "pareto") == (contents["front"] is not None)
+    assert ("critical" in asked) == (kind != "pareto")
+    assert all(one["text"] for one in contents["answers"])
+    if kind == "choices":
+        assert contents["parameters"][0]["choices"] == ["left", "right", "<b>"]
+        assert set(contents["scenarios"]["values"][0]) <= {0.0, 1.0, 2.0}
+    if kind == "imported":
+        assert "cornercase import" in page
+    # Where a course has no value, it is at its cap.
+    assert unpacked(page, 1)[1]["course distance"][0][-1] == 100.0
+
+
+def test_where_all_failed_there_is_no_page(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        points = np.array([[0.99, 0.1]])
+        explorer(study, metrics=("distance",), optimizer="sobol", budget=1)
+        (row,) = study.propose(1, points, SPACE.values(points))
+        study.fail(row.id, next(iter(Synthetic().run([type("C", (), {"values": {"a": 0.99, "b": 0.1}})]))))
+    with pytest.raises(InputError, match="all 1 scenarios failed"):
+        write_report(tmp_path / "s.db", tmp_path / "r.html")
+    assert not (tmp_path / "r.html").exists()
+
+
+def test_answers_say_what_show_says(path, tmp_path):
+    with Study.open(path, readonly=True) as study:
+        data = read_report_data(study)
+    words = put_in_words(data.summary)
+    answers = {one.name: one for one in page_answers(data)}
+    share = words["critical"]["share"]
+    assert f"About {percent(share['value'])} of the space is critical" in answers["critical"].text
+    assert f"{percent(share['low'])} to {percent(share['high'])}" in answers["critical"].text
+    assert f"{words['critical']['scenarios']} of the {words['run']} scenarios" in answers["critical"].text
+    missed = words["critical"]["missed"]
+    assert f"About {percent(missed['value'])}" in answers["missed"].text
+    assert f"could hide {percent(words['critical']['hidden'])}" in answers["missed"].text
+    sizes = words["clusters"]["distance"]["sizes"]
+    assert [int(re.search(r"\((\d+) scenarios\)", one)[1]) for one in answers["kinds"].points] == sizes
+    first = max(words["sensitivity"]["parameters"].items(), key=lambda item: item[1]["total"])
+    assert answers["parameters"].text.startswith(f"{first[0]} matters most")
+    assert percent(first[1]["total"]) in answers["parameters"].points[0]
+    assert f"{words['failed']} of {words['run'] + words['failed']} scenarios" in answers["failed"].text
+    reasons = {row.error for row in data.failed}
+    assert {one.partition(": ")[2] for one in answers["failed"].points} <= reasons
+
+
+def test_where_nothing_is_critical_a_bound_is_told_that_holds(tmp_path):
+    with Study.create(tmp_path / "s.db", about(SPACE, "distance", "wttc", critical=-1.0, **BY_SOBOL)) as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
+        data = read_report_data(study)
+    text = next(one.text for one in page_answers(data) if one.name == "critical")
+    assert text.startswith(f"None of the {data.summary.run} scenarios that were run is critical")
+    high = data.summary.knowledge.critical.known.share.high
+    # The rule of three.
+    assert high == pytest.approx(3.0 / data.summary.run, rel=0.1)
+    assert f"At most {percent(high)} of the space is critical" in text
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [(0.0, "0 %"), (0.00034, "0.034 %"), (0.0995, "10 %"), (0.1234, "12 %"), (0.999, "over 99 %"), (1.0, "100 %")],
+)
+def test_a_share_is_told_in_two_digits(share, words):
+    assert percent(share) == words
+
+
+def test_the_command_of_a_page_makes_the_study_again(tmp_path):
+    x = EXAMPLES / "x_intersection" / "x_intersection"
+    made = tmp_path / "s.db"
+    options = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--budget", 6, "--batch", 3, "--seed", 5]
+    found = cornercase("explore", f"{x}.xosc", "--space", f"{x}.space.xosc", *options, "--critical", 0.3, "-o", made)
+    assert found.returncode == 0, found.stderr
+    with Study.open(made, readonly=True) as study:
+        name, *words = shlex.split(name_command(study.meta))
+        rows, scores = study.rows(), study.scores("wttc")
+    assert (name, words[0], words[-2:]) == ("cornercase", "explore", ["-o", "study.db"])
+    again = tmp_path / "again.db"
+    found = cornercase(*words[:-1], again, cwd=x.parent)
+    assert found.returncode == 0, found.stderr
+    with Study.open(again, readonly=True) as study:
+        assert [row.values for row in study.rows()] == [row.values for row in rows]
+        np.testing.assert_array_equal(study.scores("wttc"), scores)
+
+
+def test_provenance_says_what_figures_depend_on(path, tmp_path):
+    page = page_of(path, tmp_path)
+    made = page.split('id="provenance"')[1]
+    for words in (np.__version__, __version__, "scikit-learn", "SciPy", "Python", "seed", "fingerprint", "s.db"):
+        assert words in made
+    assert str(path.parent) not in page
+
+
+def test_a_reduced_study_tells_what_is_kept(tmp_path):
+    with Study.create(tmp_path / "s.db", about(SPACE, "distance", "wttc", critical=1.0)) as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
+        study.meta = replace(study.meta, simulator="imported", files=tuple(map(str, range(1, 48))))
+        analyze(study, "distance", gamma=4.0, eps=0.2, min_samples=3)
+        reduced = reduce(study, tmp_path / "reduced", size=6)
+        contents = contents_of(page_of(study, tmp_path))
+    columns = contents["scenarios"]
+    kept = [one for one, chosen in zip(columns["id"], columns["kept"], strict=True) if chosen]
+    assert kept == sorted(reduced.ids) == sorted(map(int, contents["kept"]))
+    curves = contents["coverage"]["distance"]
+    assert curves["kept"] == sorted(curves["kept"])
+    assert curves["kept"][-1] == 100.0
+    ran = set(columns["id"])
+    assert all({*edge} <= ran for edges in contents["hulls"].values() for edge in edges)
+    text = next(one["text"] for one in contents["answers"] if one["name"] == "kept")
+    assert text.startswith(f"Keep {len(kept)} of the {reduced.run} scenarios")
