@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cornercase.evidence import Committee, boundary_process
+from cornercase.evidence import Committee, boundary_process, committee
 from cornercase.metrics import Feature
 from cornercase.optimizers import CommitteeOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
@@ -51,6 +51,24 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot():
     others = explored(LevelSetOptimizer(CUBE, 2, THRESHOLD), 200, function=lambda at: outcome(at)[0])
     alone = boundary_process(others, outcome(others)[0], THRESHOLD).predict(EVERYWHERE)[0] < 0.0
     assert recall > agreement(alone, true)[0] + 0.09
+
+
+def test_of_many_scenarios_its_processes_know_those_that_tell_most(monkeypatch):
+    points = SobolOptimizer(CUBE, 1).ask(300)
+    scores, told = outcome(points)
+    monkeypatch.setattr(committee, "MOST_KNOWN", 300)
+    every = Committee(THRESHOLD, FEATURES).fit(points, scores, told).predict(EVERYWHERE)[0]
+    monkeypatch.setattr(committee, "MOST_KNOWN", 150)
+    some = Committee(THRESHOLD, FEATURES).fit(points, scores, told)
+    true = outcome(EVERYWHERE)[0] <= THRESHOLD
+    for critical in (every, some.predict(EVERYWHERE)[0]):
+        recall, precision = agreement(critical > 0.5, true)
+        assert recall > 0.75
+        assert precision > 0.75
+    # What it says of each by the others is said of all, known to the processes or not.
+    wrong = (some.out_of_fold() > 0.5) != (scores <= THRESHOLD)
+    assert wrong.shape == (300,)
+    assert wrong.mean() < 0.1
 
 
 def test_without_features_it_finds_both_regions():
