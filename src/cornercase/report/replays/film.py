@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from cornercase._common.texts import plain_text, shorten
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import Metric
 from cornercase.report.replays.footage import Footage, Take
-from cornercase.report.replays.motion import motion_at
+from cornercase.report.replays.motion import Motion, motion_at
 from cornercase.report.replays.scene import EGO, GROUND, LABEL, LINE, OTHER, Scene
 
 if TYPE_CHECKING:
@@ -82,6 +83,8 @@ class Film:
         axes.set_xlabel("x [m]", labelpad=1.0)
         axes.set_ylabel("y [m]", labelpad=1.0)
         axes.tick_params(labelsize=8)
+        # Places may be those of a country's grid.
+        axes.ticklabel_format(useOffset=False, style="plain")
         about = [f"scenario {take.row.id}", take.outcome, *(("critical",) if take.critical else ())]
         title = plain_text(" · ".join(filter(None, about)))
         axes.set_title(shorten(title, _LONGEST_TITLE // count), loc="left", fontsize=11, pad=5)
@@ -142,24 +145,32 @@ class Film:
             One frame for each time.
         """
         metric = self._footage.metrics[0].name
-        axes, (cursor, *dots) = self._course
         takes = self._footage.takes
         motions = [
             motion_at(take.recording, np.clip(times, take.recording.time[0], take.recording.time[-1])) for take in takes
         ]
         values = [np.interp(times, take.recording.time, take.courses[metric]) for take in takes]
         # What does not move is drawn once.
-        self._canvas.draw()  # type: ignore[no-untyped-call]
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
+            self._canvas.draw()  # type: ignore[no-untyped-call]
         still = self._canvas.copy_from_bbox(self._figure.bbox)  # type: ignore[no-untyped-call]
         for k, time in enumerate(times.tolist()):
-            self._canvas.restore_region(still)  # type: ignore[no-untyped-call]
-            for scene, motion in zip(self._scenes, motions, strict=True):
-                scene.draw(motion, k, time)
-            cursor.set(xdata=[time, time])
-            for dot, value, take in zip(dots, values, takes, strict=True):
-                dot.set(xdata=[min(time, float(take.recording.time[-1]))], ydata=[value[k]])
-            for artist in (cursor, *dots):
-                axes.draw_artist(artist)
-            self._clock.set_text(f"{time:.2f} s")
-            self._figure.draw_artist(self._clock)
+            with warnings.catch_warnings():
+                # Signs that the font lacks are drawn as boxes.
+                warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
+                self._draw_moving(still, k, time, motions, values)
             yield np.array(self._canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
+
+    def _draw_moving(self, still: Any, k: int, time: float, motions: list[Motion], values: list[FloatArray]) -> None:
+        self._canvas.restore_region(still)  # type: ignore[no-untyped-call]
+        axes, (cursor, *dots) = self._course
+        for scene, motion in zip(self._scenes, motions, strict=True):
+            scene.draw(motion, k, time)
+        cursor.set(xdata=[time, time])
+        for dot, value, take in zip(dots, values, self._footage.takes, strict=True):
+            dot.set(xdata=[min(time, float(take.recording.time[-1]))], ydata=[value[k]])
+        for artist in (cursor, *dots):
+            axes.draw_artist(artist)
+        self._clock.set_text(f"{time:.2f} s")
+        self._figure.draw_artist(self._clock)

@@ -64,6 +64,24 @@ function boxAt(recording, entity, time) {
   };
 }
 
+// Ways of the boxes' centres, which do not change while a recording is shown: for each entity its x and y.
+const waysKnown = new WeakMap();
+
+function waysOf(recording) {
+  if (!waysKnown.has(recording)) {
+    const ways = recording.names.map((_, entity) => {
+      const ahead = recording.center_x[entity];
+      const heading = recording.heading[entity];
+      return [
+        recording.x[entity].map((x, k) => x + ahead * Math.cos(heading[k])),
+        recording.y[entity].map((y, k) => y + ahead * Math.sin(heading[k])),
+      ];
+    });
+    waysKnown.set(recording, ways);
+  }
+  return waysKnown.get(recording);
+}
+
 function boxesAt(recording, time) {
   return recording.names.map((_, entity) => boxAt(recording, entity, time));
 }

@@ -1,5 +1,8 @@
 "use strict";
 
+// Entities whose values are told.
+const MOST_VALUES = 30;
+
 // One of the two scenes of the replay: a scenario's name and values, its canvas, and what holds at the clock's time.
 class ReplayPane {
   constructor(slot, panel) {
@@ -29,6 +32,7 @@ class ReplayPane {
   async show(id) {
     this.id = id;
     this.recording = null;
+    this.lastBox = null;
     const asked = ++this.asked;
     this.box.hidden = id === null;
     this.values.hidden = true;
@@ -107,7 +111,12 @@ class ReplayPane {
     }
     head.append(row);
     const body = newElement("tbody");
-    this.cells = recording.names.map((name, entity) => {
+    const order = recording.names.map((_, entity) => entity);
+    const isThird = (entity) => entity !== this.ego && entity !== this.other;
+    order.sort((one, other) => isThird(one) - isThird(other));
+    this.cells = new Map();
+    for (const entity of order.slice(0, MOST_VALUES)) {
+      const name = recording.names[entity];
       const line = newElement("tr");
       const first = newElement("th", "", name);
       first.scope = "row";
@@ -115,8 +124,13 @@ class ReplayPane {
       const cells = [newElement("td"), newElement("td")];
       line.append(first, ...cells);
       body.append(line);
-      return cells;
-    });
+      this.cells.set(entity, cells);
+    }
+    if (order.length > MOST_VALUES) {
+      const line = newElement("tr");
+      line.append(newElement("td", "", `and ${order.length - MOST_VALUES} more`));
+      body.append(line);
+    }
     this.values.replaceChildren(newElement("caption", "", `Scenario ${this.id} now`), head, body);
   }
 
@@ -142,8 +156,11 @@ class ReplayPane {
     return near ?? regionOf(recording, both, -Infinity, Infinity, 8) ?? this.region(true);
   }
 
+  // Where the ego is, or was last.
   boxOfEgo(time) {
-    return this.recording && this.ego >= 0 ? boxAt(this.recording, this.ego, this.timeOf(time)) : null;
+    if (!this.recording || this.ego < 0) return null;
+    this.lastBox = boxAt(this.recording, this.ego, this.timeOf(time)) ?? this.lastBox;
+    return this.lastBox;
   }
 
   // Its own time: a recording that ended stays as it ended.
@@ -185,10 +202,11 @@ class ReplayPane {
   tell(time) {
     const { recording, panel } = this;
     const boxes = boxesAt(recording, time);
-    boxes.forEach((box, entity) => {
-      this.cells[entity][0].textContent = box ? box.speed.toFixed(2) : "–";
-      this.cells[entity][1].textContent = box ? box.acceleration.toFixed(2) : "–";
-    });
+    for (const [entity, [speed, acceleration]] of this.cells) {
+      const box = boxes[entity];
+      speed.textContent = box ? withSceneUnit(box.speed, "", 2) : "–";
+      acceleration.textContent = box ? withSceneUnit(box.acceleration, "", 2) : "–";
+    }
     const metric = panel.metric();
     const course = recording.courses[metric.name];
     const score = course ? between(course, momentOf(recording.time, time)) : NaN;
@@ -211,8 +229,8 @@ function newElement(tag, className = "", text = "") {
   return element;
 }
 
-function withSceneUnit(value, unit) {
+function withSceneUnit(value, unit, digits = null) {
   if (value === null || !Number.isFinite(value)) return "–";
-  const text = String(Number(value.toPrecision(4)));
+  const text = digits === null ? String(Number(value.toPrecision(4))) : value.toFixed(digits);
   return unit && unit !== "1" ? `${text} ${unit}` : text;
 }

@@ -31,6 +31,12 @@ class ReplayPanel {
     store.on("options", () => this.choose());
     store.on("theme", () => this.recolour());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
+    // Paper is white, and printed before the next frame.
+    addEventListener("beforeprint", () => {
+      this.colours = null;
+      this.draw();
+    });
+    addEventListener("afterprint", () => this.recolour());
     listenToKeys(section, this);
     this.ready = this.follow();
   }

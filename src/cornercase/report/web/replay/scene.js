@@ -6,6 +6,8 @@ const SCENE_FONT = "12px system-ui, sans-serif";
 const LONGEST_LABEL = 24;
 // A pedestrian is drawn at least so large, in pixels, or it could not be seen from afar.
 const SMALLEST_RADIUS = 4;
+// Places of all entities together.
+const MOST_TRAILED = 100_000;
 const SCALE_BARS = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
 
 const SCENE_COLOURS = [
@@ -99,14 +101,15 @@ function drawLook(context, scene, boxes, place) {
 // Where an entity was, as a line, and where it will be, as dots; the other's line is dashed.
 function drawTrail(context, scene, entity, look, place) {
   const { recording, time, colours } = scene;
-  const ahead = recording.center_x[entity];
-  const [x, y, heading] = [recording.x[entity], recording.y[entity], recording.heading[entity]];
+  // In dense traffic the ways of all would take long to draw, and hide what matters.
+  if (look === "third" && recording.names.length * recording.time.length > MOST_TRAILED) return;
+  const [x, y] = waysOf(recording)[entity];
   const now = instantBefore(recording.time, time);
   const stroke = (first, last) => {
     context.beginPath();
     let down = false;
     for (let k = first; k <= last; k++) {
-      const at = place(x[k] + ahead * Math.cos(heading[k]), y[k] + ahead * Math.sin(heading[k]));
+      const at = place(x[k], y[k]);
       if (!Number.isFinite(at[0])) down = false;
       else if (down) context.lineTo(...at);
       else context.moveTo(...at);
@@ -187,13 +190,16 @@ function drawLabels(context, scene, boxes, lookOf, place) {
     const { colours, view } = scene;
     const stands = !(Math.abs(box.speed) > 0.05);
     const text = look === "third" && stands ? name : `${name} ${box.speed.toFixed(1)} m/s`;
-    const [x, y] = place(box.x, box.y);
+    const [across, y] = place(box.x, box.y);
     const reach = Math.max(
       (Math.abs(box.sin) * box.halfLength + Math.abs(box.cos) * box.halfWidth) * view.scale,
       SMALLEST_RADIUS,
     );
     context.font = SCENE_FONT;
     const half = context.measureText(text).width / 2 + 2;
+    // Who is at the edge of the scene has its whole name in it.
+    const isThere = across > 0 && across < scene.width;
+    const x = isThere ? Math.max(half, Math.min(across, scene.width - half)) : across;
     const heights = above(entity) ? [y - reach - 8, y + reach + 16] : [y + reach + 16, y - reach - 8];
     const clear = ([left, right, up], down) => x + half < left || x - half > right || Math.abs(up - down) > 14;
     const free = (down) => taken.every((one) => clear(one, down));
