@@ -206,6 +206,7 @@ def _plain(meta: StudyMeta, path: Path) -> dict[str, Any]:
         "outcomes": [],
         "answers": [],
         "captions": {},
+        "recordings_left_out": "",
         "roads": None,
         "roads_missing": "",
         "rerun": None,

@@ -87,8 +87,11 @@ class ActionBar {
     const { why, file_why: fileWhy } = this.running.told ?? {};
     const hasFile = isLive() ? !fileWhy : this.running.told?.file;
     this.xosc.disabled = !hasFile;
-    this.csv.disabled = !this.recordings.has(this.id);
-    this.why.textContent = [why, hasFile ? "" : fileWhy].filter(Boolean).join(" ");
+    const hasRecording = this.recordings.has(this.id);
+    this.csv.disabled = !hasRecording;
+    const isFailed = store.contents.scenarios.failed[store.rows.get(this.id)];
+    const leftOut = hasRecording || isFailed ? "" : store.contents.recordings_left_out;
+    this.why.textContent = [why, hasFile ? "" : fileWhy, leftOut].filter(Boolean).join(" ");
     this.why.hidden = !this.why.textContent;
   }
 
