@@ -63,16 +63,33 @@ class FilterBar {
     if (event === "cleared") for (const name of Object.keys(this.values)) this.values[name] = "";
     // Clusters of another aspect have other numbers.
     if (event === "options" && detail.includes("aspect") && this.values.kind) this.set({ kind: "" });
-    if (event === "contents") this.applyAll();
+    if (event === "contents") {
+      this.applyAll();
+      this.store.applyFilters(false);
+    }
     this.refresh();
   }
 
   // Filters by name, as texts: what the selects hold, and what stands in the address.
   set(values) {
-    Object.assign(this.values, values);
+    for (const [name, value] of Object.entries(values)) this.values[name] = this.known(name, value) ? value : "";
     this.applyAll();
     this.store.applyFilters();
     announce(this.count.textContent);
+  }
+
+  // Addresses are written by people, and for other studies.
+  known(name, value) {
+    const { contents } = this.store;
+    if (value === "") return true;
+    if (name === "kind") return this.labels().some((label) => String(label ?? "none") === value);
+    if (name === "outcome") return contents.outcomes.includes(value);
+    return value === "0" || value === "1";
+  }
+
+  labels() {
+    const { contents, options } = this.store;
+    return options.aspect === null ? [] : [...new Set(contents.kinds[options.aspect].labels)];
   }
 
   applyAll() {
@@ -113,8 +130,8 @@ class FilterBar {
 
   refreshSelects() {
     const { store } = this;
-    const { contents, options } = store;
-    const labels = options.aspect === null ? [] : [...new Set(contents.kinds[options.aspect].labels)];
+    const { contents } = store;
+    const labels = this.labels();
     labels.sort((one, other) => (one ?? 1e9) - (other ?? 1e9));
     const kinds = labels.map((label) => [String(label ?? "none"), store.kindName(label)]);
     setOptions(this.selects.kind, [["", "any"], ...kinds]);

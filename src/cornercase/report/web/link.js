@@ -96,7 +96,7 @@ class Link {
     if (value === null) return null;
     const { contents } = this.store;
     if (name === "metric") return contents.metrics.some((one) => one.name === value) ? value : null;
-    if (name === "aspect") return value in contents.kinds ? value : null;
+    if (name === "aspect") return Object.hasOwn(contents.kinds, value) ? value : null;
     if (name === "colour") return colourOptions(this.store).some(([each]) => each === value) ? value : null;
     return this.store.has(value) ? value : null;
   }

@@ -30,7 +30,10 @@ class Scale {
     const power = 10 ** Math.floor(Math.log10(rough));
     const step = power * ([1, 2, 5].find((one) => one * power >= rough) ?? 10);
     const ticks = [];
-    for (let k = Math.ceil(this.low / step); k * step <= this.high; k++) ticks.push([k * step, formatNumber(k * step)]);
+    // Far from 0 a step may be lost in rounding, and the loop would not end.
+    for (let k = Math.ceil(this.low / step); k * step <= this.high && ticks.length < 3 * most; k++) {
+      ticks.push([k * step, formatNumber(k * step)]);
+    }
     return ticks;
   }
 }

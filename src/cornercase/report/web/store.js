@@ -191,7 +191,7 @@ class Store {
   }
 
   kindName(label) {
-    if (label === null) return "in no cluster";
+    if (label === null || this.options.aspect === null) return "in no cluster";
     return this.contents.kinds[this.options.aspect]?.names[String(label)] ?? (label < 0 ? "noise" : `cluster ${label}`);
   }
 }

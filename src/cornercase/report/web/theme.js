@@ -56,6 +56,7 @@ function showTools(box, store) {
     document.documentElement.dataset.theme = "light";
     document.querySelectorAll("#details details").forEach((each) => (each.open = true));
     forgetColours();
+    store.tell("theme");
   });
   addEventListener("afterprint", () => {
     if (before === null) delete document.documentElement.dataset.theme;

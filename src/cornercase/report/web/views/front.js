@@ -26,7 +26,6 @@ VIEWS.push({
   title: "Pareto front",
   about: (store) =>
     `No other scenario is more critical in all metrics than one of the ${store.contents.front.length} in a diamond.`,
-  finding: true,
   wanted: (store) => Boolean(store.contents.front?.length) && store.contents.metrics.length > 1,
   create(box, store) {
     const names = store.contents.metrics.map(({ name }) => name);

@@ -109,8 +109,11 @@ class KernelPlot extends PointPlot {
       const put = (text, share, far) => {
         const x = from[0] + share * (to[0] - from[0]) + shift[0] * far;
         const y = from[1] + share * (to[1] - from[1]) + shift[1] * far;
-        g.textAlign = k === 2 ? "right" : shift[0] > 0 ? "left" : "right";
-        g.fillText(text, x, y);
+        // On a narrow page names come as near to the cube as they must to be whole.
+        const wide = g.measureText(text).width + 2;
+        const right = k !== 2 && shift[0] > 0;
+        g.textAlign = right ? "left" : "right";
+        g.fillText(text, right ? Math.min(x, this.width - wide) : Math.max(x, wide), y);
       };
       g.font = `11px ${colours.font}`;
       g.fillStyle = colours.faint;
