@@ -65,7 +65,8 @@ class Link {
       if (column === null || !store.has(column)) continue;
       const [low, high] = text.split(":").map((one) => (one === "" ? null : Number(one)));
       if (Number.isNaN(low) || Number.isNaN(high) || high === undefined) continue;
-      ranges.push([column, low, high]);
+      const turned = low !== null && high !== null && low > high;
+      ranges.push(turned ? [column, high, low] : [column, low, high]);
     }
     store.setRanges(ranges);
     bar.set(values);

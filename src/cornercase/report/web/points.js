@@ -136,7 +136,7 @@ function keptRole(store, row) {
 
 // A kept scenario keeps the look of its kind, within an outline that says its role.
 function drawKept(g, style, role, x, y, r) {
-  const [outline, size] = ROLES[role] ?? ["diamond", 2.2];
+  const [outline, size] = (Object.hasOwn(ROLES, role) ? ROLES[role] : ["diamond", 2.2]);
   symbolPath(g, outline, x, y, size * r);
   g.fillStyle = themeColours().raised;
   g.globalAlpha = 0.75;

@@ -66,7 +66,8 @@ class RangeFields {
   }
 
   change() {
-    const [low, high] = this.fields.map((field) => (field.value === "" ? null : Number(field.value)));
+    let [low, high] = this.fields.map((field) => (field.value === "" ? null : Number(field.value)));
+    if (low !== null && high !== null && low > high) [low, high] = [high, low];
     this.store.setRanges([[this.column, low, high]]);
   }
 

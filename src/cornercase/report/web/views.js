@@ -66,7 +66,10 @@ class Views {
     const about = typeof view.about === "function" ? view.about(this.store) : view.about;
     let told = view.finding ? this.store.contents.captions?.[view.name] : null;
     // Some captions speak of one metric or one aspect.
-    if (told && typeof told === "object") told = told[this.store.options.metric] ?? told[this.store.options.aspect];
+    if (told && typeof told === "object") {
+      const { metric, aspect } = this.store.options;
+      told = told[[metric, aspect].find((name) => Object.hasOwn(told, name))];
+    }
     caption.textContent = told ? `${about} ${told}` : about;
   }
 

@@ -173,7 +173,7 @@ VIEWS.push(chartView({
   events: ["options"],
   fill(store) {
     const all = store.contents.coverage;
-    const name = store.options.aspect in all ? store.options.aspect : Object.keys(all)[0];
+    const name = Object.hasOwn(all, store.options.aspect) ? store.options.aspect : Object.keys(all)[0];
     const { unit, reach, kept, medoids, random_low: low, random_high: high, critical } = all[name];
     const curve = (y, text, colour, dash) => ({
       type: "scatter",
