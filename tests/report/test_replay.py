@@ -24,6 +24,7 @@ from cornercase.recordings import Collision, Recording
 from cornercase.report.replays import encoding, motion
 from cornercase.report.replays.film import Film
 from cornercase.report.replays.footage import read_footage
+from cornercase.report.replays.page import fill_replay
 from cornercase.report.roads import find_roads, recorded_region
 from cornercase.scenario import Scenario
 from cornercase.study import Study
@@ -298,3 +299,23 @@ def test_a_value_of_a_study_leads_to_no_other_road(study, tmp_path):
         assert sketch is None
         assert missing == "The road is not drawn, as it is none of those that belong to x_intersection.xosc."
         assert find_roads(sent, (0.0, 0.0, 9.0, 9.0), scenario, {"Road": "x_intersection.xodr"})[0] is not None
+
+
+@pytest.mark.parametrize("what", ["one instant", "no ego", "nobody"])
+def test_recordings_that_hold_little_are_shown_all_the_same(study, what):
+    with Study.open(study, readonly=True) as opened:
+        footage = read_footage(opened, [1])
+    take = footage.takes[0]
+    drawn, course = take.recording, take.courses["wttc"]
+    names = ("x", "y", "heading", "speed", "acceleration")
+    if what == "one instant":
+        changes = {name: getattr(drawn, name)[:, :1] for name in names} | {"time": drawn.time[:1], "collisions": ()}
+        course = course[:1]
+    else:
+        gone = np.array([what == "nobody" or name == "Ego" for name in drawn.names])
+        changes = {name: np.where(gone[:, None], np.nan, getattr(drawn, name)) for name in names}
+        course = np.full(len(course), np.nan) if what == "nobody" else course
+    little = replace(footage, takes=(replace(take, recording=replace(drawn, **changes), courses={"wttc": course}),))
+    frames = list(Film(little, dots=50).frames(np.array([little.begin, little.end])))
+    assert [frame.shape for frame in frames] == [(360, 480, 3)] * 2
+    assert "contents" in fill_replay(little)

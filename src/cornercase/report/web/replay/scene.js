@@ -7,7 +7,7 @@ const LONGEST_LABEL = 24;
 // A pedestrian is drawn at least so large, in pixels, or it could not be seen from afar.
 const SMALLEST_RADIUS = 4;
 // Places of all entities together.
-const MOST_TRAILED = 100_000;
+const MOST_TRAILED = 20_000;
 const SCALE_BARS = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
 
 const SCENE_COLOURS = [
