@@ -13,8 +13,8 @@ from cornercase.report.data import ReportData
 from cornercase.report.knowledge import CriticalKnowledge
 from cornercase.report.words import (
     find_reasons,
-    name_criterion,
     percent,
+    tell_criterion,
     tell_front,
     tell_unforetold,
     with_unit,
@@ -133,7 +133,7 @@ def _of_share(data: ReportData) -> Answer:
     if known is None:
         none = "Nothing says from which score on a scenario is critical; `critical` of `explore` says it."
         return Answer(name, question, none)
-    criterion = name_criterion(known, summary.searched).replace("<=", "≤").replace(">=", "≥")
+    criterion = tell_criterion(known, summary.searched)
     of_set = known.known
     if known.scenarios:
         ran = f"{known.scenarios} of the {summary.run} scenarios that were run are critical ({criterion})."
@@ -287,13 +287,30 @@ def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
 
 def _of_front(data: ReportData) -> Answer:
     front = data.summary.knowledge.front or {}
-    points = []
+    return Answer(
+        "front", "Which scenarios are on the Pareto front?", tell_front(len(front)), tuple(ends_of_front(data))
+    )
+
+
+def ends_of_front(data: ReportData) -> Iterator[str]:
+    """Say which scenario of the Pareto front is the most critical by each metric.
+
+    Parameters
+    ----------
+    data : ReportData
+        What the report shows.
+
+    Yields
+    ------
+    str
+        A sentence for each metric.
+    """
+    front = data.summary.knowledge.front or {}
     for metric in data.metrics:
         ids = sorted(front, key=lambda scenario: (metric.oriented(front[scenario][metric.name]), scenario))
         if ids:
             value = with_unit(f"{front[ids[0]][metric.name]:.3g}", metric.unit)
-            points.append(f"The most critical {metric.name} on it is {value}, in scenario {ids[0]}.")
-    return Answer("front", "Which scenarios are on the Pareto front?", tell_front(len(front)), tuple(points))
+            yield f"The most critical {metric.name} on it is {value}, in scenario {ids[0]}."
 
 
 def _of_failures(data: ReportData) -> Answer:

@@ -10,11 +10,12 @@ from cornercase.clustering import Analysis
 from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
 from cornercase.reduction import ReducedSet
+from cornercase.report.answers import ends_of_front
 from cornercase.report.data import ReportData
 from cornercase.report.words import (
     format_value,
     judge_clusters,
-    name_criterion,
+    tell_criterion,
     tell_front,
     tell_how_found,
     tell_unforetold,
@@ -45,7 +46,7 @@ def page_captions(data: ReportData) -> dict[str, Any]:
         "kernel": {name: of_clusters(one) for name, one in analyses.items()},
     }
     if known.front is not None:
-        found["front"] = tell_front(len(known.front))
+        found["front"] = " ".join(ends_of_front(data))
     if known.sensitivity is not None:
         found["matters"] = of_influence(known.sensitivity)
     return found
@@ -112,7 +113,7 @@ def of_distribution(data: ReportData, metric: Metric) -> str:
     said = f"{metric.name} scores lie between {low} and {high}, half of them up to {middle}."
     known = data.summary.knowledge.critical
     if known is not None and metric.name == data.summary.searched:
-        said += f" {known.scenarios} of {len(scores)} are critical ({name_criterion(known, data.summary.searched)})."
+        said += f" {known.scenarios} of {len(scores)} are critical ({tell_criterion(known, data.summary.searched)})."
     return said
 
 

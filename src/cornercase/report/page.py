@@ -170,6 +170,7 @@ def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, An
     contents = page_contents(data) | there | dict(roads)
     return _fill(
         live=False,
+        left_out=contents["recordings_left_out"],
         title=contents["title"],
         about=contents["about"],
         contents=contents,
@@ -194,7 +195,15 @@ def fill_frame(title: str) -> str:
         HTML.
     """
     return _fill(
-        live=True, title=title, about="", contents=None, answers=[], details=[], provenance=Markup(), blocks=()
+        live=True,
+        left_out="",
+        title=title,
+        about="",
+        contents=None,
+        answers=[],
+        details=[],
+        provenance=Markup(),
+        blocks=(),
     )
 
 

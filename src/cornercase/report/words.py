@@ -122,6 +122,24 @@ def name_criterion(known: CriticalKnowledge, searched: str) -> str:
     return f"{searched} {'<=' if known.lower_is_critical else '>='} {known.threshold:g} {known.unit}".rstrip()
 
 
+def tell_criterion(known: CriticalKnowledge, searched: str) -> str:
+    """Say in a sentence when a scenario is critical.
+
+    Parameters
+    ----------
+    known : CriticalKnowledge
+        What is known of the critical scenarios.
+    searched : str
+        What is searched.
+
+    Returns
+    -------
+    str
+        ``"wttc ≤ 1 s"``.
+    """
+    return name_criterion(known, searched).replace("<=", "≤").replace(">=", "≥")
+
+
 def name_range(parameter: Parameter) -> str:
     """Say between which values a parameter varies.
 

@@ -92,8 +92,15 @@ def tell_provenance(data: ReportData) -> Markup:
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
-        **{f"simulator's {key}": value for key, value in meta.settings.items() if value not in ({}, [], None, "")},
-        **{f"time to {stage} [s]": f"{seconds:.2f}" for stage, seconds in data.summary.seconds.items()},
+        **{
+            f"simulator's {key}": _plain(value)
+            for key, value in meta.settings.items()
+            if value not in ({}, [], None, "")
+        },
+        **{
+            f"time to {stage} [s]": f"{seconds:.3g}" if seconds < 100.0 else f"{seconds:.0f}"
+            for stage, seconds in data.summary.seconds.items()
+        },
         **_versions(meta),
     }
     table = make_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
@@ -102,6 +109,13 @@ def tell_provenance(data: ReportData) -> Markup:
         f"<p>This makes it again:</p><pre id='command' tabindex='0'><code>{escape(name_command(meta))}</code></pre>"
     )
     return Markup(f"{command}{limits}{table}")
+
+
+def _plain(value: Any) -> str:
+    """Write a setting without the signs of a programming language."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name}: {_plain(one)}" for name, one in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def _versions(meta: StudyMeta) -> dict[str, str]:
