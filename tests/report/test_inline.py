@@ -19,7 +19,7 @@ def whole(tmp_path_factory):
 
 def shown_by_ipython(study):
     """What a notebook gets, by IPython's protocol of display."""
-    formatters = pytest.importorskip("IPython.core.formatters")
+    formatters = pytest.importorskip("IPython.core.formatters", reason="IPython is not installed")
     html = formatters.HTMLFormatter()
     return html(study)
 
