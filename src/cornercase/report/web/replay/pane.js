@@ -88,9 +88,10 @@ class ReplayPane {
     if (scenarios.failed[store.rows.get(id)]) {
       return `Scenario ${id} failed, so there is nothing to replay: ${errors[id]}`;
     }
+    const file = typeof shellWord === "function" ? shellWord(study) : study;
     return (
-      `The recording of scenario ${id} is not in this file, which holds those of some scenarios only, to stay small.` +
-      ` See it with: cornercase replay ${study} ${id} -o run.html, or all of them with: cornercase watch ${study}`
+      `The recording of scenario ${id} is not in this file. See it with: cornercase replay ${file} ${id} -o run.html,` +
+      ` or all of them with: cornercase watch ${file}`
     );
   }
 
