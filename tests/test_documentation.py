@@ -35,6 +35,7 @@ EXTERNAL = {"--csv_logger", "--fcd-output"}
 NO_MODULES = {
     "cornercase.aspects",
     "cornercase.db",
+    "cornercase.displays",
     "cornercase.driver",
     "cornercase.features",
     "cornercase.lock",

@@ -17,6 +17,7 @@ from cornercase.report.words import (
     tell_criterion,
     tell_front,
     tell_unforetold,
+    with_signs,
     with_unit,
 )
 from cornercase.study import IMPORTED
@@ -131,7 +132,9 @@ def _of_share(data: ReportData) -> Answer:
     name, question = "critical", "How much of the space is critical?"
     summary, known = data.summary, data.summary.knowledge.critical
     if known is None:
-        none = "Nothing says from which score on a scenario is critical; `critical` of `explore` says it."
+        none = (
+            "Nothing says from which score on a scenario is critical; the option --critical of cornercase explore does."
+        )
         return Answer(name, question, none)
     criterion = tell_criterion(known, summary.searched)
     of_set = known.known
@@ -200,7 +203,7 @@ def _of_kinds(data: ReportData) -> Answer:
     name, question, analyses = "kinds", "Which kinds are there?", data.summary.analyses
     chosen = find_default_aspect(data)
     if chosen is None:
-        return Answer(name, question, "The study has not been analysed yet: `analyze` finds the kinds.")
+        return Answer(name, question, "The study has not been analysed yet; cornercase analyze finds the kinds.")
     divided = [by for by, one in analyses.items() if one.clustering.n_clusters > 1 and by != chosen]
     alike = [by for by, one in analyses.items() if one.clustering.n_clusters <= 1]
     if analyses[chosen].clustering.n_clusters <= 1:
@@ -255,7 +258,7 @@ def _share_of(value: float, interval: tuple[float, float]) -> str:
 def _of_kept(data: ReportData) -> Answer:
     name, question, reduced = "kept", "What to keep?", data.summary.reduced
     if reduced is None:
-        return Answer(name, question, "The study has not been reduced yet: `reduce` finds the few to keep.")
+        return Answer(name, question, "The study has not been reduced yet; cornercase reduce finds the few to keep.")
     roles = Counter(str(one.role) for one in reduced.kept)
     counts = _listed([f"{n} {words[n != 1]}" for role, words in _ROLES.items() if (n := roles[role])])
     said = [f"Keep {len(reduced.kept)} of the {reduced.run} scenarios: {counts or 'none'}."]
@@ -325,8 +328,9 @@ def _of_failures(data: ReportData) -> Answer:
 
 
 def _of_probability(found: Any) -> Answer:
+    criterion = with_signs(found["critical is"])
     points = []
-    for event, words in (("critical", f"a critical scenario ({found['critical is']})"), ("collision", "a collision")):
+    for event, words in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
         low, high = found[event]["95 % interval"]
         points.append(f"Of {words}: {found[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g}).")
     said = f"Under the distributions of the space, from {found['scenarios']} scenarios:"

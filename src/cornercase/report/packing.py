@@ -117,7 +117,7 @@ def tell_left_out(data: ReportData, packed: PackedRecordings) -> str:
     return (
         f"This file holds {there} of the {run} recordings, as all would make it too large: those of the kept scenarios,"
         " of the examples of kinds, of the Pareto front and of the most critical ones, and an even sample of the"
-        " others; `cornercase watch` shows all of them."
+        " others; cornercase watch shows all of them."
     )
 
 

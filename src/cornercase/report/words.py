@@ -137,7 +137,23 @@ def tell_criterion(known: CriticalKnowledge, searched: str) -> str:
     str
         ``"wttc ≤ 1 s"``.
     """
-    return name_criterion(known, searched).replace("<=", "≤").replace(">=", "≥")
+    return with_signs(name_criterion(known, searched))
+
+
+def with_signs(criterion: str) -> str:
+    """Write a criterion with the signs that it has in print.
+
+    Parameters
+    ----------
+    criterion : str
+        As it is typed.
+
+    Returns
+    -------
+    str
+        ``"wttc ≤ 1 s"``.
+    """
+    return criterion.replace("<=", "≤").replace(">=", "≥")
 
 
 def name_range(parameter: Parameter) -> str:
