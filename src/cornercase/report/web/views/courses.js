@@ -2,7 +2,7 @@
 
 // Courses of the metric over time: a line for each of some scenarios, and what most of a kind do.
 const MOST_COURSES = 200;
-const MOST_IN_BAND = 600;
+const MOST_IN_BAND = 400;
 const MOST_BANDS = 6;
 const INSTANTS = 80;
 const NOTHING = 65535;
