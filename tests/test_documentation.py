@@ -36,6 +36,7 @@ NO_MODULES = {
     "cornercase.aspects",
     "cornercase.db",
     "cornercase.displays",
+    "cornercase.displays",
     "cornercase.driver",
     "cornercase.features",
     "cornercase.lock",
