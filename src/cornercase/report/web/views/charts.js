@@ -157,7 +157,7 @@ VIEWS.push(chartView({
     ];
     const layout = {
       barmode: "group",
-      xaxis: { title: { text: "share of the variance of the score [1]" }, range: [0, 1] },
+      xaxis: { title: { text: "share of the variance [1]" }, range: [0, 1] },
       yaxis: { autorange: "reversed" },
     };
     const said = names.map((name, k) => `${name} ${total[k].toFixed(2)}`).join(", ");
@@ -165,15 +165,21 @@ VIEWS.push(chartView({
   },
 }));
 
+function coveredAspect(store) {
+  const all = store.contents.coverage;
+  return Object.hasOwn(all, store.options.aspect) ? store.options.aspect : Object.keys(all)[0];
+}
+
 VIEWS.push(chartView({
   name: "coverage",
   title: "What the kept ones cover",
-  about: "How many scenarios have a kept one within a distance, against as many that are picked otherwise.",
+  about: (store) =>
+    `How many scenarios have a kept one within a distance by ${coveredAspect(store)}; and as many picked otherwise.`,
   wanted: (store) => Object.keys(store.contents.coverage ?? {}).length > 0,
   events: ["options"],
   fill(store) {
     const all = store.contents.coverage;
-    const name = Object.hasOwn(all, store.options.aspect) ? store.options.aspect : Object.keys(all)[0];
+    const name = coveredAspect(store);
     const { unit, reach, kept, medoids, random_low: low, random_high: high, critical } = all[name];
     const curve = (y, text, colour, dash) => ({
       type: "scatter",
@@ -193,7 +199,7 @@ VIEWS.push(chartView({
       curve(kept, "kept", kindColour(0), "solid"),
     ];
     if (critical) traces.push(curve(critical, "kept, of the critical ones", kindColour(1), "dash"));
-    const title = { text: `distance to the nearest kept one by ${plainText(name)} [${plainText(unit)}]` };
+    const title = { text: `distance to a kept one [${plainText(unit)}]` };
     const layout = { xaxis: { title }, yaxis: { title: { text: "scenarios [%]" }, range: [0, 103] } };
     const most = reach[kept.findIndex((one) => one >= 90)];
     const said = most === undefined ? "" : `: 90 % of the scenarios have a kept one within ${formatNumber(most)}`;
