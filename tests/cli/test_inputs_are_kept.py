@@ -43,6 +43,9 @@ def test_a_study_is_not_written_over_by_its_report(tmp_path):
         explorer(study, budget=4).run()
     with pytest.raises(cc.InputError, match="is the file that is read"):
         cc.write_report(tmp_path / "s.db", tmp_path / "s.db")
+    for beside in ("s.db-wal", "s.db-shm", "s.db.lock"):
+        with pytest.raises(cc.InputError, match="belongs to the file that is read"):
+            cc.write_report(tmp_path / "s.db", tmp_path / beside)
     with cc.Study.open(tmp_path / "s.db", readonly=True) as study:
         assert len(study.rows()) == 4
 

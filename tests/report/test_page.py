@@ -198,7 +198,7 @@ def test_each_beginning_of_an_even_order_is_spread():
                 assert np.diff(np.sort(order[:some])).max() <= 2.5 * count / some
 
 
-HOSTILE = "</script><script>alert(1)</script>\u2028 \" ' & $\\frac{ 歩行者"
+HOSTILE = "</script><script>alert(1)</script>\u2028\u202e \" ' & $\\frac{ 歩行者"
 
 
 def test_no_name_ends_a_script_or_an_attribute(tmp_path):
@@ -221,6 +221,9 @@ def test_no_name_ends_a_script_or_an_attribute(tmp_path):
     assert "alert(1)</script>" not in page
     assert page.count("<script") == page.count("</script")
     assert "\u2028" not in page.split('id="contents">')[1]
+    # What turns the direction of writing round would turn all after it.
+    assert "\u202e" not in page.partition('<script type="application/json"')[0]
+    assert "\u202e" not in json.dumps([*contents["answers"], contents["about"]], ensure_ascii=False)
     assert contents["title"] == "<script><script>alert(1)<script>\u2028 歩行者"
 
 

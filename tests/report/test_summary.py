@@ -132,6 +132,7 @@ def test_a_page_says_what_predicts_whether_scenarios_are_critical(optimizer, jud
     [
         (Parameter("a", 20.0, 80.0, unit="m"), "20 to 80 m"),
         (Parameter("a", 0.0, 1.0), "0 to 1"),
+        (Parameter("a", 5_400_000.0, 5_400_000.005, unit="m"), "5400000 to 5400000.005 m"),
         (Parameter("a", 0, 1, choices=("car", "truck")), "car, truck"),
     ],
 )

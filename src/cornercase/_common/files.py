@@ -128,6 +128,10 @@ def written_whole(path: Path | str) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+# What SQLite and the lock of a study add to its name.
+_BESIDE: Final = ("-wal", "-shm", "-journal", ".lock")
+
+
 def require_other_file(output: Path | str, source: Path | str) -> None:
     """Refuse to write a file over the one that it is made from.
 
@@ -139,11 +143,14 @@ def require_other_file(output: Path | str, source: Path | str) -> None:
     Raises
     ------
     InputError
-        Both are the same file, by whatever names.
+        Both are the same file, by whatever names, or the output is one that a database keeps beside itself.
     """
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
         raise InputError(f"`output` {output}: is the file that is read; choose another name.")
+    whole = source.resolve()
+    if output.resolve() in {whole.with_name(whole.name + ending) for ending in _BESIDE}:
+        raise InputError(f"`output` {output}: belongs to the file that is read; choose another name.")
 
 
 def require_folder(name: str, folder: Path | str) -> Path:

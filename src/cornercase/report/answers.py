@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
+from cornercase._common.texts import plain_text
 from cornercase.evidence import Estimate
 from cornercase.reduction import ReducedSet
 from cornercase.report.data import ReportData
@@ -59,9 +60,14 @@ class Answer:
         Returns
         -------
         dict of str to object
-            By the name of the field.
+            By the name of the field, without signs that give orders.
         """
-        return asdict(self) | {"points": list(self.points)}
+        return {
+            "name": self.name,
+            "question": self.question,
+            "text": plain_text(self.text),
+            "points": [plain_text(point) for point in self.points],
+        }
 
 
 def page_answers(data: ReportData) -> Iterator[Answer]:
@@ -117,7 +123,7 @@ def tell_about(data: ReportData) -> str:
         said.append(f"{_scenarios(summary.run)} run, searched by {meta.optimizer} for {searched}.")
     if summary.pending:
         said.append(f"{_scenarios(summary.pending)} not run yet.")
-    return " ".join(said)
+    return plain_text(" ".join(said))
 
 
 def _scenarios(count: int) -> str:
@@ -138,7 +144,9 @@ def _of_share(data: ReportData) -> Answer:
         return Answer(name, question, none)
     criterion = tell_criterion(known, summary.searched)
     of_set = known.known
-    if known.scenarios:
+    if summary.run == 1:
+        ran = f"The one scenario that was run is {'' if known.scenarios else 'not '}critical ({criterion})."
+    elif known.scenarios:
         ran = f"{known.scenarios} of the {summary.run} scenarios that were run are critical ({criterion})."
     else:
         ran = f"None of the {summary.run} scenarios that were run is critical ({criterion})."
@@ -320,7 +328,11 @@ def _of_failures(data: ReportData) -> Answer:
     name, question, failed = "failed", "What failed, and why?", data.failed
     total = data.summary.run + data.summary.failed
     if not failed:
-        return Answer(name, question, f"Nothing: all {total} scenarios could be run.")
+        return Answer(
+            name,
+            question,
+            "Nothing: " + ("the one scenario" if total == 1 else f"all {total} scenarios") + " could be run.",
+        )
     reasons = find_reasons(failed)
     points = [f"{len(ids)}: {why}" for why, ids in list(reasons.items())[:_MOST_POINTS]]
     more = f" The {_MOST_POINTS} most frequent reasons:" if len(reasons) > _MOST_POINTS else ""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cornercase._common.texts import plain_text
 from cornercase.clustering import Analysis
 from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
@@ -49,7 +50,13 @@ def page_captions(data: ReportData) -> dict[str, Any]:
         found["front"] = " ".join(ends_of_front(data))
     if known.sensitivity is not None:
         found["matters"] = of_influence(known.sensitivity)
-    return found
+    return {view: _plain(one) for view, one in found.items()}
+
+
+def _plain(caption: Any) -> Any:
+    if isinstance(caption, dict):
+        return {name: plain_text(text) for name, text in caption.items()}
+    return plain_text(caption)
 
 
 def of_clusters(analysis: Analysis) -> str:

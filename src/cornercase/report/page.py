@@ -17,6 +17,7 @@ from markupsafe import Markup
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
+from cornercase._common.texts import plain_text
 from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
 from cornercase.report.details import page_details
@@ -171,7 +172,7 @@ def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, An
     return _fill(
         live=False,
         left_out=contents["recordings_left_out"],
-        title=contents["title"],
+        title=plain_text(contents["title"]),
         about=contents["about"],
         contents=contents,
         answers=contents["answers"],

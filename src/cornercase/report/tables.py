@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Final
 
+from cornercase._common.texts import plain_text
 from cornercase.clustering import Candidate, Clustering, Profile
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOutCritical
 from cornercase.report.words import name_cluster
@@ -38,6 +39,9 @@ def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequenc
         HTML.
     """
     left = {k % len(head) for k in text}
+
+    # What turns the direction of writing round would turn all after it.
+    head, rows = [plain_text(one) for one in head], [[plain_text(one) for one in row] for row in rows]
 
     def line(cells: Sequence[str], tag: str) -> str:
         kind = "th scope=col" if tag == "th" else tag

@@ -171,7 +171,13 @@ def name_range(parameter: Parameter) -> str:
     """
     if parameter.choices:
         return ", ".join(parameter.choices)
-    return f"{parameter.low:g} to {parameter.high:g} {parameter.unit}".strip()
+    low = high = ""
+    # Coordinates may differ in the last of many digits only.
+    for digits in (6, 9, 12, 17):
+        low, high = f"{parameter.low:.{digits}g}", f"{parameter.high:.{digits}g}"
+        if low != high or parameter.low == parameter.high:
+            break
+    return f"{low} to {high} {parameter.unit}".strip()
 
 
 def name_axis(parameter: Parameter) -> str:

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from markupsafe import Markup
 
+from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
 from cornercase.report.data import ReportData
 from cornercase.report.repeating import name_command, tell_limits
@@ -105,10 +106,8 @@ def tell_provenance(data: ReportData) -> Markup:
     }
     table = make_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
     limits = "".join(f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, data.summary.run))
-    command = (
-        f"<p>This makes it again:</p><pre id='command' tabindex='0'><code>{escape(name_command(meta))}</code></pre>"
-    )
-    return Markup(f"{command}{limits}{table}")
+    command = f"<pre id='command' tabindex='0'><code>{escape(plain_text(name_command(meta)))}</code></pre>"
+    return Markup(f"<p>This makes it again:</p>{command}{limits}{table}")
 
 
 def _plain(value: Any) -> str:
