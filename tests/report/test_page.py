@@ -308,7 +308,15 @@ def test_where_nothing_is_critical_a_bound_is_told_that_holds(tmp_path):
 
 @pytest.mark.parametrize(
     ("share", "words"),
-    [(0.0, "0 %"), (0.00034, "0.034 %"), (0.0995, "10 %"), (0.1234, "12 %"), (0.999, "over 99 %"), (1.0, "100 %")],
+    [
+        (0.0, "0 %"),
+        (0.00034, "0.034 %"),
+        (3e-7, "below 0.01 %"),
+        (0.0995, "10 %"),
+        (0.1234, "12 %"),
+        (0.999, "over 99 %"),
+        (1.0, "100 %"),
+    ],
 )
 def test_a_share_is_told_in_two_digits(share, words):
     assert percent(share) == words

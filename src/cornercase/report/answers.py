@@ -130,6 +130,11 @@ def _scenarios(count: int) -> str:
     return "One scenario was" if count == 1 else f"{count} scenarios were"
 
 
+def _about(share: float) -> str:
+    told = percent(share)
+    return f"About {told}" if told[0].isdigit() else told.capitalize()
+
+
 def _interval(estimate: Estimate) -> str:
     return f"90 % interval {percent(estimate.low)} to {percent(estimate.high)}"
 
@@ -153,12 +158,12 @@ def _of_share(data: ReportData) -> Answer:
     if of_set is None:
         return Answer(name, question, f"{ran} Too few different scores are known to say something of all others.")
     if of_set.share_doubt is not None:
-        about = f"About {percent(of_set.share.value)} of the space is critical. " if known.scenarios else ""
+        about = f"{_about(of_set.share.value)} of the space is critical. " if known.scenarios else ""
         return Answer(name, question, f"{about}{ran} No interval is given: {of_set.share_doubt}.")
     if not known.scenarios:
         bound = f"At most {percent(of_set.share.high)} of the space is critical (upper end of a 90 % interval)."
         return Answer(name, question, f"{ran} {bound}")
-    share = f"About {percent(of_set.share.value)} of the space is critical ({_interval(of_set.share)})."
+    share = f"{_about(of_set.share.value)} of the space is critical ({_interval(of_set.share)})."
     return Answer(name, question, f"{share} {ran}")
 
 
@@ -169,10 +174,10 @@ def _of_missed(known: CriticalKnowledge) -> Answer:
     elif not known.scenarios:
         said.append("Nothing critical was found, so whatever is critical was missed.")
     elif found.missed_doubt is not None:
-        said.append(f"About {percent(found.missed.value)} of the critical set.")
+        said.append(f"{_about(found.missed.value)} of the critical set.")
         said.append(f"No interval is given: {found.missed_doubt}.")
     else:
-        said.append(f"About {percent(found.missed.value)} of the critical set ({_interval(found.missed)}).")
+        said.append(f"{_about(found.missed.value)} of the critical set ({_interval(found.missed)}).")
     if found is not None and known.scenarios:
         said.append(f"Beside that, a region in which nothing was run could hide {percent(found.hidden)} of it.")
     if known.audit is not None:

@@ -13,6 +13,8 @@ from cornercase.study import Row
 
 NOISE_NAME: Final = "noise"
 _MOST_NAMED: Final = 12
+# Percent below which a share is told as less than that.
+_SMALLEST: Final = 0.01
 _METHODS: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
 
 # Adjusted mutual information from which clusters say a little, something, and most of what happened.
@@ -273,9 +275,12 @@ def percent(share: float) -> str:
     Returns
     -------
     str
-        Two digits that count, or all before the point: ``"0.34 %"``, ``"12 %"``; nearly all is not written as all.
+        Two digits that count, or all before the point: ``"0.34 %"``, ``"12 %"``; nearly all is not written as all,
+        nor hardly anything in powers of ten.
     """
     value = 100.0 * share
+    if 0.0 < value < _SMALLEST:
+        return f"below {_SMALLEST} %"
     if 99.5 <= value < 100.0:
         return "over 99 %"
     return f"{value:.0f} %" if value >= 9.95 or value == 0.0 else f"{value:.2g} %"
