@@ -36,7 +36,6 @@ NO_MODULES = {
     "cornercase.aspects",
     "cornercase.db",
     "cornercase.displays",
-    "cornercase.displays",
     "cornercase.driver",
     "cornercase.features",
     "cornercase.lock",
