@@ -131,8 +131,8 @@ def _scenarios(count: int) -> str:
 
 
 def _about(share: float) -> str:
-    told = percent(share)
-    return f"About {told}" if told[0].isdigit() else told.capitalize()
+    words = percent(share)
+    return f"About {words}" if words[0].isdigit() else words.capitalize()
 
 
 def _interval(estimate: Estimate) -> str:
