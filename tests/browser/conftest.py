@@ -15,7 +15,7 @@ import cornercase as cc
 from browser.studies import MAKERS, made
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, BrowserContext, Page
 
 # Without what Chromium does by itself over the network.
 ARGUMENTS = (
@@ -109,14 +109,26 @@ class Tab:
         self.page.evaluate(SETTLED)
 
 
-@pytest.fixture
-def tab(browser: Browser) -> Iterator[Tab]:
-    """A tab that fails the test on a message on the console, an error, or a request to anywhere else."""
-    with browser.new_context(viewport={"width": 1280, "height": 900}) as context:
-        context.set_default_timeout(10_000)
-        one = Tab(context.new_page())
+@pytest.fixture(scope="session")
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    """What all tabs share: one of its own for each would take as long as the page itself."""
+    with browser.new_context() as one:
+        one.set_default_timeout(10_000)
         yield one
-        assert one.faults == []
+
+
+@pytest.fixture
+def tab(context: BrowserContext) -> Iterator[Tab]:
+    """A tab that fails the test on a message on the console, an error, or a request to anywhere else."""
+    page = context.new_page()
+    page.set_viewport_size({"width": 1280, "height": 900})
+    # What another test's page has kept, as notes or a theme.
+    everything = {"origin": "file://", "storageTypes": "all"}
+    context.new_cdp_session(page).send("Storage.clearDataForOrigin", everything)
+    one = Tab(page)
+    yield one
+    page.close()
+    assert one.faults == []
 
 
 @pytest.fixture(params=sorted(MAKERS))
