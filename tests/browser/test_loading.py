@@ -14,6 +14,14 @@ def test_a_report_opens_without_errors_or_outside_requests(tab, reports, each):
         tab.settle()
 
 
+def test_numbers_far_from_zero_are_told_apart(tab, reports):
+    page = tab.open(reports("one"))
+    said = page.evaluate(
+        "() => [5400000.001, 5400000.002, -3.14159, 40.0841].map((x, k) => formatInSteps(x, k < 2 ? 5e-6 : 0.06))"
+    )
+    assert said == ["5400000.001", "5400000.002", "−3.142", "40.08"]
+
+
 def test_names_are_text_and_nothing_else(tab, reports):
     page = tab.open(reports("hostile"))
     assert HOSTILE in page.title()

@@ -107,6 +107,23 @@ def test_nothing_is_served_without_the_token(tab, studies):
         assert tab.page.request.get(f"{base}contents?token={token}").status == 200
 
 
+def test_a_page_that_nobody_looks_at_makes_up_for_it(tab, tmp_path):
+    study = tmp_path / "s.db"
+    subprocess.run([*EXPLORE, "2", "-o", str(study)], check=True, capture_output=True)
+    turn = """(hidden) => {
+      Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
+      document.dispatchEvent(new Event("visibilitychange"));
+    }"""
+    with serving(study) as address:
+        page = tab.open(address)
+        page.evaluate(turn, True)
+        # A browser has six connections for all tabs of a server.
+        assert page.evaluate("() => cornercase.following.events.readyState === EventSource.CLOSED")
+        subprocess.run([*EXPLORE, "5", "-o", str(study)], check=True, capture_output=True)
+        page.evaluate(turn, False)
+        wait_for(page, 5)
+
+
 def test_a_note_goes_to_the_study(tab, tmp_path):
     study = tmp_path / "s.db"
     subprocess.run([*EXPLORE, "4", "-o", str(study)], check=True, capture_output=True)

@@ -265,13 +265,24 @@ def test_a_port_that_is_taken_is_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options", [{"host": "example.org"}, {"host": ""}, {"port": -1}, {"port": 65536}, {"scenario": "missing.xosc"}]
+    "options",
+    [
+        {"host": "example.org"},
+        {"host": ""},
+        {"host": "192.0.2.1"},
+        {"port": -1},
+        {"port": 65536},
+        {"scenario": "missing.xosc"},
+    ],
 )
 def test_what_cannot_be_served_is_said(tmp_path, options):
     with pytest.raises(InputError, match=f"`{next(iter(options))}`"):
         cc.watch(tmp_path / "s.db", **options)
     with pytest.raises(InputError, match="is not a file"):
         cc.watch(tmp_path)
+    (tmp_path / "page.html").write_text("no study")
+    with pytest.raises(InputError, match="not a database"):
+        cc.watch(tmp_path / "page.html")
 
 
 def test_without_the_extra_the_error_names_it(tmp_path, monkeypatch):

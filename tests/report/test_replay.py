@@ -151,6 +151,8 @@ def test_frames_show_the_entities_where_they_were(study):
         ({"beside": 0}, "`beside` 0"),
         ({"path": "run.gif", "fps": 100.0}, "`fps` 100: give at most 60"),
         ({"path": "run.gif", "speed": 0.0}, "`speed` 0"),
+        ({"fps": 25.0}, "`fps` and `speed` are those of a film"),
+        ({"speed": 2.0}, "`fps` and `speed` are those of a film"),
         ({"path": "run.gif", "speed": 1e-5}, "frames, more than 20000"),
         ({"scenario": EXAMPLES / "t_intersection" / "t_intersection.xosc"}, "changed since|restore them"),
     ],

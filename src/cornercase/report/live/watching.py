@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import secrets
 import socket
@@ -16,6 +17,7 @@ from cornercase._common.errors import InputError
 from cornercase.report.live.follower import Follower
 from cornercase.report.live.knowing import Finder
 from cornercase.report.live.telling import Teller
+from cornercase.study import open_study
 
 _GREATEST_PORT: Final = 65535
 # s that connections are given to end.
@@ -55,7 +57,7 @@ def watch(
     Raises
     ------
     InputError
-        The extra ``live`` is not installed, or nothing can be served there.
+        The extra ``live`` is not installed, nothing can be served there, or the file is no study.
 
     See Also
     --------
@@ -64,6 +66,10 @@ def watch(
     path = arguments.path("study", study)
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file; name the file of a study.")
+    if path.exists() and path.stat().st_size:
+        # What is no study will not become one; an empty file may.
+        with open_study(path, readonly=True):
+            pass
     file = None if scenario is None else arguments.path("scenario", scenario)
     if file is not None and not file.is_file():
         raise InputError(f"`scenario` {file}: there is no such file.")
@@ -111,6 +117,8 @@ def _bound(host: str, port: int) -> socket.socket:
     try:
         return socket.create_server((host, port), family=kind, backlog=_BACKLOG)
     except OSError as error:
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise InputError(f"`host` {host}: this machine has no such address; 127.0.0.1 is its own.") from error
         raise InputError(
             f"`port` {port}: nothing can be served at {host} ({error.strerror}); choose another one."
         ) from error

@@ -71,8 +71,9 @@ def replay(
     Raises
     ------
     InputError
-        A scenario is not there, failed or was not run yet; the ending is none of these; there is no ffmpeg for an
-        ``.mp4``; the `scenario` is not the one that was explored; or the file cannot be written.
+        A scenario is not there, failed or was not run yet; the ending is none of these; `fps` or `speed` is given for a
+        page; there is no ffmpeg for an ``.mp4``; the `scenario` is not the one that was explored; or the file cannot be
+        written.
 
     See Also
     --------
@@ -88,6 +89,8 @@ def replay(
         raise InputError(f"`fps` {rate:g}: give at most {_FASTEST:g}.")
     if ending not in _ENDINGS:
         raise InputError(f"`path` {path}: ends with none of {', '.join(_ENDINGS)}, which say what is written.")
+    if ending == ".html" and (fps is not None or speed != 1.0):
+        raise InputError("`fps` and `speed` are those of a film; who plays a page chooses there: leave them out.")
     if ending == ".mp4":
         from cornercase.report.replays.encoding import find_ffmpeg
 

@@ -11,15 +11,24 @@ function formatNumber(value) {
   return text.replace("-", "−");
 }
 
-function withUnit(value, unit) {
-  const text = formatNumber(value);
+// With as many digits as tell numbers apart that are a `step` from each other, far from 0 too.
+function formatInSteps(value, step) {
+  const digits = Math.floor(Math.log10(Math.abs(value) / step)) + 1;
+  const plain = !Number.isFinite(value) || !(step > 0) || digits <= 4 || digits > 15;
+  if (plain) return formatNumber(value);
+  const decimals = Math.min(20, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+  return String(Number(value.toFixed(decimals))).replace("-", "−");
+}
+
+function withUnit(value, unit, text = formatNumber(value)) {
   return unit && unit !== "1" && text !== "–" ? `${text} ${unit}` : text;
 }
 
 function parameterText(store, k, row) {
   const one = store.contents.parameters[k];
   const value = store.contents.scenarios.values[k][row];
-  return one.choices.length ? one.choices[value] ?? "–" : withUnit(value, one.unit);
+  if (one.choices.length) return one.choices[value] ?? "–";
+  return withUnit(value, one.unit, formatInSteps(value, (one.high - one.low) / 1000));
 }
 
 // Pairs of a name and a value: all that a reader may want to know of a scenario at a glance.

@@ -124,14 +124,25 @@ class Following {
     this.cost = 0;
     this.fetching = false;
     this.again = false;
-    this.begin(store.contents.live.cursor);
+    this.cursor = store.contents.live.cursor;
+    this.begin();
+    // A browser opens six connections to a server: the pages that nobody looks at leave them to the others.
+    document.addEventListener("visibilitychange", () => {
+      this.events.close();
+      if (!document.hidden) this.begin();
+    });
     this.state.show(store.contents.live);
     this.showKnowledge(store.contents);
   }
 
-  begin(cursor) {
-    this.events = new EventSource(servedAt("events", { since: cursor }));
-    const on = (name, act) => this.events.addEventListener(name, (event) => act(JSON.parse(event.data)));
+  begin() {
+    const events = new EventSource(servedAt("events", { since: this.cursor }));
+    this.events = events;
+    const on = (name, act) =>
+      events.addEventListener(name, (event) => {
+        this.cursor = event.lastEventId || this.cursor;
+        act(JSON.parse(event.data));
+      });
     on("scenarios", (told) => this.add(told));
     on("contents", () => this.fetchAgain());
     on("knowledge", (told) => this.know(told));
@@ -140,12 +151,12 @@ class Following {
       this.last = state;
       this.state.show(state);
     });
-    this.events.onopen = () => this.last && this.state.show(this.last);
+    events.onopen = () => this.last && this.state.show(this.last);
     // The browser connects again by itself, unless the server has refused it.
-    this.events.onerror = () => {
+    events.onerror = () => {
       this.state.showStopped();
-      if (this.events.readyState !== EventSource.CLOSED) return;
-      setTimeout(() => this.begin(cursor), 1000);
+      if (events.readyState !== EventSource.CLOSED) return;
+      setTimeout(() => this.events === events && this.begin(), 1000);
     };
   }
 

@@ -32,7 +32,7 @@ class Scale {
     const ticks = [];
     // Far from 0 a step may be lost in rounding, and the loop would not end.
     for (let k = Math.ceil(this.low / step); k * step <= this.high && ticks.length < 3 * most; k++) {
-      ticks.push([k * step, formatNumber(k * step)]);
+      ticks.push([k * step, formatInSteps(k * step, step)]);
     }
     return ticks;
   }

@@ -56,7 +56,8 @@ class ScenarioTable {
     contents.parameters.forEach((one, k) => {
       const key = `parameter ${one.name}`;
       const named = one.choices.length > 0;
-      const text = (row) => (named ? parameterText(store, k, row) : formatNumber(scenarios.values[k][row]));
+      const step = (one.high - one.low) / 1000;
+      const text = (row) => (named ? parameterText(store, k, row) : formatInSteps(scenarios.values[k][row], step));
       columns.push({ key, title: named ? one.name : store.axis(key).title, number: !named, text });
     });
     if (contents.outcomes.length) {
