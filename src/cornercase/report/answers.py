@@ -256,8 +256,9 @@ def _of_parameters(data: ReportData) -> Answer:
     has = "has" if len(found.little) == 1 else "have"
     little = f" {_listed(list(found.little))} {has} little influence." if found.little else ""
     text = (
-        f"{found.names[order[0]]} matters most.{little} Shares of the variance of {data.summary.searched}, from a"
-        f" Gaussian process that explains {percent(found.predicted)} of it (cross-validated), with 90 % intervals:"
+        f"{found.names[order[0]]} matters most: {percent(found.total[order[0]])} of the variance of"
+        f" {data.summary.searched} comes from it, alone or together with the others.{little} Shares are of a Gaussian"
+        f" process that explains {percent(found.predicted)} of the variance (cross-validated), with 90 % intervals."
     )
     return Answer(name, question, text, tuple(points))
 
