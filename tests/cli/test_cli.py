@@ -180,7 +180,7 @@ def test_odd_spaces_from_end_to_end(kind, tmp_path):
     assert manifest["run"] == {"categorical": 15, "one parameter": 20, "two scenarios": 2}[kind]
     assert 1 <= manifest["kept"] <= manifest["run"]
     text = page.read_text()
-    assert "Where it gets critical" in text
+    assert "How much of the space is critical?" in text
     for item in manifest["scenarios"]:
         assert item["file"] in text
         assert (tmp_path / "reduced" / item["file"]).is_file()

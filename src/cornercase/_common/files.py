@@ -148,8 +148,9 @@ def require_other_file(output: Path | str, source: Path | str) -> None:
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
         raise InputError(f"`output` {output}: is the file that is read; choose another name.")
-    whole = source.resolve()
-    if output.resolve() in {whole.with_name(whole.name + ending) for ending in _BESIDE}:
+    # A link that leads to itself is left as it is, and refused when it is written.
+    whole, written = os.path.realpath(source), os.path.realpath(output)
+    if written in {whole + ending for ending in _BESIDE}:
         raise InputError(f"`output` {output}: belongs to the file that is read; choose another name.")
 
 
