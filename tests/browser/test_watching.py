@@ -124,6 +124,22 @@ def test_a_page_that_nobody_looks_at_makes_up_for_it(tab, tmp_path):
         wait_for(page, 5)
 
 
+def test_another_study_takes_the_place_of_the_one_that_is_watched(tab, tmp_path):
+    study, other = tmp_path / "s.db", tmp_path / "other.db"
+    subprocess.run([*EXPLORE, "12", "-o", str(study)], check=True, capture_output=True)
+    one = [*CLI, "explore", str(X / "x_intersection.xosc"), "--range", "ego_start=20:60", "--ego", "Ego"]
+    options = ["--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--budget", "5", "-o", str(other)]
+    subprocess.run([*one, *options], check=True, capture_output=True)
+    with serving(study) as address:
+        page = tab.open(address)
+        page.evaluate("() => cornercase.store.select(12)")
+        page.wait_for_function("() => document.querySelector('#answers').innerText.includes('12 scenarios')")
+        other.replace(study)
+        page.wait_for_function("() => window.cornercase?.store?.contents.parameters.length === 1", timeout=20_000)
+        page.wait_for_function("() => cornercase.store.n === 5 && cornercase.store.selected !== 12", timeout=20_000)
+        page.wait_for_function("() => !document.querySelector('#answers').innerText.includes('12 scenarios')")
+
+
 def test_a_note_goes_to_the_study(tab, tmp_path):
     study = tmp_path / "s.db"
     subprocess.run([*EXPLORE, "4", "-o", str(study)], check=True, capture_output=True)

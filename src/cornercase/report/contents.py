@@ -172,16 +172,42 @@ def _kinds(analysis: Analysis, place: Mapping[int, int], count: int) -> dict[str
 
 def _courses(data: ReportData, name: str, rows: Sequence[Row]) -> dict[str, Any]:
     known = data.courses[name]
+    lower = next(one.lower_is_critical for one in data.metrics if one.name == name)
     spans, found = [], []
     for row in rows:
         course, (begin, end) = None, (0.0, 0.0)
         if row.id in known:
             time = data.times[row.id]
             begin, end = float(time[0]), float(time[-1])
-            course = np.interp(np.linspace(begin, end, COURSE_POINTS), time, known[row.id])
+            course = draw_course(time, known[row.id].astype(np.float64), lower)
         spans.append((begin, end))
         found.append(course)
     return pack_courses(found, spans)
+
+
+def draw_course(time: FloatArray, course: FloatArray, lower_is_critical: bool) -> FloatArray:
+    """Thin a course out to evenly spread times.
+
+    Parameters
+    ----------
+    time : ndarray of float64, shape (T,)
+        s.
+    course : ndarray of float64, shape (T,)
+        Capped.
+    lower_is_critical : bool
+
+    Returns
+    -------
+    ndarray of float64, shape (COURSE_POINTS,)
+        With its most critical value at the time that is nearest to it, so that a course that is critical for an instant
+        is drawn so.
+    """
+    begin, end = float(time[0]), float(time[-1])
+    found = np.interp(np.linspace(begin, end, COURSE_POINTS), time, course)
+    worst = int(course.argmin() if lower_is_critical else course.argmax())
+    nearest = round((float(time[worst]) - begin) / (end - begin) * (COURSE_POINTS - 1)) if end > begin else 0
+    found[nearest] = course[worst]
+    return found
 
 
 def pack_courses(courses: Sequence[FloatArray | None], spans: Sequence[tuple[float, float]]) -> dict[str, Any]:

@@ -334,6 +334,8 @@ def tell_front(count: int) -> str:
     str
         A sentence.
     """
+    if count == 1:
+        return "One scenario is as critical as any other in every metric."
     return f"Of {count} no other is as critical in every metric and more critical in one."
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.exploration import Objective
-from cornercase.report.contents import COURSE_POINTS, pack_courses, plain_score, plain_value
+from cornercase.report.contents import draw_course, pack_courses, plain_score, plain_value
 from cornercase.study import Row, Study, StudyMeta
 
 
@@ -70,9 +70,12 @@ class Digester:
         study, meta = self._study, self._study.meta
         recording, scores = study.recording(row.id), study.scores_of(row.id)
         time = recording.time
-        spread = np.linspace(time[0], time[-1], COURSE_POINTS)
         courses = {
-            one.name: np.interp(spread, time, one.capped(study.course(row.id, one.name)).astype(np.float32))
+            one.name: draw_course(
+                time,
+                one.capped(study.course(row.id, one.name)).astype(np.float32).astype(np.float64),
+                one.lower_is_critical,
+            )
             for one in self._objective.metrics
         }
         return Digest(

@@ -33,6 +33,8 @@ class Knowledge:
 
     Attributes
     ----------
+    epoch : str
+        Which study, as `Follower.epoch`; empty for none.
     number : int
         Grows with each that differs from the one before.
     layout : int
@@ -43,6 +45,7 @@ class Knowledge:
         How scenarios ended, by id.
     """
 
+    epoch: str = ""
     number: int = 0
     layout: int = 0
     parts: dict[str, Any] = field(default_factory=dict)
@@ -59,17 +62,30 @@ class Finder:
     scenario : Path or None, default None
         Scenario that was explored; None where it is looked for.
 
-    Attributes
-    ----------
-    knowledge : Knowledge
     """
 
     def __init__(self, follower: Follower, scenario: Path | None = None) -> None:
-        self.knowledge = Knowledge()
+        self._known = Knowledge()
         self._follower = follower
         self._surroundings = Surroundings(scenario)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._find_always, name="finder of knowledge", daemon=True)
+
+    def knowledge(self, epoch: str) -> Knowledge:
+        """Give what is known of a study by now.
+
+        Parameters
+        ----------
+        epoch : str
+            Which study, as `Follower.epoch`.
+
+        Returns
+        -------
+        Knowledge
+            Empty where nothing is known but of another one.
+        """
+        known = self._known
+        return known if known.epoch == epoch else Knowledge(epoch, known.number, known.layout)
 
     def start(self) -> None:
         """Begin to find."""
@@ -88,16 +104,21 @@ class Finder:
             begun = time.monotonic()
             # What cannot be read now may be whole the next time.
             with suppress(InputError):
-                if (found := _find(self._follower.path, self._surroundings)) is not None:
-                    self._take(*found)
+                found = _find(self._follower.path, self._surroundings)
+                if found is not None and self._follower.epoch == now[0]:
+                    self._take(now[0], *found)
             seen = now
             self._end.wait(max(_LEAST, _TIMES * (time.monotonic() - begun)))
 
-    def _take(self, parts: dict[str, Any], outcomes: dict[int, str]) -> None:
-        old = self.knowledge
-        same = old.outcomes == outcomes and all(old.parts.get(name) == parts[name] for name in _COLUMNS)
+    def _take(self, epoch: str, parts: dict[str, Any], outcomes: dict[int, str]) -> None:
+        old = self._known
+        same = (
+            old.epoch == epoch
+            and old.outcomes == outcomes
+            and all(old.parts.get(name) == parts[name] for name in _COLUMNS)
+        )
         if not same or old.parts != parts:
-            self.knowledge = Knowledge(old.number + 1, old.layout + (not same), parts, outcomes)
+            self._known = Knowledge(epoch, old.number + 1, old.layout + (not same), parts, outcomes)
 
 
 def _by_id(kinds: dict[str, Any], ids: list[int]) -> dict[str, Any]:

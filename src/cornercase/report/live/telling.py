@@ -83,8 +83,8 @@ class Teller:
             As `cornercase.report.contents.page_contents`, with ``live``: how far this is. Only that while no scenario
             has ended.
         """
-        knowledge = self._finder.knowledge
         epoch, meta, digests = self.follower.known()
+        knowledge = self._finder.knowledge(epoch)
         live = {"cursor": str(Cursor(epoch, len(digests), knowledge.number, knowledge.layout))} | self.state()
         if meta is None or not digests:
             return {"live": live}
@@ -122,8 +122,8 @@ class Teller:
         data : object
             Plain values. None is returned where there is nothing new.
         """
-        knowledge = self._finder.knowledge
         epoch, meta, _ = self.follower.known()
+        knowledge = self._finder.knowledge(epoch)
         some = self.follower.since(cursor.epoch, cursor.count)
         if some is None or cursor.layout != knowledge.layout:
             count = len(self.follower.known()[2])

@@ -179,15 +179,18 @@ class Following {
     this.again = true;
     if (this.fetching) return;
     this.fetching = true;
-    while (this.again) {
-      this.again = false;
-      // When the connection is there again, the page is told what is new.
-      const contents = await fetchContents().catch(() => null);
-      if (contents === null) this.state.showStopped();
-      else if (contents.format) this.take(contents);
-      else this.state.show(contents.live);
+    try {
+      while (this.again) {
+        this.again = false;
+        // When the connection is there again, the page is told what is new.
+        const contents = await fetchContents().catch(() => null);
+        if (contents === null) this.state.showStopped();
+        else if (contents.format) this.take(contents);
+        else this.state.show(contents.live);
+      }
+    } finally {
+      this.fetching = false;
     }
-    this.fetching = false;
     // What came meanwhile, of which most is in the contents already.
     if (this.rows.length) this.add({ scenarios: { id: [] }, errors: {} });
   }

@@ -82,18 +82,19 @@ class Plot {
     return width > 0;
   }
 
-  redraw(events) {
+  // What was just measured is empty; in print, clearing it again would blank what lies below.
+  redraw(events, empty = false) {
     if (!this.width) return;
     if (["contents", "shown", "options", "theme"].some((one) => events.has(one))) {
       this.base.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-      this.base.clearRect(0, 0, this.width, this.height);
+      if (!empty) this.base.clearRect(0, 0, this.width, this.height);
       this.order = null;
       this.drawBase(this.base);
       this.lower.setAttribute("aria-label", this.summary());
       this.box.setAttribute("aria-label", `${this.title()}: arrow keys walk through the scenarios, Enter selects`);
     }
     this.over.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    this.over.clearRect(0, 0, this.width, this.height);
+    if (!empty) this.over.clearRect(0, 0, this.width, this.height);
     this.drawOver(this.over);
   }
 

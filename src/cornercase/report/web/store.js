@@ -42,6 +42,8 @@ class Store {
     this.n = contents.scenarios.id.length;
     this.rows = new Map(contents.scenarios.id.map((id, row) => [id, row]));
     this.columns = new Map();
+    // Another study may lie there now.
+    for (const slot of ["selected", "beside"]) if (!this.rows.has(this[slot])) this[slot] = null;
     // A study that grows is analysed later, or begun anew.
     if (!Object.hasOwn(contents.kinds, this.options.aspect ?? "")) this.options.aspect = Store.firstAspect(contents);
     this.shown = new Uint8Array(this.n);

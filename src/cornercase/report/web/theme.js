@@ -43,7 +43,12 @@ function showTools(box, store) {
   print.type = "button";
   print.id = "print";
   print.textContent = "Print";
-  print.addEventListener("click", () => window.print());
+  print.addEventListener("click", async () => {
+    // A browser waits for nothing once it prints: charts that were not on the screen yet are drawn first.
+    window.cornercase.views.drawAll();
+    if (document.getElementById("plotly")) await loadPlotly();
+    setTimeout(() => window.print(), 500);
+  });
   box.append(button, print);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     forgetColours();

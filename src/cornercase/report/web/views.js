@@ -133,7 +133,7 @@ class Views {
   print() {
     this.drawAll();
     for (const plot of PRINTED) {
-      if (plot.measure(3)) plot.redraw(new Set(["contents"]));
+      if (plot.measure(3)) plot.redraw(new Set(["contents"]), true);
     }
   }
 
