@@ -90,7 +90,8 @@ class Tab:
         page.on("request", lambda request: self._see(request.url))
 
     def _hear(self, kind: str, text: str) -> None:
-        if kind in ("error", "warning"):
+        # A page that is still there when its server ends asks it again.
+        if kind in ("error", "warning") and "ERR_CONNECTION_REFUSED" not in text:
             self.faults.append(f"{kind} on the console: {text}")
 
     def _see(self, url: str) -> None:

@@ -104,6 +104,7 @@ def test_a_front_is_told_by_id(tmp_path):
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
         summary, ids = summarize(study), [row.id for row in study.done()]
     front = summary.knowledge.front
+    assert front
     assert len(front) == 1
     assert set(front) <= set(ids)
     assert (summary.knowledge.critical, summary.knowledge.sensitivity) == (None, None)

@@ -117,7 +117,8 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
             for one in data.parameters
         ],
         "metrics": [
-            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical} for one in data.metrics
+            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
+            for one in data.metrics
         ],
         "critical": _critical(data),
         "default_aspect": find_default_aspect(data),

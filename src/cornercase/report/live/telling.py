@@ -198,7 +198,8 @@ def _plain(meta: StudyMeta, path: Path) -> dict[str, Any]:
             for one in meta.space.parameters
         ],
         "metrics": [
-            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical} for one in metrics
+            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
+            for one in metrics
         ],
         "critical": {"threshold": meta.critical, "lower_is_critical": lower, "unit": objective.unit} if known else None,
         "default_aspect": None,

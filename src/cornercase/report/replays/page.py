@@ -74,7 +74,8 @@ def _contents(footage: Footage) -> dict[str, Any]:
             for one in footage.parameters
         ],
         "metrics": [
-            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical} for one in metrics
+            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
+            for one in metrics
         ],
         "critical": critical,
         "outcomes": outcomes,

@@ -118,7 +118,8 @@ class Store {
 
   // `slot` is "selected" or "beside"; an id that is not there, or null, selects nothing.
   select(id, slot = "selected") {
-    const found = this.rows.has(id) ? id : null;
+    const other = slot === "beside" ? this.selected : null;
+    const found = this.rows.has(id) && id !== other ? id : null;
     if (this[slot] === found) return;
     this[slot] = found;
     this.tell("selected", slot);

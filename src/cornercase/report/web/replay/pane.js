@@ -212,7 +212,7 @@ class ReplayPane {
     const course = recording.courses[metric.name];
     const score = course ? between(course, momentOf(recording.time, time)) : NaN;
     const parts = [`${time.toFixed(2)} s`];
-    if (course) parts.push(`${metric.name} ${Number.isFinite(score) ? withSceneUnit(score, metric.unit) : "–"}`);
+    if (course) parts.push(`${metric.name} ${courseText(score, metric)}`);
     const seen = this.ego >= 0 && this.other >= 0 ? sees(boxes, this.ego, this.other) : null;
     const [ego, other] = [recording.names[this.ego], recording.names[this.other]];
     if (seen !== null) parts.push(seen ? `${ego} can see ${other}` : `${other} is hidden from ${ego}`);
@@ -221,6 +221,13 @@ class ReplayPane {
     const said = `Scenario ${this.id} from above at ${parts.join(", ")}`;
     if (!panel.clock.playing) this.canvas.setAttribute("aria-label", said);
   }
+}
+
+// At its cap a course says only that it is no more critical than that, or not defined.
+function courseText(score, { unit, cap, lower_is_critical: lower }) {
+  if (!Number.isFinite(score)) return "–";
+  const capped = lower ? score >= cap - 1e-4 : score <= cap + 1e-4;
+  return capped ? `none or ${lower ? "above" : "below"} ${withSceneUnit(cap, unit)}` : withSceneUnit(score, unit);
 }
 
 function newElement(tag, className = "", text = "") {

@@ -37,6 +37,7 @@ function chartView({ fill, height = 330, events: more = [], ...view }) {
       place.className = "plotly-box";
       place.style.height = `${height}px`;
       place.setAttribute("role", "img");
+      place.tabIndex = 0;
       box.append(place);
       const draw = () => {
         const { traces, layout, label } = fill(store);

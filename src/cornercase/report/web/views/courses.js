@@ -179,7 +179,9 @@ VIEWS.push({
     const kinds = store.options.aspect === null ? "of all shown" : "of each kind";
     const line = store.threshold() === null ? "" : " The dashed line is where critical begins.";
     const { metric } = store.options;
-    return `How ${metric} goes in each scenario. Thick: the median ${kinds}, in the band that holds 80 %.${line}`;
+    const { cap, unit, lower_is_critical: lower } = store.contents.metrics.find((one) => one.name === metric);
+    const beyond = `What is ${lower ? "above" : "below"} ${withUnit(cap, unit)} or not defined is drawn there.`;
+    return `How ${metric} goes in each scenario. Thick: the median ${kinds}, in the band that holds 80 %.${line} ${beyond}`;
   },
   wanted: (store) => Object.keys(store.contents.courses ?? {}).length > 0,
   create(box, store) {
