@@ -212,7 +212,8 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
             study.propose(1, points, [row.values for row in rows])
             until(lambda: teller.state()["name"] == "live")
             study.finish(3, recording, courses)
-            until(lambda: "scenarios" in teller.contents())
+            # What is known of all is found in the background, and told with everything when it is first there.
+            until(lambda: teller.contents().get("details"))
             contents = teller.contents()
             assert contents["scenarios"]["id"] == [3]
             cursor = Cursor.of(contents["live"]["cursor"])
