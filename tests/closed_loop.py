@@ -15,6 +15,7 @@ from cornercase.drivers import (
     NORMAL,
     DrivenPath,
     Situation,
+    in_sight,
 )
 
 DT = 0.05
@@ -146,6 +147,16 @@ def inside(points, box):
     sides = np.roll(box, -1, axis=0) - box
     to = points[:, None, :] - box
     return (sides[:, 0] * to[..., 1] - sides[:, 1] * to[..., 0] > 0.0).all(-1)
+
+
+def who_is_seen(situation: Situation, **options) -> list[bool]:
+    s = situation
+    seen = in_sight(
+        np.stack((s.x, s.y, s.heading), axis=1), np.array([s.length, s.width, s.center_x]),
+        np.stack((s.others_x, s.others_y, s.others_heading), axis=1),
+        np.stack((s.others_length, s.others_width, s.others_center_x)), **options,
+    )  # fmt: skip
+    return seen[0].tolist()
 
 
 def looking(others_x, others_y, others_heading, kinds) -> Situation:

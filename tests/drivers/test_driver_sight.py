@@ -10,12 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from closed_loop import BOXES, DT, EGO, Other, corners, inside, line_is_free, looking
+from closed_loop import BOXES, DT, EGO, Other, corners, inside, line_is_free, looking, who_is_seen
 from cornercase.drivers import (
     NORMAL,
     BehaviourDriver,
 )
-from cornercase.drivers.visibility import in_sight
 
 
 @given(
@@ -32,7 +31,7 @@ def test_sight_agrees_with_points_along_the_lines(places, kinds):
     boxes = corners(looking(x, y, heading, kinds))[1][0]
     if any(inside(eye[None], box).any() for box in boxes):
         return
-    seen = in_sight(looking(x, y, heading, kinds), field_of_view=2 * math.pi, sight_range=100.0)[0]
+    seen = who_is_seen(looking(x, y, heading, kinds), sight_range=100.0)
     for k in range(3):
         # Lines that graze a box may fall on either side: grow and shrink all boxes by a hair.
         if seen[k] != line_is_free(eye, others, k, 0.0):
@@ -53,18 +52,18 @@ def grazes(eye, boxes, k):
 def test_field_of_view_and_range():
     kinds = ["misc", "misc", "misc", "misc"]
     situation = looking([30.0, -10.0, 3.0, 120.0], [0.0, 0.0, 20.0, 30.0], [0.0] * 4, kinds)
-    wide = in_sight(situation, field_of_view=math.pi, sight_range=100.0)[0]
-    assert wide.tolist() == [True, False, True, False]
-    narrow = in_sight(situation, field_of_view=math.radians(60), sight_range=200.0)[0]
-    assert narrow.tolist() == [True, False, False, True]
+    wide = who_is_seen(situation, field_of_view=math.pi, sight_range=100.0)
+    assert wide == [True, False, True, False]
+    narrow = who_is_seen(situation, field_of_view=math.radians(60), sight_range=200.0)
+    assert narrow == [True, False, False, True]
 
 
 def test_absent_entities_neither_hide_nor_matter():
     hidden = looking([20.0, 10.0], [0.0, 0.0], [0.0, 0.0], ["pedestrian", "truck"])
     free = looking([20.0, np.nan], [0.0, np.nan], [0.0, np.nan], ["pedestrian", "truck"])
     options = {"field_of_view": math.pi, "sight_range": 100.0}
-    assert in_sight(hidden, **options)[0].tolist() == [False, True]
-    assert in_sight(free, **options)[0].tolist() == [True, False]
+    assert who_is_seen(hidden, **options) == [False, True]
+    assert who_is_seen(free, **options) == [True, False]
     driver = BehaviourDriver(NORMAL._replace(reaction_time=0.0))
     driver.start(1, 2)
     empty = replace(free, others_x=np.full((1, 2), np.nan), speed=np.array([5.0]), target_speed=np.array([5.0]))

@@ -24,3 +24,5 @@ from .traffic import Driven as Driven
 from .traffic import Fleet as Fleet
 from .traffic import Routes as Routes
 from .traffic import Workspace as Workspace
+from .visibility import EYE_AHEAD as EYE_AHEAD
+from .visibility import in_sight as in_sight

@@ -10,8 +10,7 @@ import math
 import numpy as np
 
 from cornercase._common.compiling import kernel
-from cornercase._common.typing import BoolArray
-from cornercase.drivers.base import Situation
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers.traffic import (
     CENTER_X,
     FIRST_SEEN,
@@ -43,8 +42,16 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
-def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) -> BoolArray:
-    """Find which other entities the driven one sees.
+def in_sight(
+    pose: FloatArray,
+    box: FloatArray,
+    others: FloatArray,
+    boxes: FloatArray,
+    *,
+    field_of_view: float = 2.0 * math.pi,
+    sight_range: float = math.inf,
+) -> BoolArray:
+    """Find which of A other entities a driver sees, in each of N scenes.
 
     The eye is in the middle of the box's width, a quarter of its length ahead of its centre. An entity is
     seen when at least one of five points of its box, the centre and the corners, is within range and field
@@ -53,22 +60,27 @@ def in_sight(situation: Situation, *, field_of_view: float, sight_range: float) 
 
     Parameters
     ----------
-    situation : Situation
-    field_of_view : float
+    pose : ndarray of float64, shape (N, 3)
+        x and y in m and heading in rad of the driven entity's reference point.
+    box : ndarray of float64, shape (3,)
+        Length, width, and how far ahead of the reference point its centre is, in m.
+    others : ndarray of float64, shape (N, 3, A)
+        x, y and heading of the others; NaN where one does not exist.
+    boxes : ndarray of float64, shape (3, A)
+        Their boxes.
+    field_of_view : float, default 2 pi
         Full angle in rad, symmetric about the heading.
-    sight_range : float
+    sight_range : float, default infinity
         m.
 
     Returns
     -------
     ndarray of bool, shape (N, A)
     """
-    s = situation
-    own = np.array([0.5 * s.length, 0.5 * s.width, s.center_x])
-    boxes = np.stack((0.5 * s.others_length, 0.5 * s.others_width, s.others_center_x))
-    pose = np.stack((s.x, s.y, s.heading), axis=1)
-    others = np.stack((s.others_x, s.others_y, s.others_heading), axis=1)
-    seen: BoolArray = _look_each(field_of_view, sight_range, own, boxes, pose, others)
+    half = np.array([0.5, 0.5, 1.0])
+    # Compiled once, for arrays in one order.
+    places = np.ascontiguousarray(pose), np.ascontiguousarray(others)
+    seen: BoolArray = _look_each(field_of_view, sight_range, half * box, half[:, None] * boxes, *places)
     return seen
 
 

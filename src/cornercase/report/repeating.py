@@ -10,8 +10,9 @@ from typing import Final
 from cornercase.scenario import Parameter
 from cornercase.study import IMPORTED, StudyMeta
 
-# Settings of a simulator that are options of the command.
-_SETTINGS: Final = {"time_step": "--time-step", "duration": "--duration", "on_collision": "--on-collision"}
+SIMULATOR_OPTIONS: Final = {"time_step": "--time-step", "duration": "--duration", "on_collision": "--on-collision"}
+"""Settings of a simulator that are options of commands."""
+
 _SPACE: Final = "SPACE.xosc"
 _BOOLEANS: Final = ("false", "true")
 _ESTIMATE: Final = "importance-sampling:"
@@ -106,7 +107,7 @@ def _numbers(meta: StudyMeta) -> Iterator[str]:
 
 def _simulator(meta: StudyMeta) -> Iterator[str]:
     yield from ("--simulator", meta.simulator)
-    for name, option in _SETTINGS.items():
+    for name, option in SIMULATOR_OPTIONS.items():
         if name in meta.settings:
             value = meta.settings[name]
             yield from (option, _plain(value) if isinstance(value, int | float) else str(value))

@@ -14,11 +14,10 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import portable_name
 from cornercase._common.texts import plain_text
 from cornercase.reduction import read_reduction
+from cornercase.report.repeating import SIMULATOR_OPTIONS
 from cornercase.scenario import INTEGERS, Scenario, Value, fill_concrete, typed_value, value_text
 from cornercase.study import IMPORTED, Row, Study, StudyMeta, explored_scenario
 
-# Settings of the builtin simulator that are options of `simulate`.
-_OPTIONS: Final = {"time_step": "--time-step", "duration": "--duration", "on_collision": "--on-collision"}
 _BUILTIN: Final = "builtin"
 
 
@@ -127,7 +126,7 @@ def _drivers(meta: StudyMeta) -> Mapping[str, Any]:
 
 
 def _settings(meta: StudyMeta) -> list[str]:
-    words = [f"{option}={meta.settings[name]}" for name, option in _OPTIONS.items() if name in meta.settings]
+    words = [f"{option}={meta.settings[name]}" for name, option in SIMULATOR_OPTIONS.items() if name in meta.settings]
     return [*words, *(f"--driver={entity}={driver}" for entity, driver in _drivers(meta).items())]
 
 

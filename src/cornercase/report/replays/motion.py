@@ -7,11 +7,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.geometry import box_corners, within_half_turn
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import FloatArray
+from cornercase.drivers import EYE_AHEAD, in_sight
 from cornercase.recordings import Recording
-
-EYE_AHEAD: Final = 0.25
-"""The ego's eye is this part of its box's length ahead of the box's centre, as that of the drivers."""
 
 # So far away a shadow ends, in m.
 _FAR: Final = 2000.0
@@ -110,30 +108,11 @@ def sees(motion: Motion, driver: int, target: int, k: int) -> bool:
     bool
         Whether the line to a corner or to the centre of the target's box meets no third box.
     """
-    eye = motion.eye(driver, k)
-    points = np.vstack([motion.corners(target, k), [motion.x[target, k], motion.y[target, k]]])
-    hidden = np.zeros(len(points), dtype=np.bool_)
-    for other in motion.there(k):
-        if other not in (driver, target):
-            heading = motion.heading[other, k]
-            turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
-            center = np.array([motion.x[other, k], motion.y[other, k]])
-            half = np.array([0.5 * motion.length[other], 0.5 * motion.width[other]])
-            start, step = turn @ (eye - center), (points - eye) @ turn.T
-            if not (np.abs(start) <= half).all():
-                hidden |= _meets(start, step, half)
-    return bool((~hidden).any())
-
-
-def _meets(start: FloatArray, step: FloatArray, half: FloatArray) -> BoolArray:
-    """Whether ways from a point meet a box around the origin (slabs)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (-half - start) / step, (half - start) / step
-    still = step == 0.0
-    inside = np.abs(start) <= half
-    enters = np.where(still, np.where(inside, -np.inf, np.inf), np.minimum(one, other)).max(axis=1)
-    leaves = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(one, other)).min(axis=1)
-    return np.asarray(np.maximum(enters, 0.0) < np.minimum(leaves, 1.0))
+    third = [one for one in motion.there(k) if one not in (driver, target)]
+    watched = [target, *third]
+    poses = np.stack((motion.x[:, k], motion.y[:, k], motion.heading[:, k]))
+    boxes = np.stack((motion.length, motion.width, np.zeros(len(motion.length))))
+    return bool(in_sight(poses[None, :, driver], boxes[:, driver], poses[None, :, watched], boxes[:, watched])[0, 0])
 
 
 def shadow(motion: Motion, driver: int, other: int, k: int) -> FloatArray | None:

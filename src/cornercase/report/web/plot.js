@@ -150,6 +150,25 @@ class Plot {
     g.restore();
   }
 
+  // The scenarios that are selected, and the one under the pointer, as lines above all others.
+  markLines(g, draw, width, dash) {
+    const { store } = this;
+    const colours = themeColours();
+    const marked = [[store.rows.get(store.selected), []], [store.rows.get(store.beside), dash], [store.hovered, []]];
+    for (const [row, dashes] of marked) {
+      if (row === undefined || row === null) continue;
+      g.setLineDash([]);
+      g.lineWidth = 5;
+      g.strokeStyle = colours.raised;
+      draw(row);
+      g.setLineDash(dashes);
+      g.lineWidth = width;
+      g.strokeStyle = row === store.hovered ? colours.faint : colours.text;
+      draw(row);
+    }
+    g.setLineDash([]);
+  }
+
   inside(x, y) {
     return x >= this.left - 4 && x <= this.width - this.right + 4 && y >= this.top - 4 &&
       y <= this.height - this.bottom + 4;

@@ -135,21 +135,7 @@ class CoursesPlot extends Plot {
 
   drawOver(g) {
     if (!this.all || !this.x) return;
-    const { store } = this;
-    const colours = themeColours();
-    const marked = [[store.rows.get(store.selected), []], [store.rows.get(store.beside), [6, 4]], [store.hovered, []]];
-    for (const [row, dash] of marked) {
-      if (row === undefined || row === null) continue;
-      g.setLineDash([]);
-      g.lineWidth = 5;
-      g.strokeStyle = colours.raised;
-      this.drawCourse(g, row);
-      g.setLineDash(dash);
-      g.lineWidth = 2.8;
-      g.strokeStyle = row === store.hovered ? colours.faint : colours.text;
-      this.drawCourse(g, row);
-    }
-    g.setLineDash([]);
+    this.markLines(g, (row) => this.drawCourse(g, row), 2.8, [6, 4]);
   }
 
   placeOf(row) {

@@ -109,19 +109,7 @@ class ParallelPlot extends Plot {
       g.strokeStyle = colours.accent;
       g.strokeRect(at - 7, high, 14, low - high);
     }
-    const marked = [[store.rows.get(store.selected), []], [store.rows.get(store.beside), [5, 4]], [store.hovered, []]];
-    for (const [row, dash] of marked) {
-      if (row === undefined || row === null) continue;
-      g.setLineDash([]);
-      g.lineWidth = 5;
-      g.strokeStyle = colours.raised;
-      this.drawLine(g, row);
-      g.setLineDash(dash);
-      g.lineWidth = 2.4;
-      g.strokeStyle = row === store.hovered ? colours.faint : colours.text;
-      this.drawLine(g, row);
-    }
-    g.setLineDash([]);
+    this.markLines(g, (row) => this.drawLine(g, row), 2.4, [5, 4]);
   }
 
   placeOf(row) {
