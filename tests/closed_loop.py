@@ -156,7 +156,7 @@ def who_is_seen(situation: Situation, **options) -> list[bool]:
         np.stack((s.others_x, s.others_y, s.others_heading), axis=1),
         np.stack((s.others_length, s.others_width, s.others_center_x)), **options,
     )  # fmt: skip
-    return seen[0].tolist()
+    return [bool(one) for one in seen[0]]
 
 
 def looking(others_x, others_y, others_heading, kinds) -> Situation:

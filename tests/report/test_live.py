@@ -205,7 +205,7 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
         recording = study.recording(1)
         courses = {name: (study.course(1, name), 1.0) for name in meta.metrics}
     with followed(tmp_path / "new.db") as teller:
-        assert until(lambda: teller.state()["why"]) == "new.db is not there yet."
+        until(lambda: teller.state()["why"] == "new.db is not there yet.")
         assert set(teller.contents()) == {"live"}
         with Study.create(tmp_path / "new.db", meta) as study:
             points = np.array([row.point for row in rows])

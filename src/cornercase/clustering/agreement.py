@@ -116,8 +116,7 @@ def find_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]
         facts[f"first of {quoted_name(study.meta.ego)} and {quoted_name(name)}"] = [str(first) for first in firsts]
     objective = Objective.of_study(study.meta)
     if study.meta.critical is not None and not objective.pareto:
-        critical = objective.oriented_of(study) <= objective.flip(study.meta.critical)
-        facts["critical"] = [str(one) for one in critical.tolist()]
+        facts["critical"] = [str(one) for one in objective.critical_of(study).tolist()]
     return {name: values for name, values in facts.items() if len(set(values)) > 1}
 
 

@@ -209,6 +209,5 @@ class ProbabilityEstimator:
 
     def _criterion(self) -> str:
         objective: Objective = self._objective
-        low = bool(objective.weights) or objective.metrics[0].lower_is_critical
         value = objective.flip(self._threshold)
-        return f"{objective.text} {'<=' if low else '>='} {value:g} {objective.unit}".rstrip()
+        return f"{objective.text} {'<=' if objective.lower_is_critical else '>='} {value:g} {objective.unit}".rstrip()

@@ -98,7 +98,42 @@ class Objective:
         -------
         ndarray of float64, shape (n,), or (n, metrics) for a Pareto front
         """
-        return self.oriented(np.stack([study.scores(metric.name) for metric in self.metrics], axis=1))
+        return self.oriented(self._scores(study))
+
+    def _scores(self, study: Study) -> FloatArray:
+        return np.stack([study.scores(metric.name) for metric in self.metrics], axis=1)
+
+    def critical(self, scores: FloatArray, threshold: float | None) -> BoolArray:
+        """Tell which scenarios are critical.
+
+        Parameters
+        ----------
+        scores : ndarray of float64, shape (m, metrics)
+            In the metrics' units.
+        threshold : float or None
+            As `StudyMeta.critical` has it.
+
+        Returns
+        -------
+        ndarray of bool, shape (m,)
+            None is where no threshold says so, or a Pareto front is searched.
+        """
+        if threshold is None or self.pareto:
+            return np.zeros(len(scores), dtype=np.bool_)
+        return np.asarray(self.oriented(scores) <= self.flip(threshold))
+
+    def critical_of(self, study: Study) -> BoolArray:
+        """Tell which scenarios of a study are critical, of all that did not fail.
+
+        Parameters
+        ----------
+        study : Study
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        return self.critical(self._scores(study), study.meta.critical)
 
     @property
     def text(self) -> str:
@@ -112,6 +147,11 @@ class Objective:
             for m in self.metrics
             if m.name in self.weights
         )
+
+    @property
+    def lower_is_critical(self) -> bool:
+        """Whether less of what is searched is more critical; of a weighted sum it is."""
+        return bool(self.weights) or self.metrics[0].lower_is_critical
 
     @property
     def unit(self) -> str:

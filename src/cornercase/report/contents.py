@@ -10,14 +10,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import Float32Array, FloatArray
 from cornercase.clustering import Analysis
+from cornercase.exploration import Objective
+from cornercase.metrics import METRICS
 from cornercase.report.answers import find_default_aspect, page_answers, tell_about
 from cornercase.report.captions import page_captions
 from cornercase.report.curves import coverage_curves, hull_edges, search_curve, sensitivity_bars
 from cornercase.report.data import ReportData
 from cornercase.report.words import judge_clusters, name_kind
-from cornercase.study import Row
+from cornercase.scenario import Parameter
+from cornercase.study import Row, StudyMeta
 
 FORMAT: Final = 1
 """Version of what `page_contents` returns."""
@@ -75,7 +78,7 @@ def scenario_part(data: ReportData) -> dict[str, Any]:
             "id": [row.id for row in rows],
             "round": [row.round for row in rows],
             "failed": [int(row.state == "failed") for row in rows],
-            "values": [[plain_value(one.read(row.values), one.choices) for row in rows] for one in data.parameters],
+            "values": plain_values(data.parameters, rows),
             "scores": {name: of_done([plain_score(one) for one in scores]) for name, scores in data.scores.items()},
             "critical": of_done(data.critical.astype(int).tolist(), 0),
             "collides": of_done([int(row.id in data.collided) for row in data.rows], 0),
@@ -104,22 +107,8 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
     meta, rows = data.summary.meta, _rows(data)
     place = _places(rows)
     kept = () if data.summary.reduced is None else data.summary.reduced.kept
-    return {
-        "format": FORMAT,
-        "title": meta.title,
+    return tell_subject(meta, data.study) | {
         "about": tell_about(data),
-        "study": data.study,
-        "ego": meta.ego,
-        "other": meta.other,
-        "searched": data.summary.searched,
-        "parameters": [
-            {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}
-            for one in data.parameters
-        ],
-        "metrics": [
-            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
-            for one in data.metrics
-        ],
         "critical": _critical(data),
         "default_aspect": find_default_aspect(data),
         "influential": list(data.influential),
@@ -136,6 +125,39 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
         "hulls": hull_edges(data),
         "reduced_by": None if data.summary.reduced is None else data.summary.reduced.by,
         "kinds": {name: _kinds(one, place, len(rows)) for name, one in data.summary.analyses.items()},
+    }
+
+
+def tell_subject(meta: StudyMeta, study: str) -> dict[str, Any]:
+    """Give what is known of a study before a scenario was run.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        What the study is about.
+    study : str
+        Name of its file.
+
+    Returns
+    -------
+    dict of str to object
+        A part of `page_contents`.
+    """
+    return {
+        "format": FORMAT,
+        "title": meta.title,
+        "study": study,
+        "ego": meta.ego,
+        "other": meta.other,
+        "searched": Objective.of_study(meta).text,
+        "parameters": [
+            {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}
+            for one in meta.space.parameters
+        ],
+        "metrics": [
+            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
+            for one in map(METRICS.create, meta.metrics)
+        ],
     }
 
 
@@ -180,20 +202,20 @@ def _courses(data: ReportData, name: str, rows: Sequence[Row]) -> dict[str, Any]
         if row.id in known:
             time = data.times[row.id]
             begin, end = float(time[0]), float(time[-1])
-            course = draw_course(time, known[row.id].astype(np.float64), lower)
+            course = draw_course(time, known[row.id], lower)
         spans.append((begin, end))
         found.append(course)
     return pack_courses(found, spans)
 
 
-def draw_course(time: FloatArray, course: FloatArray, lower_is_critical: bool) -> FloatArray:
+def draw_course(time: FloatArray, course: Float32Array, lower_is_critical: bool) -> FloatArray:
     """Thin a course out to evenly spread times.
 
     Parameters
     ----------
     time : ndarray of float64, shape (T,)
         s.
-    course : ndarray of float64, shape (T,)
+    course : ndarray of float32, shape (T,)
         Capped.
     lower_is_critical : bool
 
@@ -275,19 +297,19 @@ def plain_score(value: float) -> float | None:
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
-def plain_value(value: float | str, choices: Sequence[str]) -> float:
-    """Write the value of a parameter as a number.
+def plain_values(parameters: Sequence[Parameter], rows: Sequence[Row]) -> list[list[float]]:
+    """Write the parameters of scenarios as numbers.
 
     Parameters
     ----------
-    value : float or str
-        The value.
-    choices : sequence of str
-        Those of the parameter; none where it is a number.
+    parameters : sequence of Parameter, length d
+        Of the space.
+    rows : sequence of Row, length n
+        The scenarios.
 
     Returns
     -------
-    float
+    list of list of float, shape (d, n)
         Of a choice which one it is, from 0 on.
     """
-    return float(choices.index(str(value)) if choices else value)
+    return [[one.read_number(row.values) for row in rows] for one in parameters]

@@ -134,7 +134,7 @@ def read_report_data(study: Study) -> ReportData:
     rows = study.done()
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
     scores = {metric.name: study.scores(metric.name) for metric in metrics}
-    values = np.array([[_number(one, row) for one in study.space.parameters] for row in rows], dtype=np.float64)
+    values = np.array([[one.read_number(row.values) for one in study.space.parameters] for row in rows])
     times: dict[int, FloatArray] = {}
     known: dict[bytes, FloatArray] = {}
     courses: dict[str, dict[int, Float32Array]] = {one.name: {} for one in metrics}
@@ -163,7 +163,7 @@ def read_report_data(study: Study) -> ReportData:
         examples=_examples(study, summary.analyses),
         values=values,
         influential=_influential(values, scores[metrics[0].name]),
-        critical=_critical(study, len(rows)),
+        critical=Objective.of_study(study.meta).critical_of(study),
         gaps={} if summary.reduced is None else _gaps(study, summary.analyses, summary.reduced.ids),
         outcomes=study.outcomes(),
         notes=study.notes(),
@@ -183,11 +183,6 @@ def _examples(study: Study, analyses: Mapping[str, Analysis]) -> dict[int, Recor
     return {scenario: study.recording(scenario) for scenario in sorted(one for one in ids if one is not None)}
 
 
-def _number(parameter: Parameter, row: Row) -> float:
-    value = parameter.read(row.values)
-    return float(parameter.choices.index(str(value)) if parameter.choices else value)
-
-
 def _influential(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
     """Parameters by the share of the score's variance that ten bins of each explain."""
     shares = []
@@ -198,13 +193,6 @@ def _influential(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
         shares.append(float((counts * (means - scores.mean()) ** 2).sum()))
     order = sorted(range(len(shares)), key=lambda j: (-shares[j], j))
     return (*sorted(order[:2]), *order[2:])
-
-
-def _critical(study: Study, count: int) -> BoolArray:
-    objective = Objective.of_study(study.meta)
-    if study.meta.critical is None or objective.pareto:
-        return np.zeros(count, dtype=np.bool_)
-    return np.asarray(objective.oriented_of(study) <= objective.flip(study.meta.critical))
 
 
 def _gaps(study: Study, analyses: Mapping[str, Analysis], kept: list[int]) -> dict[str, Gaps]:

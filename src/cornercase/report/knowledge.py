@@ -225,7 +225,7 @@ def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> Cr
     audit = AuditKnowledge(drawn, hits, bounds_of_share(hits, drawn), missed) if drawn else None
     return CriticalKnowledge(
         threshold=float(meta.critical),
-        lower_is_critical=bool(objective.weights) or objective.metrics[0].lower_is_critical,
+        lower_is_critical=objective.lower_is_critical,
         unit=objective.unit,
         scenarios=int((oriented <= threshold).sum()),
         known=known,

@@ -143,6 +143,26 @@ class Parameter:
                 return choice
         raise InputError(f"No value set of {self.name} has these values.")
 
+    def read_number(self, values: Mapping[str, Value]) -> float:
+        """Find the value among those of a concrete scenario, as a number.
+
+        Parameters
+        ----------
+        values : mapping of str to float or str
+
+        Returns
+        -------
+        float
+            Of a choice which one it is, from 0 on.
+
+        Raises
+        ------
+        InputError
+            As of `read`.
+        """
+        value = self.read(values)
+        return float(self.choices.index(str(value)) if self.choices else value)
+
     def value(self, u: float) -> Value:
         """Return the value at a place of the unit interval.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.exploration import Objective
-from cornercase.report.contents import draw_course, pack_courses, plain_score, plain_value
+from cornercase.report.contents import draw_course, pack_courses, plain_score, plain_values
 from cornercase.study import Row, Study, StudyMeta
 
 
@@ -50,8 +50,6 @@ class Digester:
     def __init__(self, study: Study) -> None:
         self._study = study
         self._objective = Objective.of_study(study.meta)
-        critical = study.meta.critical
-        self._threshold = None if critical is None or self._objective.pareto else self._objective.flip(critical)
 
     def read(self, row: Row) -> Digest:
         """Read the digest of a scenario.
@@ -72,9 +70,7 @@ class Digester:
         time = recording.time
         courses = {
             one.name: draw_course(
-                time,
-                one.capped(study.course(row.id, one.name)).astype(np.float32).astype(np.float64),
-                one.lower_is_critical,
+                time, one.capped(study.course(row.id, one.name)).astype(np.float32), one.lower_is_critical
             )
             for one in self._objective.metrics
         }
@@ -88,10 +84,8 @@ class Digester:
         )
 
     def _is_critical(self, scores: dict[str, float]) -> bool:
-        if self._threshold is None:
-            return False
         every = np.array([[scores[one.name] for one in self._objective.metrics]])
-        return bool(self._objective.oriented(every)[0] <= self._threshold)
+        return bool(self._objective.critical(every, self._study.meta.critical)[0])
 
 
 def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]:
@@ -109,7 +103,6 @@ def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]
     dict of str to object
         ``scenarios`` and ``errors`` as in `cornercase.report.contents.page_contents`.
     """
-    parameters = meta.space.parameters
     rows = [one.row for one in digests]
 
     def scores(name: str) -> list[float | None]:
@@ -120,7 +113,7 @@ def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]
             "id": [row.id for row in rows],
             "round": [row.round for row in rows],
             "failed": [int(row.state == "failed") for row in rows],
-            "values": [[plain_value(one.read(row.values), one.choices) for row in rows] for one in parameters],
+            "values": plain_values(meta.space.parameters, rows),
             "scores": {name: scores(name) for name in meta.metrics},
             "critical": [int(one.critical) for one in digests],
             "collides": [int(one.collides) if one.scores else None for one in digests],

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase.exploration import Objective
-from cornercase.metrics import METRICS
-from cornercase.report.contents import FORMAT
+from cornercase.report.contents import tell_subject
 from cornercase.report.live.digests import tell_courses, tell_scenarios
 from cornercase.report.live.follower import Follower
 from cornercase.report.live.knowing import Finder, Knowledge
@@ -180,28 +179,14 @@ def _rounded(course: Any) -> list[float] | None:
 
 def _plain(meta: StudyMeta, path: Path) -> dict[str, Any]:
     """Give what the page needs before anything is known of all scenarios together."""
-    metrics = [METRICS.create(name) for name in meta.metrics]
     objective = Objective.of_study(meta)
-    # Of a weighted sum, less is critical.
-    lower = bool(meta.weights) or metrics[0].lower_is_critical
-    known = meta.critical is not None and not meta.pareto
-    return {
-        "format": FORMAT,
-        "title": meta.title,
+    critical = None
+    if meta.critical is not None and not meta.pareto:
+        lower = objective.lower_is_critical
+        critical = {"threshold": meta.critical, "lower_is_critical": lower, "unit": objective.unit}
+    return tell_subject(meta, path.name) | {
         "about": f"{meta.ego} is the ego, {meta.other} the other.",
-        "study": path.name,
-        "ego": meta.ego,
-        "other": meta.other,
-        "searched": objective.text,
-        "parameters": [
-            {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}
-            for one in meta.space.parameters
-        ],
-        "metrics": [
-            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
-            for one in metrics
-        ],
-        "critical": {"threshold": meta.critical, "lower_is_critical": lower, "unit": objective.unit} if known else None,
+        "critical": critical,
         "default_aspect": None,
         "influential": list(range(len(meta.space.parameters))),
         "outcomes": [],

@@ -139,15 +139,15 @@ def read_footage(study: Study, ids: Sequence[int], scenario: Path | str | Scenar
     objective = Objective.of_study(meta)
     # A front has no threshold, and that of a weighted sum is none of a course.
     threshold = None if objective.pareto or objective.weights else meta.critical
-    first = metrics[0]
-    outcomes, done = study.outcomes(), [row.id for row in study.done()]
+    outcomes = study.outcomes()
     rows = {row.id: row for row in study.rows()}
     takes = []
     for one in ids:
         row = _require_run(study, rows, one)
-        scores = {metric.name: float(study.scores(metric.name)[done.index(one)]) for metric in metrics}
+        scores = study.scores_of(one)
         courses = {metric.name: metric.capped(study.course(one, metric.name)) for metric in metrics}
-        critical = threshold is not None and bool(first.oriented(scores[first.name]) <= first.oriented(threshold))
+        every = np.array([[scores[metric.name] for metric in metrics]])
+        critical = bool(objective.critical(every, meta.critical)[0])
         takes.append(Take(row, study.recording(one), courses, scores, outcomes.get(one, ""), critical))
     region = recorded_region(take.recording for take in takes)
     road, missing = find_roads(study, region, scenario, takes[0].row.values)

@@ -6,7 +6,7 @@ import base64
 from typing import Any, Final
 
 from cornercase.report.blocks import pack_block, pack_record
-from cornercase.report.contents import FORMAT, plain_score, plain_value
+from cornercase.report.contents import plain_score, plain_values, tell_subject
 from cornercase.report.page import REPLAY_SCRIPTS
 from cornercase.report.replays.footage import Footage
 from cornercase.report.roads import pack_roads
@@ -62,30 +62,15 @@ def _contents(footage: Footage) -> dict[str, Any]:
             "lower_is_critical": first.lower_is_critical,
             "unit": first.unit,
         }
-    return {
-        "format": FORMAT,
-        "title": meta.title,
-        "study": footage.study,
-        "ego": meta.ego,
-        "other": meta.other,
+    return tell_subject(meta, footage.study) | {
         "searched": metrics[0].name if footage.threshold is not None else "",
-        "parameters": [
-            {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}
-            for one in footage.parameters
-        ],
-        "metrics": [
-            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
-            for one in metrics
-        ],
         "critical": critical,
         "outcomes": outcomes,
         "scenarios": {
             "id": [take.row.id for take in takes],
             "round": [take.row.round for take in takes],
             "failed": [0] * len(takes),
-            "values": [
-                [plain_value(one.read(take.row.values), one.choices) for take in takes] for one in footage.parameters
-            ],
+            "values": plain_values(footage.parameters, [take.row for take in takes]),
             "scores": {one.name: [plain_score(take.scores[one.name]) for take in takes] for one in metrics},
             "critical": [int(take.critical) for take in takes],
             "outcome": [outcomes.index(take.outcome) if take.outcome else None for take in takes],
