@@ -97,3 +97,7 @@ def test_all_is_there_in_print(tab, reports):
         "(all) => all.filter((one) => !one.querySelector('canvas, svg, table, [role=grid]')).map((one) => one.id)"
     )
     assert undrawn == []
+    shown = page.evaluate("() => cornercase.store.shownCount")
+    assert page.locator("#view-table .body .row").count() == min(shown, 100)
+    page.evaluate("() => dispatchEvent(new Event('afterprint'))")
+    assert page.locator("#view-table .body .row").count() < min(shown, 100)

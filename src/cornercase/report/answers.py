@@ -179,12 +179,16 @@ def _of_missed(known: CriticalKnowledge) -> Answer:
     else:
         said.append(f"{_about(found.missed.value)} of the critical set ({_interval(found.missed)}).")
     if found is not None and known.scenarios:
-        said.append(f"Beside that, a region in which nothing was run could hide {percent(found.hidden)} of it.")
+        said.append(
+            "That trusts a model of the scores. Without it: a region in which nothing was run could hide"
+            f" {percent(found.hidden)} of it."
+        )
     if known.audit is not None:
-        audits = f"{known.audit.critical} of {known.audit.scenarios} audits are critical"
+        audits = f"{known.audit.critical} of {known.audit.scenarios} audits, drawn at random, are critical"
         if known.audit.missed is not None and known.audit.critical:
             audits += (
-                f"; by these alone {percent(known.audit.missed.value)} is missed ({_interval(known.audit.missed)})"
+                f"; by these alone, without a model, {percent(known.audit.missed.value)} is missed"
+                f" ({_interval(known.audit.missed)})"
             )
         said.append(f"{audits}.")
     return Answer("missed", "What may be missed?", " ".join(said))
@@ -220,7 +224,7 @@ def _of_kinds(data: ReportData) -> Answer:
     divided = [by for by, one in analyses.items() if one.clustering.n_clusters > 1 and by != chosen]
     alike = [by for by, one in analyses.items() if one.clustering.n_clusters <= 1]
     if analyses[chosen].clustering.n_clusters <= 1:
-        return Answer(name, question, f"There are no separate kinds, neither by {_listed(alike, 'nor')}.")
+        return Answer(name, question, f"By {_listed(alike)} no separate kinds are found.")
     one = analyses[chosen]
     noise = int((one.labels < 0).sum())
     outside = f", and {noise} scenarios that are like few others" if noise else ""
@@ -235,7 +239,7 @@ def _of_kinds(data: ReportData) -> Answer:
     if divided:
         said.append(f"There are kinds by {_listed(divided)} too.")
     if alike:
-        said.append(f"By {_listed(alike)} all scenarios are much alike.")
+        said.append(f"By {_listed(alike)} no separate kinds are found.")
     return Answer(name, question, " ".join(said), tuple(points))
 
 
@@ -355,5 +359,5 @@ def _of_probability(found: Any) -> Answer:
     return Answer("probability", "How probable is it?", said, (*points, *found["warnings"]))
 
 
-def _listed(words: list[str], last: str = "and") -> str:
-    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+def _listed(words: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""

@@ -117,7 +117,7 @@ def of_distribution(data: ReportData, metric: Metric) -> str:
     low, middle, high = (with_unit(f"{value:.3g}", metric.unit) for value in np.quantile(scores, (0.0, 0.5, 1.0)))
     if low == high:
         return f"All scenarios have the {metric.name} score {low}."
-    said = f"{metric.name} scores lie between {low} and {high}, half of them up to {middle}."
+    said = f"{metric.name} scores lie between {low} and {high}; the median is {middle}."
     known = data.summary.knowledge.critical
     if known is not None and metric.name == data.summary.searched:
         said += f" {known.scenarios} of {len(scores)} are critical ({tell_criterion(known, data.summary.searched)})."

@@ -1,5 +1,8 @@
 "use strict";
 
+// Rows on paper; who wants others there sorts or filters.
+const MOST_PRINTED = 100;
+
 // All scenarios that are shown, as rows; only those in sight are in the document.
 class ScenarioTable {
   constructor(box, store) {
@@ -23,7 +26,12 @@ class ScenarioTable {
     top.style.display = "contents";
     top.append(this.head);
     this.grid.append(top, this.body);
-    box.append(this.grid);
+    this.onPaper = document.createElement("p");
+    this.onPaper.className = "note on-paper";
+    this.printing = false;
+    box.append(this.onPaper, this.grid);
+    addEventListener("beforeprint", () => this.print(true));
+    addEventListener("afterprint", () => this.print(false));
     this.grid.addEventListener("scroll", () => this.drawRows(), { passive: true });
     this.grid.addEventListener("keydown", (event) => this.key(event));
     this.body.addEventListener("click", (event) => {
@@ -177,10 +185,16 @@ class ScenarioTable {
     this.body.style.width = this.head.style.width = `max(100%, ${wide}rem)`;
   }
 
+  print(printing) {
+    this.printing = printing;
+    this.drawRows();
+  }
+
   drawRows() {
     if (!this.rows) return;
-    const first = Math.max(0, Math.floor(this.grid.scrollTop / this.height) - 3);
-    const count = Math.ceil((this.grid.clientHeight || 400) / this.height) + 6;
+    const first = this.printing ? 0 : Math.max(0, Math.floor(this.grid.scrollTop / this.height) - 3);
+    const count = this.printing ? MOST_PRINTED : Math.ceil((this.grid.clientHeight || 400) / this.height) + 6;
+    this.onPaper.textContent = tellPrinted(this.rows.length);
     const rows = this.rows.slice(first, first + count);
     this.body.replaceChildren(...rows.map((row, k) => this.makeRow(row, first + k)));
     const { scrollWidth, scrollLeft, clientWidth } = this.grid;
@@ -245,6 +259,10 @@ class ScenarioTable {
     }
     event.preventDefault();
   }
+}
+
+function tellPrinted(count) {
+  return count > MOST_PRINTED ? `The first ${MOST_PRINTED} of ${count}, sorted as on the screen.` : "";
 }
 
 VIEWS.push({
