@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 import synthetic
+from conftest import EXAMPLES
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.interrupts import noted_interrupts
 from cornercase.drivers import named_driver
@@ -138,6 +140,17 @@ def test_a_larger_budget_goes_on(tmp_path):
     path = tmp_path / "s.db"
     explore_configuration(demonstration("x-intersection", budget=10), path)
     assert explore_configuration(demonstration("x-intersection", budget=20), path).ended == 20
+
+
+def test_a_study_goes_on_where_the_same_files_lie_elsewhere(tmp_path):
+    def explored(name, budget):
+        folder = shutil.copytree(EXAMPLES / "x_intersection", tmp_path / name)
+        logical = LogicalScenario.read(folder / "x_intersection.xosc", folder / "x_intersection.space.xosc")
+        options = {"ego": "Ego", "other": "Pedestrian", "metrics": ["wttc"], "optimizer": "sobol"}
+        return explore(logical, tmp_path / "s.db", **options, budget=budget)
+
+    explored("here", 10)
+    assert explored("there", 20).ended == 20
 
 
 def test_patience_ends_it(tmp_path):

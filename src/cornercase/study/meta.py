@@ -206,7 +206,8 @@ class StudyMeta:
     def require_same(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
         """Refuse to go on with a study of something else.
 
-        The budget may grow, the simulator may run elsewhere, and a threshold may be given where there is none.
+        The budget may grow, files may lie and the simulator may run elsewhere, and a threshold may be given where there
+        is none.
 
         Parameters
         ----------
@@ -224,6 +225,8 @@ class StudyMeta:
         """
         for name, words in _DIFFERENT.items():
             mine, given = getattr(self, name), getattr(other, name)
+            if name == "scenario" and self.fingerprint == other.fingerprint:
+                continue
             if name == "space":
                 # Its constraints follow from the file, and earlier versions did not write them.
                 mine, given = mine.parameters, given.parameters
