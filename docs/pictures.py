@@ -17,7 +17,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from PIL import Image
 
@@ -45,10 +45,14 @@ def write_picture(data: bytes, name: str) -> None:
 
 
 @contextmanager
-def opened(browser: Browser, report: Path, fragment: str = "", **options: object) -> Iterator[Page]:
+def opened(browser: Browser, report: Path, fragment: str = "", **options: Any) -> Iterator[Page]:
     """The page of a study, ready, with what needs time drawn."""
-    settings = {"viewport": {"width": 1600, "height": 1000}, "color_scheme": "light", "reduced_motion": "reduce"}
-    with browser.new_context(**(settings | options)) as context:  # type: ignore[arg-type]
+    settings: dict[str, Any] = {
+        "viewport": {"width": 1600, "height": 1000},
+        "color_scheme": "light",
+        "reduced_motion": "reduce",
+    }
+    with browser.new_context(**(settings | options)) as context:
         page = context.new_page()
         page.goto(f"{report.as_uri()}{fragment}")
         page.wait_for_selector("html[data-ready]")
@@ -96,8 +100,9 @@ def take_x(browser: Browser, study: Path, folder: Path, wanted: Callable[[str], 
             page.evaluate(SETTLED)
             box = page.locator("#scenarios").bounding_box()
             assert box is not None
-            clip = {"x": box["x"], "y": max(box["y"], 0), "width": box["width"], "height": 1000 - max(box["y"], 0)}
-            write_picture(page.screenshot(clip=clip, animations="disabled"), "report-brush")  # type: ignore[arg-type]
+            top = max(box["y"], 0)
+            clip: Any = box | {"y": top, "height": 1000 - top}
+            write_picture(page.screenshot(clip=clip, animations="disabled"), "report-brush")
             page.locator("#reset-filters").click()
         if wanted("report-replay"):
             page.locator("#neighbour").click()

@@ -146,7 +146,7 @@ def test_a_study_goes_on_where_the_same_files_lie_elsewhere(tmp_path):
     def explored(name, budget):
         folder = shutil.copytree(EXAMPLES / "x_intersection", tmp_path / name)
         logical = LogicalScenario.read(folder / "x_intersection.xosc", folder / "x_intersection.space.xosc")
-        options = {"ego": "Ego", "other": "Pedestrian", "metrics": ["wttc"], "optimizer": "sobol"}
+        options: dict[str, Any] = {"ego": "Ego", "other": "Pedestrian", "metrics": ["wttc"], "optimizer": "sobol"}
         return explore(logical, tmp_path / "s.db", **options, budget=budget)
 
     explored("here", 10)

@@ -124,9 +124,7 @@ def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
 
 def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatMap:
     try:
-        view: FloatMap = np.lib.format.open_memmap(  # type: ignore[no-untyped-call]
-            path, "w+" if new else "r+", dtype, (size, size)
-        )
+        view: FloatMap = np.lib.format.open_memmap(path, "w+" if new else "r+", dtype, (size, size))
     except ValueError as error:
         raise InputError(f"{path}: is no NumPy file; give another path.") from error
     if view.shape != (size, size) or view.dtype != dtype or not view.flags.c_contiguous:

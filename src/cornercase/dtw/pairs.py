@@ -129,7 +129,7 @@ def require_gpu() -> None:
         raise InputError("device 'cuda' needs the extra 'gpu'; install cornercase[gpu] or choose device 'cpu'.")
     from numba import cuda
 
-    if not cuda.is_available():  # type: ignore[no-untyped-call]
+    if not cuda.is_available():
         raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, and finds none; choose device 'cpu'.")
 
 

@@ -153,17 +153,17 @@ class Film:
         # What does not move is drawn once.
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
-            self._canvas.draw()  # type: ignore[no-untyped-call]
-        still = self._canvas.copy_from_bbox(self._figure.bbox)  # type: ignore[no-untyped-call]
+            self._canvas.draw()
+        still = self._canvas.copy_from_bbox(self._figure.bbox)
         for k, time in enumerate(times.tolist()):
             with warnings.catch_warnings():
                 # Signs that the font lacks are drawn as boxes.
                 warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
                 self._draw_moving(still, k, time, motions, values)
-            yield np.array(self._canvas.buffer_rgba())[..., :3]  # type: ignore[no-untyped-call]
+            yield np.array(self._canvas.buffer_rgba())[..., :3]
 
     def _draw_moving(self, still: Any, k: int, time: float, motions: list[Motion], values: list[FloatArray]) -> None:
-        self._canvas.restore_region(still)  # type: ignore[no-untyped-call]
+        self._canvas.restore_region(still)
         axes, (cursor, *dots) = self._course
         for scene, motion in zip(self._scenes, motions, strict=True):
             scene.draw(motion, k, time)
