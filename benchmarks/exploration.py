@@ -1,7 +1,7 @@
 """Searches judged by what they missed: critical sets known on a dense grid, beside what each search finds of them.
 
 python benchmarks/exploration.py [--quick] [--steps N] [--seeds N] [--only NAME]… [--half choose|judge]
-                                 [--search NAME]… [--judge NAME] [--round-share SHARE]
+                                 [--search NAME]… [--judge NAME] [--round-share SHARE] [--sizes N…]
                                  [--ncap FOLDER] [--alks FOLDER] [--truth FOLDER] [--json FILE] [--plot FILE]
 
 The truth is the score of every scenario of a grid, run once and kept in a folder: N steps for each of three parameters,
@@ -382,6 +382,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--only", action="append", choices=CASES, help="only this one; may be repeated")
     parser.add_argument("--half", choices=("choose", "judge"), help="only scenarios of this half")
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="scenarios after which searches are judged")
     parser.add_argument("--judge", choices=("best", *CLASSIFIERS), default="best")
     parser.add_argument("--search", action="append", choices=SEARCHES, help="only this one; may be repeated")
     parser.add_argument("--round-share", type=float, default=0.0, metavar="SHARE", help="of the scenarios run before")
@@ -391,7 +392,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--plot", type=Path, metavar="FILE")
     options = parser.parse_args()
-    steps, seeds, sizes = (12, 2, SIZES[:2]) if options.quick else (options.steps, options.seeds, SIZES)
+    steps, seeds, sizes = (12, 2, SIZES[:2]) if options.quick else (options.steps, options.seeds, tuple(options.sizes))
     rows, every, needed = [], {}, {}
     folders: Folders = {"examples": EXAMPLES, "ncap": options.ncap, "alks": options.alks}
     kinds = CLASSIFIERS if options.judge == "best" else (options.judge,)
