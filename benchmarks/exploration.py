@@ -176,7 +176,7 @@ def stepped(space: ParameterSpace, steps: int) -> ParameterSpace:
     for one in space.parameters:
         width = (one.high - one.low) / steps
         parameters.append(Parameter(one.name, one.low + width / 2, one.high - width / 2, width, unit=one.unit))
-    return ParameterSpace(parameters)
+    return ParameterSpace(parameters, space.declarations)
 
 
 def outcomes(name: str, folders: Folders, values: list[dict[str, Any]]) -> npt.NDArray[np.float64]:
@@ -220,6 +220,8 @@ class Judge:
         self.space = stepped(logical(name, folders).space, steps)
         self.steps = [int(one.size or 0) for one in self.space.parameters]
         self.lattice = self.space.lattice()
+        # What breaks a constraint is no scenario, and no search asks for it.
+        self.admitted = self.space.admits(self.lattice)
         self.true = self.scores <= self.case.critical
         regions, _ = label(self.true.reshape(self.steps), structure=np.ones([3] * len(self.steps)))
         self.regions = regions.ravel()
@@ -233,6 +235,7 @@ class Judge:
 
     def agreement(self, told: npt.NDArray[np.bool_]) -> dict[str, float]:
         """Recall and precision of what is told to be critical."""
+        told = told & self.admitted
         both = float((told & self.true).sum())
         return {"recall": both / max(self.true.sum(), 1), "precision": both / max(told.sum(), 1)}
 
@@ -250,7 +253,7 @@ class Judge:
             )  # fmt: skip
         except ValueError:
             return row | {"share": np.nan, "missed": np.nan}
-        within = known.share.low <= self.true.mean() <= known.share.high
+        within = known.share.low <= self.true[self.admitted].mean() <= known.share.high
         # What is said to be missed is what the set itself does not find, whoever judges the search.
         open_ = 1.0 - self.agreement(known.found(self.lattice))["recall"]
         missed = known.missed.low <= open_ <= known.missed.high
@@ -402,7 +405,7 @@ def main() -> None:
             print(f"\n{name}: left out, without --{CASES[name].of}")
             continue
         judge = Judge(name, folders, steps, options.truth, kinds)
-        print(f"\n{name}: {len(judge.true)} scenarios, {judge.true.mean():.1%} critical "
+        print(f"\n{name}: {judge.admitted.sum()} scenarios, {judge.true[judge.admitted].mean():.1%} critical "
               f"({judge.case.metric} <= {judge.case.critical:g}), {len(judge.large)} regions")  # fmt: skip
         jobs = [(kind, seed) for kind in options.search or SEARCHES for seed in range(1 if kind == "grid" else seeds)]
         begin = (name, folders, steps, options.truth, kinds)
