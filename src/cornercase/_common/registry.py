@@ -76,7 +76,8 @@ class Registry(Generic[T]):
         ----------
         name : str
             May hold options behind a colon: ``"ttc:accelerating=true"``; what is built then has the whole of it as its
-            name.
+            name. A factory whose first parameter is positional-only takes all that stands behind the colon as that, as
+            a text: ``"stl:always(clearance > 0.5)"``.
         **options
             What its factory gets besides.
 
@@ -99,6 +100,10 @@ class Registry(Generic[T]):
         factory = self.factory(base)
         if not text:
             return factory(**options)
+        if any(one.kind is one.POSITIONAL_ONLY for one in signature(factory).parameters.values()):
+            whole: Any = factory(text, **options)
+            whole.name = name
+            return cast(T, whole)
         given = set(options)
         for option in text.split(","):
             key, equals, value = (part.strip() for part in option.partition("="))

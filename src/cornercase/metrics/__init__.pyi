@@ -21,6 +21,9 @@ from .features import known_features as known_features
 from .following import Headway as Headway
 from .following import Pttc as Pttc
 from .following import Thw as Thw
+from .formulas.formula import Formula as Formula
+from .formulas.signals import Signals as Signals
+from .formulas.signals import signals_of as signals_of
 from .gap_time import GapTime as GapTime
 from .gap_time import SquaredGapTime as SquaredGapTime
 from .lateral import LateralAcceleration as LateralAcceleration
@@ -35,6 +38,7 @@ from .registry import METRICS as METRICS
 from .rss import Rss as Rss
 from .severity import ConflictSeverity as ConflictSeverity
 from .severity import DeltaV as DeltaV
+from .stl import Stl as Stl
 from .traffic_quality import TrafficQuality as TrafficQuality
 from .trajectory_distance import TrajectoryDistance as TrajectoryDistance
 from .ttc import Ttc as Ttc

@@ -30,6 +30,7 @@ for _name, _place in (
     ("pttc", "following:Pttc"),
     ("rss", "rss:Rss"),
     ("spret", "gap_time:SquaredGapTime"),
+    ("stl", "stl:Stl"),
     ("stn", "lateral:Stn"),
     ("tet", "exposure:Tet"),
     ("thw", "following:Thw"),

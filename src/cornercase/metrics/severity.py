@@ -134,6 +134,25 @@ def velocity_change(recording: Recording, ego: str, other: str) -> float | None:
         That of the lighter one, at the first instant of a contact; None without a contact. 0 where their velocities at
         that time are not known.
     """
+    found = find_contact(recording, ego, other)
+    return None if found is None else found[1]
+
+
+def find_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
+    """Find the first instant of a contact.
+
+    Parameters
+    ----------
+    recording : Recording
+    ego, other : str
+        Names of two entities.
+
+    Returns
+    -------
+    tuple of int and float, or None
+        The instant, and the change of velocity of the lighter one in m/s as of `velocity_change`; None without a
+        contact.
+    """
     touch = touching(recording, ego, other)
     recorded = recording.first_collision(ego, other)
     if recorded is not None:
@@ -144,7 +163,7 @@ def velocity_change(recording: Recording, ego: str, other: str) -> float | None:
     first = int(np.argmax(touch))
     size = float(np.hypot(*relative_velocity(recording, ego, other)[first]))
     share = _share(recording, ego, other, {})
-    return max(share, 1.0 - share) * size if np.isfinite(size) else 0.0
+    return first, (max(share, 1.0 - share) * size if np.isfinite(size) else 0.0)
 
 
 def _change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> FloatArray:

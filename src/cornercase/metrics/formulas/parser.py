@@ -1,0 +1,226 @@
+"""Reads formulas."""
+
+from __future__ import annotations
+
+from typing import Final, Literal, NoReturn, TypeAlias, cast
+
+import numpy as np
+
+from cornercase._common.errors import InputError
+from cornercase.metrics.formulas.signals import unit_of
+from cornercase.metrics.formulas.terms import Bound, Comparison, Node, Operation, Relation, Signal
+from cornercase.metrics.formulas.units import in_si, is_unit, spelt
+from cornercase.metrics.formulas.words import KEYWORDS, Word, Words, operator_meant
+
+_LONGEST: Final = 2000
+_DEEPEST: Final = 50
+_RELATIONS: Final = ("<=", ">=", "<", ">")
+_TURNED: Final[dict[str, Relation]] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
+
+_Term: TypeAlias = "tuple[Signal, Word] | tuple[_Number, Word]"
+
+
+class _Number:
+    """A number with its unit, before it is known what it is compared with."""
+
+    def __init__(self, value: float, unit: Word | None) -> None:
+        self.value, self.unit = value, unit
+
+
+def parse(text: str) -> Node:
+    """Read a formula.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    Comparison or Operation
+
+    Raises
+    ------
+    InputError
+        It is none; the message names the place and what helps.
+    """
+    if len(text) > _LONGEST:
+        raise InputError(f"The formula '{text[:60]}…' has {len(text)} characters; give {_LONGEST} at most.")
+    return _Parser(Words(text)).whole()
+
+
+class _Parser:
+    """From the operator that binds least, `->`, down to comparisons."""
+
+    def __init__(self, words: Words) -> None:
+        self.words = words
+        self.depth = 0
+
+    def whole(self) -> Node:
+        if self.words.ended:
+            self.words.expected("a comparison, such as clearance > 0.5")
+        found = self.implication()
+        if not self.words.ended:
+            self._refuse_rest()
+        return found
+
+    def implication(self) -> Node:
+        self.depth += 1
+        if self.depth > _DEEPEST:
+            self.words.refuse(f"brackets and operators are nested more than {_DEEPEST} deep.")
+        left = self.disjunction()
+        if self.words.take_if("->"):
+            left = Operation("->", (left, self.implication()))
+        self.depth -= 1
+        return left
+
+    def disjunction(self) -> Node:
+        parts = [self.conjunction()]
+        while self.words.take_if("or"):
+            parts.append(self.conjunction())
+        return Operation("or", tuple(parts)) if len(parts) > 1 else parts[0]
+
+    def conjunction(self) -> Node:
+        parts = [self.until()]
+        while self.words.take_if("and"):
+            parts.append(self.until())
+        return Operation("and", tuple(parts)) if len(parts) > 1 else parts[0]
+
+    def until(self) -> Node:
+        left = self.unary()
+        if not self.words.take_if("until"):
+            return left
+        interval = self.interval()
+        found = Operation("until", (left, self.unary()), interval)
+        if self.words.next.text == "until":
+            self.words.refuse("put brackets around one of the two until.")
+        return found
+
+    def unary(self) -> Node:
+        word = self.words.next
+        if word.kind == "name" and word.text in ("not", "always", "eventually"):
+            self.depth += 1
+            if self.depth > _DEEPEST:
+                self.words.refuse(f"brackets and operators are nested more than {_DEEPEST} deep.")
+            operator = cast('Literal["not", "always", "eventually"]', self.words.take().text)
+            interval = None if operator == "not" else self.interval()
+            found = Operation(operator, (self.unary(),), interval)
+            self.depth -= 1
+            return found
+        if not self.words.take_if("("):
+            return self.comparison()
+        inner = self.implication()
+        if not self.words.take_if(")"):
+            if not self.words.ended:
+                self._refuse_rest()
+            self.words.expected("a closing bracket ')'")
+        return inner
+
+    def interval(self) -> tuple[float, float] | None:
+        opening = self.words.next
+        if not self.words.take_if("["):
+            return None
+        begin = self._instant("the begin of the interval in s, as in [0:5]")
+        if not self.words.take_if(":", ","):
+            self.words.expected("':' and the end of the interval, as in [0:5]")
+        end = np.inf if self.words.next.text == "]" else self._instant("the end of the interval in s, as in [0:5]")
+        if not self.words.take_if("]"):
+            self.words.expected("']', the end of the interval")
+        if end < begin:
+            self.words.refuse(f"the interval ends at {end:g} s, before it begins at {begin:g} s.", opening)
+        return begin, end
+
+    def comparison(self) -> Comparison:
+        left, place = self.term()
+        relation = self.words.next
+        if not self.words.take_if(*_RELATIONS):
+            self.words.expected(f"a comparison of '{place.text}': {', '.join(_RELATIONS)}")
+        right, second = self.term()
+        if self.words.next.text in _RELATIONS:
+            self.words.refuse("compare two at a time, as in 1 < ttc and ttc < 5.")
+        name = cast(Relation, relation.text)
+        if isinstance(left, Signal):
+            return Comparison(left, name, self._compared(left, right, second))
+        if isinstance(right, Signal):
+            bound = self._compared(right, left, place)
+            return Comparison(right, _TURNED[name], bound)
+        self.words.refuse("two numbers are compared; name a signal, such as ego.speed.", place)
+
+    def term(self) -> _Term:
+        word = self.words.next
+        if word.kind == "number":
+            self.words.take()
+            value = self._finite(word)
+            return _Number(value, self.words.take_unit()), word
+        if word.kind != "name":
+            self.words.expected("a signal, such as ttc or ego.speed, or a number")
+        if word.text == "abs":
+            self.words.take()
+            if not self.words.take_if("("):
+                self.words.expected("a signal in brackets, as in abs(ego.acceleration)")
+            found, _ = self.signal(absolute=True)
+            if not self.words.take_if(")"):
+                self.words.expected("a closing bracket ')'; abs takes one signal")
+            return found, word
+        return self.signal()
+
+    def signal(self, absolute: bool = False) -> tuple[Signal, Word]:
+        word = self.words.next
+        if word.kind != "name" or word.text in KEYWORDS:
+            self.words.expected("a signal, such as ttc or ego.speed")
+        try:
+            unit = unit_of(word.text)
+        except InputError as error:
+            meant = operator_meant(word.text) if word.text.isalpha() else ""
+            sentence = str(error)
+            if meant and "known are" in sentence:
+                sentence = f"there is no signal '{word.text}'; {meant}"
+            self.words.refuse(sentence)
+        self.words.take()
+        return Signal(word.text, unit, absolute), word
+
+    def _compared(self, signal: Signal, other: Signal | _Number, place: Word) -> Signal | Bound:
+        if isinstance(other, Signal):
+            if spelt(other.unit) != spelt(signal.unit):
+                self.words.refuse(
+                    f"'{signal.text}' in {signal.unit} is compared with '{other.text}' in {other.unit}; compare signals"
+                    " of one unit.",
+                    place,
+                )
+            return other
+        given = "" if other.unit is None else other.unit.text
+        try:
+            value = in_si(other.value, given, signal.unit)
+        except InputError as error:
+            # Behind a number may stand an operator that is misspelt.
+            meant = "" if is_unit(given) else operator_meant(given)
+            self.words.refuse(meant or f"{signal.text} is in {signal.unit}: {error}", other.unit)
+        return Bound(value, f"{place.text.removeprefix('+')} {spelt(given)}".rstrip())
+
+    def _instant(self, what: str) -> float:
+        word = self.words.next
+        if word.kind != "number":
+            self.words.expected(what)
+        self.words.take()
+        value = self._finite(word)
+        unit = self.words.take_unit()
+        if unit is not None:
+            try:
+                value = in_si(value, unit.text, "s")
+            except InputError as error:
+                self.words.refuse(f"intervals are in s: {error}", unit)
+        if value < 0.0:
+            self.words.refuse("intervals begin at 0 s or later, as they look ahead.", word)
+        return value
+
+    def _finite(self, word: Word) -> float:
+        value = float(word.text)
+        if not np.isfinite(value):
+            self.words.refuse("the number is too large.", word)
+        return value
+
+    def _refuse_rest(self) -> NoReturn:
+        word = self.words.next
+        if word.text == ")":
+            self.words.refuse("this bracket closes none; leave it out.")
+        meant = operator_meant(word.text) if word.kind == "name" else ""
+        self.words.refuse(meant if meant else "give and, or, ->, until, or the end of the formula.")

@@ -1,0 +1,82 @@
+"""Robustness of a formula of signal temporal logic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics.base import Metric
+from cornercase.metrics.formulas.formula import Formula
+from cornercase.metrics.formulas.signals import is_metric, signals_of
+from cornercase.metrics.formulas.terms import Bound, Comparison
+from cornercase.metrics.registry import METRICS
+from cornercase.recordings import Recording
+
+_FAR: Final = 100.0
+
+
+class Stl(Metric):
+    """How far a formula of signal temporal logic holds: positive where it does, negative where it is violated.
+
+    The course is the robustness of what holds from each instant on, the score that at the first instant. The unit is
+    that of the formula's comparisons, and 1 where they have several. Not defined (NaN throughout) where no comparison
+    was ever defined.
+
+    Cap: for a comparison of a metric with a number, how far the number is from the metric's own cap, so that
+    ``stl:always(clearance > 0.5)`` scores what ``clearance`` does less 0.5; for any other 100; of several the largest.
+    Most critical value: -100, or how far a number is beyond the most critical value of the metric that it is compared
+    with, if that is more.
+
+    Parameters
+    ----------
+    formula : str, default "clearance > 0"
+        All that stands behind the colon: ``"stl:always[0:5](ttc > 1.5)"``. Its language is that of
+        `cornercase.metrics.Formula`.
+
+    Notes
+    -----
+    Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
+    Theoretical Computer Science 410 (2009); A. Donzé, O. Maler, "Robust satisfaction of temporal logic over real-valued
+    signals", FORMATS (2010); temporal operators by RTAMT (D. Ničković, T. Yamaguchi, ATVA 2020).
+    """
+
+    name = "stl"
+    unit = "1"
+    lower_is_critical = True
+    cap = _FAR
+    critical = 0.0
+    source = "Fainekos and Pappas 2009, Donzé and Maler 2010"
+
+    def __init__(self, formula: str = "clearance > 0", /) -> None:
+        self.formula = Formula.parse(formula)
+        self.unit = self.formula.unit
+        comparisons = self.formula.comparisons
+        self.cap = max(map(_cap, comparisons))
+        self.most_critical = -max(_FAR, *(gap for one in comparisons for gap in _beyond(one)), 0.0)
+
+    def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
+        signals = signals_of(recording, ego, other)
+        if all(np.isnan(one.margin(signals)).all() for one in self.formula.comparisons):
+            return np.full(len(signals.time), np.nan)
+        return self.formula.robustness(signals)
+
+    def score(self, course: FloatArray) -> float:
+        return float(self.capped(course[:1])[0])
+
+
+def _cap(comparison: Comparison) -> float:
+    name, bound = comparison.left.name, comparison.right
+    if not isinstance(bound, Bound) or not is_metric(name):
+        return _FAR
+    return abs(METRICS.create(name).cap - bound.value)
+
+
+def _beyond(comparison: Comparison) -> Iterator[float]:
+    name, bound = comparison.left.name, comparison.right
+    if isinstance(bound, Bound) and is_metric(name):
+        worst = METRICS.create(name).most_critical
+        if worst is not None:
+            yield abs(worst - bound.value)
