@@ -2,6 +2,7 @@ from .binomial import bounds_of_share as bounds_of_share
 from .committee import Committee as Committee
 from .critical_set import REGION as REGION
 from .critical_set import CriticalSet as CriticalSet
+from .difference import SetDifference as SetDifference
 from .estimate import Estimate as Estimate
 from .gaussian_process import GaussianProcess as GaussianProcess
 from .gaussian_process import boundary_process as boundary_process

@@ -184,8 +184,8 @@ class CriticalSet:
         likely = ndtr(-(self._a + self._b * middle[:, None]))
         return group, np.concatenate([likely, np.zeros((1, _DRAWS)), np.ones((1, _DRAWS))])
 
-    def _shares(self, among: BoolArray) -> FloatArray:
-        """Share of the space that is critical and among some of the places, in each draw, shape (draws,)."""
+    def _shares(self, among: BoolArray | FloatArray) -> FloatArray:
+        """Share of the space that is critical and among some of the places, or a sum over it, in each draw, (draws,)."""
         group, likely = self._groups
         expected = np.bincount(group, weights=self._places.weights * among, minlength=len(likely)) @ likely
         # The joint draws on few places give the spread, the probabilities on all places the mean.
@@ -305,17 +305,60 @@ class CriticalSet:
         -------
         Estimate
         """
+        both = self._shared(other, np.arange(_DRAWS))
+        there = self._all > 0.0
+        return Estimate.of_draws(np.clip(both[there] / self._all[there], 0.0, 1.0) if there.any() else np.ones(1))
+
+    def against(self, other: CriticalSet) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Draw the shares of the space that are critical here, there, and in both.
+
+        Parameters
+        ----------
+        other : CriticalSet
+            From other scenarios of the same space, with the same seed; drawn independently.
+
+        Returns
+        -------
+        here, there, both : ndarray of float64, shape (draws,)
+            Each draw of the one goes with one of the other.
+        """
+        # The corrections of both are drawn with the same numbers: in another order they are independent.
+        order = np.random.default_rng([self._seed, 6]).permutation(_DRAWS)
+        here, there = self._all, other._all[order]
+        return here, there, np.clip(self._shared(other, order), 0.0, np.minimum(here, there))
+
+    def middle(self) -> FloatArray:
+        """Draw the middle of the critical set: the mean of each parameter over all that is critical.
+
+        Returns
+        -------
+        ndarray of float64, shape (draws, d)
+            In the parameters' units; NaN of a parameter with choices, and where nothing is critical.
+        """
+        values = self._space.values(self._places.points)
+        found = np.full((_DRAWS, self._space.dimension), np.nan)
+        with one_thread():
+            whole = self._shares(np.ones(len(self._t)))
+            for k, one in enumerate(self._space.parameters):
+                if not one.choices:
+                    at = np.array([one.read_number(value) for value in values])
+                    with np.errstate(divide="ignore", invalid="ignore"):
+                        middle = np.clip(self._shares(at - at.min()) / whole + at.min(), at.min(), at.max())
+                    found[:, k] = np.where(self._all > 0.0, middle, np.nan)
+        return found
+
+    def _shared(self, other: CriticalSet, order: IntArray) -> FloatArray:
+        """Share of the space that is critical in both, in each draw here and that of the other in its order."""
         at, weights, drawn, surplus = self._joint
-        limit = other._limit(at)
+        limit = other._limit(at)[:, order]
         with one_thread():
             too = other._drawn(at, limit, 5)
         # As for the share of the space: few places give the spread, all places the mean.
         (mine, likely), (others, likely_too) = self._groups, other._groups
         places = coo_array((self._places.weights, (mine, others)), shape=(len(likely), len(likely_too)))
-        both = (likely * np.asarray(places.tocsr() @ likely_too)).sum(axis=0)
+        both = (likely * np.asarray(places.tocsr() @ likely_too[:, order])).sum(axis=0)
         both += weights @ ((drawn & too) - (drawn - surplus) * ndtr(limit))
-        there = self._all > 0.0
-        return Estimate.of_draws(np.clip(both[there] / self._all[there], 0.0, 1.0) if there.any() else np.ones(1))
+        return np.asarray(both)
 
     def overlooked(self, size: float = REGION) -> float:
         """Probability, by the process, that no scenario was run in some critical region.

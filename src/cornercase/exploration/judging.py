@@ -86,7 +86,9 @@ def learns_from_features(optimizer: str) -> bool:
         return False
 
 
-def critical_set_of(study: Study, scores: FloatArray, threshold: float, *, last: int | None = None) -> CriticalSet:
+def critical_set_of(
+    study: Study, scores: FloatArray, threshold: float, *, last: int | None = None, seed: int | None = None
+) -> CriticalSet:
     """Estimate the critical set of a study; its audits judge, and say nothing of what is found.
 
     Parameters
@@ -98,6 +100,8 @@ def critical_set_of(study: Study, scores: FloatArray, threshold: float, *, last:
         Oriented score up to which a scenario is critical.
     last : int, optional
         Id of a scenario: only it and those that were proposed before it count, as when it had just been run.
+    seed : int, optional
+        Of what is drawn; by default the study's. Two sets are compared with the same one.
 
     Returns
     -------
@@ -126,7 +130,7 @@ def critical_set_of(study: Study, scores: FloatArray, threshold: float, *, last:
         points[~audits],
         scores[~audits],
         threshold,
-        meta.seed,
+        meta.seed if seed is None else seed,
         filling=blindly[[row.state == "done" for row in rows]],
         audits=(points[audits], scores[audits]),
         happened=happened,
