@@ -40,3 +40,5 @@ from .simulators import simulate as simulate
 from .study import ImportResult as ImportResult
 from .study import Study as Study
 from .study import import_recordings as import_recordings
+from .suite import Comparison as Comparison
+from .suite import compare as compare

@@ -30,8 +30,8 @@ _RENAMED: Final = {
     "weights": "--weight",
 }
 _COMMANDS: Final = (
-    "analyze", "check", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce", "replay",
-    "report", "show", "simulate", "watch",
+    "analyze", "check", "compare", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce",
+    "replay", "report", "show", "simulate", "watch",
 )  # fmt: skip
 _QUOTED: Final = re.compile(r"`(\w+)`")
 

@@ -14,6 +14,7 @@ from .clusters import ClusteringMethod as ClusteringMethod
 from .comparing import series_of as series_of
 from .estimator import ScenarioClustering as ScenarioClustering
 from .estimator import cluster as cluster
+from .joining import join_kinds as join_kinds
 from .outcomes import Encounter as Encounter
 from .outcomes import Impact as Impact
 from .outcomes import Outcome as Outcome

@@ -28,6 +28,7 @@ from cornercase.clustering.comparing import (
     unit_of,
 )
 from cornercase.clustering.estimator import ScenarioClustering
+from cornercase.clustering.joining import fit_again
 from cornercase.clustering.outcomes import find_outcome
 from cornercase.clustering.profiles import describe_clusters
 from cornercase.clustering.traits import measure_traits
@@ -175,10 +176,8 @@ def _joined(before: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clu
     # A scenario that failed may have been run again since; so the earlier ones need not be the first.
     earlier = np.isin(ids, before.fitted)
     known = before.clustering
-    axes = known.embedding.shape[1]
-    model = ScenarioClustering(known.gamma, known.eps, known.min_samples, axes, method=known.method)
-    model.fit(distances[np.ix_(earlier, earlier)])
-    labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), axes))
+    model = fit_again(before, distances[np.ix_(earlier, earlier)])
+    labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), known.embedding.shape[1]))
     labels[earlier], embedding[earlier] = model.labels_, model.embedding_
     to_earlier = distances[np.ix_(~earlier, earlier)]
     labels[~earlier], embedding[~earlier] = model.predict(to_earlier), model.transform(to_earlier)

@@ -185,7 +185,7 @@ class CriticalSet:
         return group, np.concatenate([likely, np.zeros((1, _DRAWS)), np.ones((1, _DRAWS))])
 
     def _shares(self, among: BoolArray | FloatArray) -> FloatArray:
-        """Share of the space that is critical and among some of the places, or a sum over it, in each draw, (draws,)."""
+        """Share of the space that is critical and among some places, or a sum over it, in each draw, shape (draws,)."""
         group, likely = self._groups
         expected = np.bincount(group, weights=self._places.weights * among, minlength=len(likely)) @ likely
         # The joint draws on few places give the spread, the probabilities on all places the mean.

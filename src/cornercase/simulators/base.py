@@ -57,6 +57,9 @@ class Simulator(ABC):
         worker process from 0 on.
     in_process : bool, default False
         Whether it may run in cornercase's own process: it does not crash, does not hang, and leaves nothing behind.
+    repeats_itself : bool, default False
+        Whether the same scenario with the same settings gives the same recording, to the last bit. Then any difference
+        of two recordings is one of what is tested.
     takes_batches : bool, default False
         Whether many scenarios in one call take less time than one after the other. Such a simulator is given as
         many at once as there are; any other gets them one by one.
@@ -85,6 +88,7 @@ class Simulator(ABC):
     settings: dict[str, object]
     needs: ClassVar[tuple[str, ...]] = ()
     in_process: ClassVar[bool] = False
+    repeats_itself: ClassVar[bool] = False
     takes_batches: ClassVar[bool] = False
 
     @abstractmethod

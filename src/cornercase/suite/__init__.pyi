@@ -1,3 +1,13 @@
+from .comparing import compare as compare
+from .comparing_results import ChangeTest as ChangeTest
+from .comparing_results import Comparison as Comparison
+from .comparing_results import KindChange as KindChange
+from .comparing_results import Pair as Pair
+from .comparing_results import ScoreChange as ScoreChange
+from .comparing_results import SpaceChange as SpaceChange
+from .comparing_results import Telling as Telling
+from .comparing_words import Section as Section
+from .comparing_words import tell_comparison as tell_comparison
 from .verdict import State as State
 from .verdict import Verdict as Verdict
 from .verdict import worst_state as worst_state

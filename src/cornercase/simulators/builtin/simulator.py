@@ -55,6 +55,7 @@ class BuiltinSimulator(Simulator):
 
     name = "builtin"
     in_process = True
+    repeats_itself = True
     takes_batches = True
 
     def __init__(

@@ -59,6 +59,7 @@ class EsminiSimulator(Simulator):
     """
 
     name = "esmini"
+    repeats_itself = True
 
     def __init__(
         self,

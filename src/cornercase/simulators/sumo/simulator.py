@@ -55,6 +55,7 @@ class SumoSimulator(Simulator):
     """
 
     name = "sumo"
+    repeats_itself = True
 
     def __init__(
         self,

@@ -1,0 +1,57 @@
+"""The command that tells what changed between two versions."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cornercase.cli.options import app, out
+
+if TYPE_CHECKING:
+    from cornercase.suite import Section
+
+
+@app.command()
+def compare(
+    old: Annotated[Path, typer.Argument(metavar="OLD.db", help="Study of the old version.")],
+    new: Annotated[Path, typer.Argument(metavar="NEW.db", help="Study of the new one, of the same scenario.")],
+    *,
+    metric: Annotated[
+        list[str] | None, typer.Option("--metric", metavar="NAME", help="Metric to compare by; default: all.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Tell what changed between two versions, by the studies of both.
+
+    Compares what ran with the same parameters one by one; explore both versions with the same seed to have such pairs.
+    Exit code 0: no change; 1: something changed; 2: bad input.
+
+    \b
+    Example:
+      cornercase compare old.db new.db
+      cornercase compare old.db new.db --metric wttc --json
+    """
+    from cornercase import suite
+
+    found = suite.compare(old, new, metrics=metric)
+    if as_json:
+        sys.stdout.write(json.dumps(found.to_json(), indent=2, ensure_ascii=False) + "\n")
+    else:
+        for section in suite.tell_comparison(found):
+            _show(section)
+    if found.changed:
+        raise typer.Exit(1)
+
+
+def _show(section: Section) -> None:
+    out.print(section.title)
+    for sentence in section.sentences:
+        out.print(f"  {sentence}")
+    lines = [section.header, *section.rows] if section.rows else []
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        out.print("    " + "  ".join(map(str.ljust, line, widths)).rstrip())

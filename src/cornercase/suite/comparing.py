@@ -1,0 +1,204 @@
+"""What changed between two versions of what is tested."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.arguments import texts
+from cornercase._common.errors import InputError
+from cornercase.clustering import join_kinds, read_analyses
+from cornercase.metrics import METRICS
+from cornercase.simulators import SIMULATORS
+from cornercase.study import Study, StudyMeta, open_study
+from cornercase.suite.comparing_pairs import Side, read_pairs, require_comparable, sample_of
+from cornercase.suite.comparing_results import LEVEL, ChangeTest, Comparison, KindChange, Pair, ScoreChange
+from cornercase.suite.comparing_space import find_space_change
+from cornercase.suite.comparing_telling import choose_telling
+from cornercase.suite.comparing_tests import FEWEST, correct, moved_by, tests_of_pairs, tests_of_samples
+
+# What is named where it differs; seed and search say which scenarios were run, not what with.
+_NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "repeats": "runs of each scenario"}
+
+
+def compare(
+    old: Study | Path | str, new: Study | Path | str, *, metrics: str | Sequence[str] | None = None
+) -> Comparison:
+    """Tell what changed between two versions of what is tested, each of which was run into a study.
+
+    Scenarios with the same parameters are compared one by one; where both studies were explored, their critical sets
+    too. What a search chose by scores never grades them, unless the simulators repeat themselves to the last bit: then
+    any two recordings that differ show a change.
+
+    Parameters
+    ----------
+    old, new : Study or path
+        Of the same scenario, parameter space and entities; other drivers, simulators, versions and time steps are what
+        is compared.
+    metrics : str or sequence of str, optional
+        Metrics to compare by; by default all, which have to be the same in both.
+
+    Returns
+    -------
+    Comparison
+        True where the versions differ. Where simulators do not repeat themselves that is wrong in at most 5 % of all
+        comparisons of a version with itself, over all tests together.
+
+    Raises
+    ------
+    InputError
+        The studies are of other scenarios, parameters, entities, metrics or thresholds; or they have nothing in common:
+        no scenario, and fewer than 20 each that were chosen whatever the scores are.
+    """
+    with open_study(old, readonly=True) as before, open_study(new, readonly=True) as after:
+        chosen = require_comparable(before, after, None if metrics is None else texts("metrics", metrics))
+        sides = [Side.of(study, chosen, {}) for study in (before, after)]
+        pairs = read_pairs(*sides)
+        certain = all(_repeats_itself(study.meta.simulator) for study in (before, after))
+        tests = _tests(sides[0], sides[1], pairs, chosen, certain)
+        changed, reason = _judged(pairs, tests, certain)
+        return Comparison(
+            names=(before.path.name, after.path.name),
+            title=before.meta.title,
+            differences=tuple(_differences(before.meta, after.meta)),
+            changed=changed,
+            reason=reason,
+            certain=certain,
+            pairs=pairs,
+            alone=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),
+            scores=tuple(_score_change(pairs, name) for name in chosen if any(one.ran for one in pairs)),
+            tests=tests,
+            outcomes=Counter(one.outcomes for one in pairs if one.ran),
+            verdicts=Counter(
+                (a.requirement, a.state, b.state) for one in pairs for a, b in zip(*one.verdicts, strict=True)
+            ),
+            kinds=_kinds(before, after, pairs),
+            space=find_space_change(sides[0], sides[1], pairs),
+            telling=choose_telling(pairs, chosen),
+        )
+
+
+def _repeats_itself(simulator: str) -> bool:
+    """Whether a simulator gives the same recording again; of one that is not known here it is not assumed."""
+    try:
+        return SIMULATORS.class_of(simulator).repeats_itself
+    except InputError:
+        return False
+
+
+def _tests(
+    old: Side, new: Side, pairs: Sequence[Pair], metrics: Sequence[str], certain: bool
+) -> tuple[ChangeTest, ...]:
+    """Test the pairs, and the fillings of both searches where these are too few; what is tested hangs on no score."""
+    paired = [one for one in pairs if certain or one.unselected]
+    found = tests_of_pairs(paired, metrics) if paired else []
+    filling = len(old.filling()), len(new.filling())
+    # Where the fillings are mostly the same scenarios, pairs say more.
+    if sum(one.unselected for one in pairs) < FEWEST <= min(filling):
+        (scores, facts), (others, other_facts) = sample_of(old, metrics), sample_of(new, metrics)
+        both = {name: each for name, each in facts.items() if name in other_facts}
+        found += tests_of_samples((scores, others), (both, other_facts))
+    if not found and not pairs:
+        raise InputError(
+            f"{old.study.path} and {new.study.path}: have no scenario in common, and only {filling[0]} and {filling[1]}"
+            f" scenarios that were chosen whatever the scores are, of {FEWEST} that are needed; explore both with the"
+            " same `seed`, or with `audit`."
+        )
+    return correct(found)
+
+
+def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -> tuple[bool, str]:
+    """Whether the versions differ, and why that is said."""
+    runs = Counter(one.run for one in pairs)
+    otherwise = runs["otherwise"] + runs["not in one"]
+    significant = [one for one in tests if one.corrected <= LEVEL]
+    if certain and otherwise:
+        return True, (
+            f"{otherwise} of {len(pairs)} scenarios that both ran went otherwise, and both simulators repeat themselves"
+        )
+    if significant:
+        first = min(significant, key=lambda one: one.corrected)
+        more = f" and {len(significant) - 1} more" if len(significant) > 1 else ""
+        return True, (
+            f"{first.about} differs ({first.method}, p = {first.corrected:.2g} corrected for {len(tests)} tests){more}"
+        )
+    if pairs and runs["the same"] == len(pairs):
+        return False, f"all {len(pairs)} scenarios that both ran are the same bytes"
+    if certain and pairs:
+        return False, f"the {len(pairs)} scenarios that both ran are the same up to rounding"
+    if not tests:
+        return False, "none of the scenarios that both ran can be tested: a search chose them by their scores"
+    return False, f"none of {len(tests)} tests shows a change, at {LEVEL:.0%} over all of them"
+
+
+def _score_change(pairs: Sequence[Pair], name: str) -> ScoreChange:
+    metric = METRICS.create(name)
+    ran = [one for one in pairs if one.ran]
+    scores = np.array([one.scores[name] for one in ran])
+    changes = moved_by(scores[:, 0], scores[:, 1])
+    moved = changes[changes != 0.0]
+    worse = int((np.asarray(metric.oriented(moved)) < 0.0).sum())
+    k = int(np.abs(changes).argmax())
+    return ScoreChange(
+        metric=name,
+        unit=metric.unit,
+        pairs=len(ran),
+        moved=len(moved),
+        worse=worse,
+        better=len(moved) - worse,
+        median=float(np.median(moved)) if len(moved) else 0.0,
+        largest=float(changes[k]),
+        ids=ran[k].ids if len(moved) else None,
+    )
+
+
+def _differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
+    """What the studies were made with, where that differs, in words."""
+    for name, words in _NAMED.items():
+        if getattr(old, name) != getattr(new, name):
+            yield f"{words}: {getattr(old, name)} → {getattr(new, name)}"
+    yield from _unlike("", old.settings, new.settings)
+
+
+def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
+    if old == new:
+        return
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in [*old, *(one for one in new if one not in old)]:
+            yield from _unlike(f"{name} {key}".lstrip(), old.get(key), new.get(key))
+    else:
+        yield f"{name.replace('_', ' ')}: {_plain(old)} → {_plain(new)}"
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return str(value.get("driver", "others"))
+    return "as the file says" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _kinds(old: Study, new: Study, pairs: Sequence[Pair]) -> dict[str, tuple[KindChange, ...]]:
+    """Kinds of the old study that pairs belong to with each version; the new scenarios join them."""
+    found = {}
+    for by, analysis in read_analyses(old).items():
+        if by in old.meta.metrics and by not in new.meta.metrics:
+            continue
+        label = dict(zip(analysis.ids.tolist(), analysis.labels.tolist(), strict=True))
+        both = [one for one in pairs if one.ran and one.ids[0] in label]
+        # What ran the same stays where it is, also at the edge of a kind.
+        others = [one for one in both if one.run != "the same"]
+        joined = join_kinds(old, analysis, new, [one.ids[1] for one in others]).tolist()
+        after = {one.ids: label[one.ids[0]] for one in both}
+        after |= {one.ids: kind for one, kind in zip(others, joined, strict=True)}
+        names = {one.cluster: one.label for one in analysis.profiles} | {-1: "noise"}
+        counts = Counter(label[one.ids[0]] for one in both), Counter(after.values())
+        found[by] = tuple(
+            KindChange(
+                kind, "noise" if kind < 0 else names.get(kind, f"cluster {kind}"), counts[0][kind], counts[1][kind]
+            )
+            for kind in sorted({*counts[0], *counts[1]}, key=lambda one: (one < 0, one))
+        )
+    return found

@@ -1,0 +1,119 @@
+"""The few scenarios that tell two versions apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import METRICS
+from cornercase.suite.comparing_results import Pair, Telling
+from cornercase.suite.comparing_tests import moved_by
+
+MOST: Final = 5
+"""Scenarios that tell versions apart, at most."""
+
+# Of those that changed alike in kind, the ones that come into question: part of the largest change of a score.
+_CLOSE: Final = 0.5
+# Root mean square of the differences of all parameters, in parts of their ranges, below which a scenario shows the
+# same thing again.
+_NEAR: Final = 0.05
+
+
+def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str]) -> tuple[Telling, ...]:
+    """Choose scenarios that show what changed, spread over the space.
+
+    First those with another verdict, or that ran with one version only; then those of which one collides; then another
+    outcome; then critical or not; then a score, in units of the spread of its old scores. Among those that changed in
+    the same manner it begins with the largest change, and goes on with the one that is farthest from all that are
+    chosen, of those that changed half as much as the largest or more.
+
+    Parameters
+    ----------
+    pairs : sequence of Pair
+    metrics : sequence of str
+
+    Returns
+    -------
+    tuple of Telling
+        At most `MOST`.
+    """
+    spreads = _spreads(pairs, metrics)
+    tiers: dict[int, list[tuple[float, Pair, str]]] = {}
+    for pair in pairs:
+        tier, size, why = _change(pair, spreads)
+        if why:
+            tiers.setdefault(tier, []).append((size, pair, why))
+    chosen: list[Telling] = []
+    for tier in sorted(tiers):
+        left = sorted(tiers[tier], key=lambda one: (-one[0], one[1].ids))
+        left = [one for one in left if one[0] >= _CLOSE * left[0][0]]
+        while left and len(chosen) < MOST:
+            away = [_distance(one[1], chosen) for one in left]
+            # The first of a tier is its largest change, unless that shows again what is there.
+            k = 0 if not chosen or (left[0][0] > 0.0 and _first(tier, tiers, chosen)) else int(np.argmax(away))
+            if chosen and away[k] < _NEAR:
+                k = int(np.argmax(away))
+                if away[k] < _NEAR:
+                    break
+            _, pair, why = left.pop(k)
+            chosen.append(Telling(pair, why))
+        if len(chosen) >= MOST:
+            break
+    return tuple(chosen)
+
+
+def _first(tier: int, tiers: Mapping[int, list[tuple[float, Pair, str]]], chosen: Sequence[Telling]) -> bool:
+    of_tier = {id(pair) for _, pair, _ in tiers[tier]}
+    return not any(id(one.pair) in of_tier for one in chosen)
+
+
+def _distance(pair: Pair, chosen: Sequence[Telling]) -> float:
+    at = np.array(pair.point)
+    return min((float(np.sqrt(np.mean((at - np.array(one.pair.point)) ** 2))) for one in chosen), default=np.inf)
+
+
+def _spreads(pairs: Sequence[Pair], metrics: Sequence[str]) -> dict[str, float]:
+    """Half the range that holds the middle 90 % of the old scores; their whole range where that is 0."""
+    ran = [one for one in pairs if one.ran]
+    found = {}
+    for name in metrics if ran else ():
+        scores: FloatArray = np.array([one.scores[name][0] for one in ran])
+        low, high = np.quantile(scores, (0.05, 0.95)).tolist()
+        found[name] = (high - low) / 2.0 or float(np.ptp(scores)) or 1.0
+    return found
+
+
+def _change(pair: Pair, spreads: Mapping[str, float]) -> tuple[int, float, str]:
+    """How important a change is (0 is most), how large, and what it is in words; no words where nothing changed."""
+    if pair.run == "not in one":
+        which = "old" if pair.errors[0] is not None else "new"
+        return 0, 0.0, f"could not be run with the {which} version"
+    if not pair.ran:
+        return 9, 0.0, ""
+    size, moved = _largest(pair, spreads)
+    if pair.turned:
+        old, new = pair.turned[0]
+        return 0, size, f"{old.requirement}: {old.state}, now {new.state}"
+    tell = f"{pair.outcomes[0]}; now {pair.outcomes[1]}"
+    if pair.collides[0] != pair.collides[1]:
+        return 1, size, tell
+    if pair.outcomes[0] != pair.outcomes[1]:
+        return 2, size, tell
+    if pair.critical is not None and pair.critical[0] != pair.critical[1]:
+        return 3, size, f"{'critical now' if pair.critical[1] else 'critical no more'}, {moved}"
+    return 4, size, moved
+
+
+def _largest(pair: Pair, spreads: Mapping[str, float]) -> tuple[float, str]:
+    """Largest change of a score in units of its spread, and which."""
+    found, words = 0.0, ""
+    for name, spread in spreads.items():
+        old, new = pair.scores[name]
+        (change,) = np.abs(moved_by(np.array([old]), np.array([new]))).tolist()
+        if change / spread > found:
+            unit = METRICS.create(name).unit
+            found, words = change / spread, f"{name} {old:.4g} → {new:.4g} {'' if unit == '1' else unit}".rstrip()
+    return found, words
