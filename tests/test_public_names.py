@@ -8,11 +8,11 @@ import sys
 import cornercase
 
 FUNCTIONS = (
-    "analyze", "check", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "replay", "simulate",
+    "analyze", "check", "compare", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "replay", "simulate",
     "summarize", "watch", "write_report",
 )  # fmt: skip
 TYPES = (
-    "Analysis", "Check", "ConcreteScenario", "Conversion", "Driver", "Estimation", "ExplorationResult", "ImportResult", "LogicalScenario",
+    "Analysis", "Check", "Comparison", "ConcreteScenario", "Conversion", "Driver", "Estimation", "ExplorationResult", "ImportResult", "LogicalScenario",
     "Measurement", "Metric", "Optimizer", "Parameter", "ParameterSpace", "Recording", "ReducedSet", "ScenarioClustering",
     "Simulator", "Study", "Summary",
 )  # fmt: skip

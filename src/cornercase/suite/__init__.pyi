@@ -1,4 +1,5 @@
 from .comparing import compare as compare
+from .comparing_results import LEVEL as LEVEL
 from .comparing_results import ChangeTest as ChangeTest
 from .comparing_results import Comparison as Comparison
 from .comparing_results import KindChange as KindChange

@@ -1,0 +1,121 @@
+"""How often `cornercase compare` finds a change where there is one, and where there is none.
+
+On both examples the ego is driven by ``normal``, and by the same driver with a reaction time that is 0.1 s longer. Each
+version is explored with so many scenarios and 20 seeds. Compared are:
+
+- ``itself, other seed``: two searches of the original with different seeds, which share no scenario; any change that is
+  found is an error;
+- ``itself, same seed``: two searches of the original that should be the same to the last byte;
+- ``later, same seed``: the original and the later driver, of which the scenarios that fill the space are the same;
+- ``later, other seed``: the same with different seeds, so that there is no pair.
+
+``changed`` is what the command says. ``by tests`` is what its tests alone say, as where simulators do not repeat
+themselves. ``first`` is the median number of scenarios after which one went otherwise. ``share`` is how often the 90 %
+interval of the change of the critical share holds 0, where there is one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import cornercase as cc
+from cornercase.drivers import NORMAL, BehaviourDriver
+from cornercase.exploration import demonstration, explore_configuration
+from cornercase.suite import LEVEL, Comparison
+
+EXAMPLES = {"x-intersection": 0.2, "t-intersection": 1.5}
+LATER = 0.1
+APART = 1000
+
+
+def explored(folder: Path, example: str, optimizer: str, seed: int, budget: int, later: float) -> Path:
+    """Study of one version, made when it is asked for first."""
+    path = folder / f"{example}-{optimizer}-{seed}-{later:g}.db"
+    if not path.exists():
+        driver = BehaviourDriver(NORMAL._replace(reaction_time=NORMAL.reaction_time + later))
+        chosen = replace(
+            demonstration(example, budget=budget, seed=seed),
+            optimizer=optimizer,
+            critical=EXAMPLES[example],
+            drivers={"Ego": driver},
+        )
+        explore_configuration(chosen, path)
+    return path
+
+
+def told(found: Comparison) -> dict[str, Any]:
+    """What of a comparison counts here."""
+    otherwise = [one.ids[1] for one in found.pairs if one.run == "otherwise"]
+    sets = None if found.space is None else found.space.sets
+    return {
+        "changed": found.changed,
+        "by tests": any(one.corrected <= LEVEL for one in found.tests),
+        "pairs": len(found.pairs),
+        "first": min(otherwise, default=None),
+        "share holds 0": None if sets is None else sets.change.low <= 0.0 <= sets.change.high,
+    }
+
+
+def compared(folder: Path, example: str, optimizer: str, seeds: int, budget: int) -> Iterator[tuple[str, list[Any]]]:
+    """What each kind of comparison says, for each seed."""
+
+    def study(seed: int, later: float = 0.0, where: str = "") -> Path:
+        return explored(folder / where, example, optimizer, seed, budget, later)
+
+    (folder / "again").mkdir(exist_ok=True)
+    kinds: dict[str, Callable[[int], tuple[Path, Path]]] = {
+        "itself, other seed": lambda seed: (study(seed), study(seed + APART)),
+        "itself, same seed": lambda seed: (study(seed), study(seed, where="again")),
+        "later, same seed": lambda seed: (study(seed), study(seed, LATER)),
+        "later, other seed": lambda seed: (study(seed + APART), study(seed, LATER)),
+    }
+    for kind, pair in kinds.items():
+        yield kind, [told(cc.compare(*pair(seed))) for seed in range(1, seeds + 1)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="two seeds")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--budget", type=int, default=100)
+    parser.add_argument("--optimizer", default="level-set")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    seeds = 2 if options.quick else options.seeds
+    rows = []
+    print(f"{options.optimizer}, {options.budget} scenarios, {seeds} seeds")
+    print(f"{'example':16}{'compared':20}{'changed':>8}{'by tests':>9}{'pairs':>6}{'first':>6}  share holds 0")
+    with tempfile.TemporaryDirectory() as folder:
+        for example in EXAMPLES:
+            for kind, found in compared(Path(folder), example, options.optimizer, seeds, options.budget):
+                first = [one["first"] for one in found if one["first"] is not None]
+                holds = [one["share holds 0"] for one in found if one["share holds 0"] is not None]
+                row = {
+                    "example": example,
+                    "compared": kind,
+                    "changed": sum(one["changed"] for one in found),
+                    "by tests": sum(one["by tests"] for one in found),
+                    "pairs": float(np.median([one["pairs"] for one in found])),
+                    "first": float(np.median(first)) if first else None,
+                    "share": f"{sum(holds)} of {len(holds)}",
+                }
+                rows.append(row | {"seeds": found})
+                print(
+                    f"{example:16}{kind:20}{row['changed']:8}{row['by tests']:9}{row['pairs']:6.0f}"
+                    f"{'–' if row['first'] is None else format(row['first'], '.0f'):>6}  {row['share']}",
+                    flush=True,
+                )
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
