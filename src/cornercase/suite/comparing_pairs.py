@@ -78,10 +78,10 @@ class Side:
         fills = dict.fromkeys((row.id for row in every), False)
         if searched:
             fills = {row.id: study.meta.is_audit(row.id) for row in every}
-            told = [row for row in every if not fills[row.id]]
-            points = np.array([row.point for row in told]).reshape(-1, study.space.dimension)
+            sought = [row for row in every if not fills[row.id]]
+            points = np.array([row.point for row in sought]).reshape(-1, study.space.dimension)
             blindly = chosen_blindly(study.meta.optimizer, study.space, study.meta.seed, points)
-            fills |= {row.id: bool(one) for row, one in zip(told, blindly, strict=True) if one}
+            fills |= {row.id: bool(one) for row, one in zip(sought, blindly, strict=True) if one}
         return cls(study, tuple(seen.values()), fills, searched, scores, critical, verdicts)
 
     def unselected(self, scenario: int) -> bool:
