@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +51,11 @@ def written(path, gaps, points=GRID, hits=(), failed=(), space=SPACE, metrics=("
     return path
 
 
+def compared(*studies, **options) -> Any:
+    """What is optional in a comparison is there where a test looks at it."""
+    return cc.compare(*studies, **options)
+
+
 def ran(*arguments):
     return CliRunner().invoke(app, [str(one) for one in arguments])
 
@@ -66,7 +72,7 @@ GAPS = 0.2 + 3.0 * GRID[:, 0]
 
 def test_a_study_compared_with_itself_shows_no_change(tmp_path):
     path = written(tmp_path / "a.db", GAPS)
-    found = cc.compare(path, path)
+    found = compared(path, path)
     assert not found
     assert found.reason == "all 36 scenarios that both ran are the same bytes"
     assert found.count("the same") == 36
@@ -82,14 +88,14 @@ def test_scenarios_are_paired_by_their_values_whatever_their_order(tmp_path):
     order = np.random.default_rng(0).permutation(30)
     old = written(tmp_path / "old.db", GAPS)
     new = written(tmp_path / "new.db", GAPS[order], GRID[order])
-    found = cc.compare(old, new)
+    found = compared(old, new)
     assert not found
     assert (len(found.pairs), found.alone) == (30, (6, 0))
     assert {one.ids for one in found.pairs} == {(int(k) + 1, place + 1) for place, k in enumerate(order)}
     # The next number there is is another value.
     moved = GRID.copy()
     moved[3, 1] = np.nextafter(moved[3, 1], 1.0)
-    found = cc.compare(old, written(tmp_path / "moved.db", GAPS, moved))
+    found = compared(old, written(tmp_path / "moved.db", GAPS, moved))
     assert (len(found.pairs), found.alone) == (35, (1, 1))
 
 
@@ -97,7 +103,7 @@ def test_how_far_scores_moved_is_told_in_their_unit(tmp_path):
     old = written(tmp_path / "old.db", GAPS)
     changed = GAPS.copy()
     changed[[2, 5, 7]] += [-0.1, -0.3, 0.05]
-    (score,) = cc.compare(old, written(tmp_path / "new.db", changed)).scores
+    (score,) = compared(old, written(tmp_path / "new.db", changed)).scores
     assert (score.metric, score.unit, score.pairs, score.moved) == ("distance", "m", 36, 3)
     assert (score.worse, score.better, score.ids) == (2, 1, (6, 6))
     assert score.median == pytest.approx(-0.1)
@@ -108,13 +114,13 @@ def test_where_simulators_repeat_themselves_one_scenario_that_went_otherwise_is_
     old = written(tmp_path / "old.db", GAPS)
     changed = GAPS.copy()
     changed[4] -= 0.01
-    found = cc.compare(old, written(tmp_path / "new.db", changed))
+    found = compared(old, written(tmp_path / "new.db", changed))
     assert found
     assert found.certain
     assert found.count("otherwise") == 1
     assert [one.pair.ids for one in found.telling] == [(5, 5)]
     # What another processor makes of the same motion is none.
-    close = cc.compare(old, written(tmp_path / "close.db", GAPS + 1e-12))
+    close = compared(old, written(tmp_path / "close.db", GAPS + 1e-12))
     assert not close
     assert close.count("within rounding") == 36
     assert (close.scores[0].moved, close.telling) == (0, ())
@@ -123,10 +129,10 @@ def test_where_simulators_repeat_themselves_one_scenario_that_went_otherwise_is_
 def test_where_they_do_not_the_tests_decide(tmp_path):
     noise = np.random.default_rng(1).normal(0.0, 0.05, (2, 36))
     old = written(tmp_path / "old.db", GAPS + noise[0], simulator="synthetic")
-    same = cc.compare(old, written(tmp_path / "same.db", GAPS + noise[1], simulator="synthetic"))
+    same = compared(old, written(tmp_path / "same.db", GAPS + noise[1], simulator="synthetic"))
     assert not same
     assert same.count("otherwise") == 36
-    nearer = cc.compare(old, written(tmp_path / "new.db", GAPS + noise[1] - 0.1, simulator="synthetic"))
+    nearer = compared(old, written(tmp_path / "new.db", GAPS + noise[1] - 0.1, simulator="synthetic"))
     assert nearer
     assert nearer.reason.startswith("distance differs (Wilcoxon signed-rank")
 
@@ -137,12 +143,12 @@ def test_what_a_search_chose_by_scores_does_not_grade_it(tmp_path):
     kept = {"optimizer": "bayes", "simulator": "synthetic"}
     old = written(tmp_path / "old.db", 1.0 - np.abs(random.normal(size=36)), **kept)
     new = written(tmp_path / "new.db", 1.0 + random.normal(size=36), simulator="synthetic")
-    found = cc.compare(old, new)
+    found = compared(old, new)
     assert not found
     assert found.tests == ()
     assert "a search chose them" in found.reason
     chosen_before = written(tmp_path / "before.db", 1.0 - np.abs(random.normal(size=36)), simulator="synthetic")
-    assert cc.compare(chosen_before, new)
+    assert compared(chosen_before, new)
 
 
 def test_searches_that_share_nothing_are_compared_by_what_fills_the_space(tmp_path):
@@ -152,7 +158,7 @@ def test_searches_that_share_nothing_are_compared_by_what_fills_the_space(tmp_pa
         gaps = 0.2 + 3.0 * points[:, 0] - nearer * points[:, 0]
         path = tmp_path / f"{seed}-{nearer}.db"
         studies.append(written(path, gaps, points, optimizer="sobol", seed=seed))
-    same, other = cc.compare(*studies[:2]), cc.compare(studies[0], studies[2])
+    same, other = compared(*studies[:2]), compared(studies[0], studies[2])
     assert (len(same.pairs), same.alone) == (0, (64, 64))
     assert not same
     assert {one.method for one in same.tests} == {"Mann-Whitney", "exact Fisher"}
@@ -177,7 +183,7 @@ def test_pairs_that_fill_the_space_bound_what_is_critical_in_one_only(tmp_path):
     gaps = 0.2 + 3.0 * points[:, 0]
     old = written(tmp_path / "old.db", gaps, points, optimizer="sobol", seed=1)
     new = written(tmp_path / "new.db", gaps - 1.5 * points[:, 0], points, optimizer="sobol", seed=1)
-    space = cc.compare(old, new).space
+    space = compared(old, new).space
     gained = int(((gaps > 1.0) & (gaps - 1.5 * points[:, 0] <= 1.0)).sum())
     assert (space.pairs, space.gained.value, space.lost.value) == (64, gained / 64, 0.0)
     # The upper end of Clopper and Pearson's 90 % interval of nothing in n is 1 - 0.05^(1/n).
@@ -188,7 +194,7 @@ def test_pairs_that_fill_the_space_bound_what_is_critical_in_one_only(tmp_path):
 def test_a_scenario_that_one_version_could_not_run_is_a_change(tmp_path):
     old = written(tmp_path / "old.db", GAPS, failed={7})
     new = written(tmp_path / "new.db", GAPS, failed={7, 8})
-    found = cc.compare(old, new)
+    found = compared(old, new)
     assert found
     assert (found.count("not in one"), found.count("in neither"), found.count("the same")) == (1, 1, 34)
     assert [(one.pair.ids, one.why) for one in found.telling] == [((9, 9), "could not be run with the new version")]
@@ -197,7 +203,7 @@ def test_a_scenario_that_one_version_could_not_run_is_a_change(tmp_path):
 
 def test_outcomes_and_collisions_that_changed_are_counted(tmp_path):
     old = written(tmp_path / "old.db", GAPS, hits={0, 1})
-    found = cc.compare(old, written(tmp_path / "new.db", GAPS, hits={1, 2, 3, 4, 5, 6, 7, 8, 9}))
+    found = compared(old, written(tmp_path / "new.db", GAPS, hits={1, 2, 3, 4, 5, 6, 7, 8, 9}))
     assert found.outcomes["B ahead", "Ego and B collide"] == 8
     assert found.outcomes["Ego and B collide", "B ahead"] == 1
     assert found.outcomes["Ego and B collide", "Ego and B collide"] == 1
@@ -222,7 +228,7 @@ def test_outcomes_and_collisions_that_changed_are_counted(tmp_path):
 def test_studies_of_something_else_are_refused(tmp_path, more, words):
     old, new = written(tmp_path / "old.db", GAPS), written(tmp_path / "new.db", GAPS, **more)
     with pytest.raises(InputError) as refused:
-        cc.compare(old, new)
+        compared(old, new)
     assert words in str(refused.value)
 
 
@@ -231,7 +237,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path):
     result = cornercase("compare", old, new)
     assert (result.returncode, result.stdout, result.stderr.count("\n")) == (2, "", 1)
     with pytest.raises(InputError, match=r"none\.db"):
-        cc.compare(old, tmp_path / "none.db")
+        compared(old, tmp_path / "none.db")
 
 
 def test_another_scenario_is_refused_and_imported_recordings_are_not(tmp_path):
@@ -247,25 +253,25 @@ def test_another_scenario_is_refused_and_imported_recordings_are_not(tmp_path):
                 for row in study.propose(1, GRID, SPACE.values(GRID)):
                     study.finish(row.id, recording(1.0), {"distance": (np.full(3, 1.0), 1.0)})
         if simulator == "imported":
-            assert not cc.compare(old, new)
+            assert not compared(old, new)
         else:
             with pytest.raises(InputError, match=r"other scenarios \(old builtin.xosc, new builtin.xosc\)"):
-                cc.compare(old, new)
+                compared(old, new)
 
 
 def test_metrics_are_chosen_by_name(tmp_path):
     old = written(tmp_path / "old.db", GAPS, metrics=("distance", "ttc"))
     new = written(tmp_path / "new.db", GAPS, metrics=("distance", "wttc"))
-    assert [one.metric for one in cc.compare(old, new, metrics="distance").scores] == ["distance"]
+    assert [one.metric for one in compared(old, new, metrics="distance").scores] == ["distance"]
     with pytest.raises(InputError, match="`metrics` ttc: is not in both studies; both have distance"):
-        cc.compare(old, new, metrics=["ttc"])
+        compared(old, new, metrics=["ttc"])
     assert ran("compare", old, new, "--metric", "distance").exit_code == 0
 
 
 def test_nothing_in_common_is_refused(tmp_path):
     old = written(tmp_path / "old.db", GAPS)
     with pytest.raises(InputError, match="have no scenario in common"):
-        cc.compare(old, written(tmp_path / "new.db", GAPS, GRID * 0.99))
+        compared(old, written(tmp_path / "new.db", GAPS, GRID * 0.99))
 
 
 def test_the_signed_rank_test_is_scipys_of_the_pairs_that_moved():
@@ -366,7 +372,7 @@ def test_a_driver_that_reacts_later_is_told_from_the_original(versions):
 def test_new_scenarios_join_the_kinds_of_the_old_study(versions):
     old, new = versions
     cc.analyze(old, by="interaction")
-    itself, found = cc.compare(old, old), cc.compare(old, new)
+    itself, found = compared(old, old), compared(old, new)
     assert all(one.old == one.new for one in itself.kinds["interaction"])
     kinds = found.kinds["interaction"]
     assert sum(one.old for one in kinds) == sum(one.new for one in kinds) == 40
