@@ -1,4 +1,4 @@
-"""Pictures of the report for docs/report.md and the README.
+"""Pictures of the report for docs/report.md, docs/compare.md and the README.
 
     python docs/pictures.py [--x STUDY.db] [--four STUDY.db] [--only TEXT]…
 
@@ -16,6 +16,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -117,6 +118,25 @@ def take_four(browser: Browser, study: Path, folder: Path) -> None:
         take_element(page, "#view-parallel", "report-parallel")
 
 
+def take_versions(browser: Browser, folder: Path) -> None:
+    """Take the picture of a comparison: of the X-intersection's driver, and of one that reacts 0.1 s later."""
+    from cornercase.drivers import NORMAL, BehaviourDriver
+    from cornercase.exploration import demonstration, explore_configuration
+    from cornercase.report import write_comparison
+
+    studies = folder / "normal.db", folder / "later.db"
+    for path, time in zip(studies, (NORMAL.reaction_time, NORMAL.reaction_time + 0.1), strict=True):
+        driver = BehaviourDriver(NORMAL._replace(reaction_time=time))
+        chosen = replace(
+            demonstration("x-intersection", budget=100, seed=1), optimizer="sobol", drivers={"Ego": driver}
+        )
+        explore_configuration(chosen, path)
+    scenario = ROOT / "examples" / "x_intersection" / "x_intersection.xosc"
+    report = write_comparison(cc.compare(*studies), *studies, folder / "compare.html", scenario=scenario)
+    with opened(browser, report) as page:
+        write_picture(page.screenshot(animations="disabled"), "compare")
+
+
 def study_of_x(path: Path) -> Path:
     """The demonstration, as its command makes it."""
     from cornercase.exploration import demonstration, explore_configuration
@@ -164,6 +184,10 @@ def main() -> int:
         if path is None:
             parser.error("there is no Chromium: install it, or name it in CORNERCASE_CHROMIUM.")
         with driver.chromium.launch(executable_path=path, args=list(ARGUMENTS)) as browser:
+            if wanted("compare"):
+                take_versions(browser, folder)
+            if options.only == ["compare"]:
+                return 0
             take_x(browser, options.x or study_of_x(folder / "x.db"), folder, wanted)
             if wanted("report-parallel"):
                 take_four(browser, options.four or study_of_four(folder / "four.db"), folder)

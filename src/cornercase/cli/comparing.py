@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cornercase.cli.options import app, out
+from cornercase.cli.options import app, err, out
 
 if TYPE_CHECKING:
     from cornercase.suite import Section
@@ -24,6 +24,13 @@ def compare(
         list[str] | None, typer.Option("--metric", metavar="NAME", help="Metric to compare by; default: all.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write, with replays.")
+    ] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.xosc", help="Scenario that was explored, for the page; default: beside the study."),
+    ] = None,
 ) -> None:
     """Tell what changed between two versions, by the studies of both.
 
@@ -34,10 +41,16 @@ def compare(
     Example:
       cornercase compare old.db new.db
       cornercase compare old.db new.db --metric wttc --json
+      cornercase compare old.db new.db -o compare.html
     """
     from cornercase import suite
 
     found = suite.compare(old, new, metrics=metric)
+    if output is not None:
+        from cornercase.report import write_comparison
+
+        written = write_comparison(found, old, new, output, scenario=scenario)
+        err.print(f"The page is {written.resolve()}")
     if as_json:
         sys.stdout.write(json.dumps(found.to_json(), indent=2, ensure_ascii=False) + "\n")
     else:

@@ -5,3 +5,4 @@ from .replays.writing import replay as replay
 from .summary import MetricSummary as MetricSummary
 from .summary import Summary as Summary
 from .summary import summarize as summarize
+from .versions.page import write_comparison as write_comparison

@@ -16,6 +16,9 @@ class Section:
 
     Attributes
     ----------
+    key : str
+        What it is about: ``"answer"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``, ``"tests"``,
+        ``"space"``, ``"kinds"`` or ``"telling"``.
     title : str
     sentences : tuple of str
     header : tuple of str
@@ -23,6 +26,7 @@ class Section:
     rows : tuple of tuple of str
     """
 
+    key: str
     title: str
     sentences: tuple[str, ...] = ()
     header: tuple[str, ...] = ()
@@ -54,13 +58,15 @@ def _sections(found: Comparison) -> Iterator[Section]:
     yield from _kinds(found)
     if found.telling:
         rows = tuple((_both(one.pair.ids), _values(one.pair), one.why) for one in found.telling)
-        yield Section("Scenarios that tell the versions apart", header=("old, new", "parameters", "why"), rows=rows)
+        yield Section(
+            "telling", "Scenarios that tell the versions apart", header=("old, new", "parameters", "why"), rows=rows
+        )
 
 
 def _answer(found: Comparison) -> Section:
     word = "Changed" if found.changed else "No change"
     other = found.differences or ("The studies were made with the same settings.",)
-    return Section(f"{word}: {found.reason}", tuple(other))
+    return Section("answer", f"{word}: {found.reason}", tuple(other))
 
 
 def _pairs(found: Comparison) -> Iterator[Section]:
@@ -79,9 +85,10 @@ def _pairs(found: Comparison) -> Iterator[Section]:
     if not found.certain and found.pairs:
         blind = sum(one.unselected for one in found.pairs)
         sentences.append(f"{blind} of them were chosen by no search by its scores; the tests look at those")
-    yield Section("Pairs", tuple(sentences))
+    yield Section("pairs", "Pairs", tuple(sentences))
     if any(one.moved for one in found.scores):
         yield Section(
+            "scores",
             "Scores",
             header=("metric", "moved", "more critical", "less critical", "median change", "largest", "in (old, new)"),
             rows=tuple(
@@ -102,13 +109,13 @@ def _pairs(found: Comparison) -> Iterator[Section]:
     )
     if changed:
         rows = tuple((before, after, str(count)) for (before, after), count in changed)
-        yield Section("Outcomes that changed", header=("old", "new", "scenarios"), rows=rows)
+        yield Section("outcomes", "Outcomes that changed", header=("old", "new", "scenarios"), rows=rows)
     if found.verdicts:
         turned = sorted((one, count) for one, count in found.verdicts.items() if one[1] != one[2])
         verdicts = tuple((*one, str(count)) for one, count in turned)
         same = sum(count for one, count in found.verdicts.items() if one[1] == one[2])
         header = ("requirement", "old", "new", "scenarios") if verdicts else ()
-        yield Section("Verdicts", (f"{same} are the same",), header, verdicts)
+        yield Section("verdicts", "Verdicts", (f"{same} are the same",), header, verdicts)
 
 
 def _tests(found: Comparison) -> Section:
@@ -121,7 +128,7 @@ def _tests(found: Comparison) -> Section:
         claim = "differs" if one.corrected <= LEVEL else "–"
         rows.append((one.about, one.method, about, f"{one.p:.2g}", f"{one.corrected:.2g}", claim))
     level = f"a version is said to differ from itself in at most {LEVEL:.0%} of all comparisons (Holm)"
-    return Section("Tests", (level,), ("of", "test", "looked at", "p", "corrected", ""), tuple(rows))
+    return Section("tests", "Tests", (level,), ("of", "test", "looked at", "p", "corrected", ""), tuple(rows))
 
 
 def _space(space: SpaceChange) -> Section:
@@ -135,7 +142,7 @@ def _space(space: SpaceChange) -> Section:
         sentences.append(f"no interval by pairs: {space.pairs_doubt}")
     if space.sets is None:
         sentences.append(f"no interval by all scenarios: {space.sets_doubt}")
-        return Section("The critical part of the space", tuple(sentences))
+        return Section("space", "The critical part of the space", tuple(sentences))
     sets = space.sets
     rows: list[tuple[str, ...]] = [
         ("critical share", _share(sets.old), _share(sets.new), _share(sets.change)),
@@ -146,6 +153,7 @@ def _space(space: SpaceChange) -> Section:
         if middle is not None:
             rows.append((f"middle in {name}", *(_estimate(one, unit) for one in middle)))
     return Section(
+        "space",
         "The critical part of the space",
         (*sentences, "by all scenarios of both, with 90 % intervals:"),
         ("", "old", "new", "change"),
@@ -157,7 +165,7 @@ def _kinds(found: Comparison) -> Iterator[Section]:
     for by, kinds in found.kinds.items():
         if any(one.old != one.new for one in kinds):
             rows = tuple((one.label, str(one.old), str(one.new), _fate(one.old, one.new)) for one in kinds)
-            yield Section(f"Kinds by {by}, among the pairs", header=("kind", "old", "new", ""), rows=rows)
+            yield Section("kinds", f"Kinds by {by}, among the pairs", header=("kind", "old", "new", ""), rows=rows)
 
 
 def _fate(old: int, new: int) -> str:

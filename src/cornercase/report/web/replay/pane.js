@@ -69,7 +69,7 @@ class ReplayPane {
     const { store } = this.panel;
     const row = store.rows.get(this.id);
     const { scenarios, parameters, outcomes, kept } = store.contents;
-    this.title.textContent = `Scenario ${this.id}`;
+    this.title.textContent = scenarioName(store, this.id);
     const facts = [];
     if (scenarios.outcome[row] !== null) facts.push(outcomes[scenarios.outcome[row]]);
     if (store.options.aspect !== null && store.kindOf(row) !== null) facts.push(store.kindName(store.kindOf(row)));
@@ -86,7 +86,7 @@ class ReplayPane {
     const { store } = this.panel;
     const { study, scenarios, errors } = store.contents;
     if (scenarios.failed[store.rows.get(id)]) {
-      return `Scenario ${id} failed, so there is nothing to replay: ${errors[id]}`;
+      return `${scenarioName(store, id)} failed, so there is nothing to replay: ${errors[id]}`;
     }
     const file = typeof shellWord === "function" ? shellWord(study) : study;
     return (
@@ -132,7 +132,7 @@ class ReplayPane {
       line.append(newElement("td", "", `and ${order.length - MOST_VALUES} more`));
       body.append(line);
     }
-    this.values.replaceChildren(newElement("caption", "", `Scenario ${this.id} now`), head, body);
+    this.values.replaceChildren(newElement("caption", "", `${scenarioName(this.panel.store, this.id)} now`), head, body);
   }
 
   // The instant at which the metric's course is most critical, in s; else the first collision, else the begin.
@@ -218,7 +218,7 @@ class ReplayPane {
     if (seen !== null) parts.push(seen ? `${ego} can see ${other}` : `${other} is hidden from ${ego}`);
     if (time >= recording.time[recording.time.length - 1] - 1e-6) parts.push("end of the recording");
     this.now.textContent = parts.join(" · ");
-    const said = `Scenario ${this.id} from above at ${parts.join(", ")}`;
+    const said = `${scenarioName(panel.store, this.id)} from above at ${parts.join(", ")}`;
     if (!panel.clock.playing) this.canvas.setAttribute("aria-label", said);
   }
 }
@@ -228,6 +228,11 @@ function courseText(score, { unit, cap, lower_is_critical: lower }) {
   if (!Number.isFinite(score)) return "–";
   const capped = lower ? score >= cap - 1e-4 : score <= cap + 1e-4;
   return capped ? `none or ${lower ? "above" : "below"} ${withSceneUnit(cap, unit)}` : withSceneUnit(score, unit);
+}
+
+// What people know a scenario by: its id, or what the page calls it where it holds those of several studies.
+function scenarioName(store, id) {
+  return store.contents.called?.[id] ?? `Scenario ${id}`;
 }
 
 function newElement(tag, className = "", text = "") {

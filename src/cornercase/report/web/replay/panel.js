@@ -129,7 +129,7 @@ class ReplayPanel {
       this.chart.setCourses(courses, this.clock.begin, this.clock.end, `${metric.name}${unit}`, threshold);
       this.chart.canvas.setAttribute(
         "aria-label",
-        `Course of ${metric.name}${unit} over time [s] of ${there.map((pane) => `scenario ${pane.id}`).join(" and ")}`,
+        `Course of ${metric.name}${unit} over time [s] of ${there.map((pane) => this.called(pane.id)).join(" and ")}`,
       );
       this.tellLegend(there, metric);
     }
@@ -137,9 +137,14 @@ class ReplayPanel {
     this.changed();
   }
 
+  // In a sentence.
+  called(id) {
+    return this.store.contents.called?.[id] ?? `scenario ${id}`;
+  }
+
   tellLegend(there, metric) {
     const marks = there.map(({ slot, id }) => {
-      const mark = newElement("span", "replay-mark", `${metric.name} of scenario ${id}`);
+      const mark = newElement("span", "replay-mark", `${metric.name} of ${this.called(id)}`);
       mark.dataset.slot = slot;
       return mark;
     });
@@ -179,6 +184,8 @@ class ReplayPanel {
 
   toggleNeighbour() {
     const { store } = this;
+    // There a scenario has its partner beside it.
+    if (store.contents.called) return;
     if (store.beside !== null) store.select(null, "beside");
     else store.select(neighbourOf(store, store.selected, (id) => this.recordings.has(id)), "beside");
   }

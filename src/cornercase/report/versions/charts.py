@@ -1,0 +1,183 @@
+"""Charts of two versions: scores with the one over scores with the other, and what became critical where."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import METRICS
+from cornercase.scenario import Parameter
+from cornercase.suite import Comparison, Pair
+
+WIDTH: Final = 440
+HEIGHT: Final = 330
+_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 12, 46
+_TICKS: Final = 5
+# Points beyond which those that did not change are thinned out.
+_MOST: Final = 3000
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart, in pixels.
+
+    Attributes
+    ----------
+    title, caption : str
+    across, up : str
+        What the axes are of, with its unit.
+    ticks_across, ticks_up : tuple of tuple of (float, str)
+        Place and number.
+    points : tuple of tuple of (float, float, str, str)
+        Place, class, and what it is in words.
+    diagonal : tuple of float or None
+        From x, y to x, y.
+    legend : tuple of tuple of (str, str)
+        Class, and what it means.
+    """
+
+    title: str
+    caption: str
+    across: str
+    up: str
+    ticks_across: tuple[tuple[float, str], ...]
+    ticks_up: tuple[tuple[float, str], ...]
+    points: tuple[tuple[float, float, str, str], ...]
+    diagonal: tuple[float, float, float, float] | None
+    legend: tuple[tuple[str, str], ...]
+
+    @property
+    def frame(self) -> dict[str, float]:
+        """Sizes: of the picture, and the edges of the axes."""
+        right, bottom = WIDTH - _RIGHT, HEIGHT - _BOTTOM
+        return {"width": WIDTH, "height": HEIGHT, "left": _LEFT, "right": right, "top": _TOP, "bottom": bottom}
+
+
+def draw_charts(found: Comparison, parameters: Sequence[Parameter]) -> Iterator[Chart]:
+    """Draw what there is to see of a comparison.
+
+    Parameters
+    ----------
+    found : Comparison
+    parameters : sequence of Parameter
+        Of the space; the first two that are numbers span a chart.
+
+    Yields
+    ------
+    Chart
+        Of each metric of which a score moved, and of the space.
+    """
+    ran = [one for one in found.pairs if one.ran]
+    for score in found.scores:
+        if score.moved:
+            yield _of_scores(ran, score.metric)
+    axes = [one for one in parameters if not one.choices][:2]
+    if len(axes) == 2 and any(one.run not in ("the same", "within rounding") for one in found.pairs):
+        yield _of_space(found.pairs, axes)
+
+
+def _of_scores(pairs: Sequence[Pair], name: str) -> Chart:
+    metric = METRICS.create(name)
+    scores = np.array([one.scores[name] for one in pairs])
+    low, high = float(scores.min()), float(scores.max())
+    low, high = (low, high) if high > low else (low - 0.5, high + 0.5)
+    oriented = np.asarray(metric.oriented(scores))
+    kinds = np.where(oriented[:, 1] < oriented[:, 0], "new", np.where(oriented[:, 1] > oriented[:, 0], "old", "both"))
+    unit = "" if metric.unit == "1" else f" [{metric.unit}]"
+    places = np.stack([_across(scores[:, 0], low, high), _up(scores[:, 1], low, high)], axis=1)
+    words = [
+        f"{one.ids[0]}, {one.ids[1]}: {before:.4g} → {after:.4g}"
+        for one, (before, after) in zip(pairs, scores, strict=True)
+    ]
+    ends = np.array([low, high])
+    corner = [*_across(ends, low, high).tolist(), *_up(ends, low, high).tolist()]
+    return Chart(
+        title=f"{name}, scenario by scenario",
+        caption="Score with the old version across, with the new one up; on the line nothing moved.",
+        across=f"old {name}{unit}",
+        up=f"new {name}{unit}",
+        ticks_across=_ticks(low, high, across=True),
+        ticks_up=_ticks(low, high, across=False),
+        points=_thinned(places, kinds.tolist(), words),
+        diagonal=(corner[0], corner[2], corner[1], corner[3]),
+        legend=(("new", "more critical now"), ("old", "less critical now"), ("both", "as before")),
+    )
+
+
+def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
+    values = np.array([[one.read_number(pair.values) for one in axes] for pair in pairs])
+    known = any(one.critical is not None for one in pairs)
+    kinds, words = [], []
+    for one in pairs:
+        before, after = one.critical if known and one.critical is not None else one.collides
+        kind = "new" if after and not before else "old" if before and not after else "always" if after else "both"
+        if kind == "both" and one.run in ("otherwise", "not in one"):
+            kind = "moved"
+        kinds.append(kind)
+        ends = [outcome or error or "" for outcome, error in zip(one.outcomes, one.errors, strict=True)]
+        words.append(f"{one.ids[0]}, {one.ids[1]}: {ends[0]} → {ends[1]}")
+    what = "critical" if known else "a collision"
+    first, second = axes
+    return Chart(
+        title="Where in the space",
+        caption=f"Each scenario that both ran, by {first.name} and {second.name}.",
+        across=_named(first),
+        up=_named(second),
+        ticks_across=_ticks(first.low, first.high, across=True),
+        ticks_up=_ticks(second.low, second.high, across=False),
+        points=_thinned(
+            np.stack(
+                [_across(values[:, 0], first.low, first.high), _up(values[:, 1], second.low, second.high)], axis=1
+            ),
+            kinds,
+            words,
+        ),
+        diagonal=None,
+        legend=(
+            ("new", f"{what} now only"),
+            ("old", f"{what} no more"),
+            ("always", f"{what} with both"),
+            ("moved", "went otherwise"),
+            ("both", "as before"),
+        ),
+    )
+
+
+def _named(one: Parameter) -> str:
+    return f"{one.name} [{one.unit}]" if one.unit and one.unit != "1" else one.name
+
+
+def _across(values: FloatArray, low: float, high: float) -> FloatArray:
+    return np.round(_LEFT + (values - low) / ((high - low) or 1.0) * (WIDTH - _LEFT - _RIGHT), 1)
+
+
+def _up(values: FloatArray, low: float, high: float) -> FloatArray:
+    return np.round(HEIGHT - _BOTTOM - (values - low) / ((high - low) or 1.0) * (HEIGHT - _TOP - _BOTTOM), 1)
+
+
+def _ticks(low: float, high: float, *, across: bool) -> tuple[tuple[float, str], ...]:
+    """Round numbers between two ends, 1, 2 or 5 times a power of ten apart."""
+    if not high > low:
+        return ()
+    least = (high - low) / _TICKS
+    power = 10.0 ** math.floor(math.log10(least))
+    step = next(one * power for one in (1.0, 2.0, 5.0, 10.0) if one * power >= least * (1.0 - 1e-9))
+    numbers = step * np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    places = (_across if across else _up)(numbers, low, high)
+    return tuple(
+        (place, f"{number + 0.0:.4g}") for place, number in zip(places.tolist(), numbers.tolist(), strict=True)
+    )
+
+
+def _thinned(places: FloatArray, kinds: Sequence[str], words: Sequence[str]) -> tuple[tuple[Any, ...], ...]:
+    """Points, those last that changed, so that they lie above the others."""
+    same = [k for k, one in enumerate(kinds) if one == "both"]
+    others = [k for k, one in enumerate(kinds) if one != "both"]
+    every = max(1, math.ceil(len(same) / _MOST))
+    order = [*same[::every], *others]
+    return tuple((*places[k].tolist(), kinds[k], words[k]) for k in order)

@@ -1,0 +1,163 @@
+"""The page of a comparison: one HTML file without outside references."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common import arguments
+from cornercase._common.files import require_other_file, written_whole
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import METRICS
+from cornercase.recordings import Recording
+from cornercase.report.blocks import pack_block, pack_record
+from cornercase.report.contents import plain_score, plain_values, tell_subject
+from cornercase.report.page import REPLAY_SCRIPTS
+from cornercase.report.roads import find_roads, pack_roads, recorded_region
+from cornercase.report.templates import fill_template
+from cornercase.report.versions.charts import draw_charts
+from cornercase.scenario import Scenario
+from cornercase.study import Study, open_study
+from cornercase.suite import Comparison, Telling, tell_comparison
+
+_STYLES: Final = ("style.css", "replay.css", "versions.css")
+_SCRIPTS: Final = ("store.js", "recordings.js", *REPLAY_SCRIPTS, "versions.js")
+_POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+
+
+def write_comparison(
+    found: Comparison,
+    old: Study | Path | str,
+    new: Study | Path | str,
+    path: Path | str,
+    *,
+    scenario: Path | str | Scenario | None = None,
+) -> Path:
+    """Write the page of a comparison: what changed, in words and charts, and the scenarios that show it, to play.
+
+    Parameters
+    ----------
+    found : Comparison
+        Of the two studies.
+    old, new : Study or path
+        As they were compared.
+    path : path
+        File to write. The same comparison gives the same bytes.
+    scenario : path or Scenario, optional
+        The scenario file, for the road; by default it is looked for beside the old study and in the current folder.
+
+    Returns
+    -------
+    Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written, a study cannot be read, or the `scenario` is another one.
+    """
+    path = arguments.path("path", path)
+    with open_study(old, readonly=True) as before, open_study(new, readonly=True) as after:
+        require_other_file(path, before.path)
+        require_other_file(path, after.path)
+        page = _filled(found, before, after, scenario)
+    with written_whole(path) as temporary:
+        temporary.write_text(page, encoding="utf-8", newline="\n")
+    return path
+
+
+def _filled(found: Comparison, old: Study, new: Study, scenario: Path | str | Scenario | None) -> str:
+    recordings, records = [], []
+    for k, telling in enumerate(found.telling):
+        for one, study, scenario_id in _both(k, telling, old, new):
+            if study.scores_of(scenario_id):
+                recordings.append(study.recording(scenario_id))
+                records.append((one, pack_record(one, recordings[-1], _courses(study, scenario_id, found))))
+    block, offsets = pack_block([record for _, record in records])
+    index = {str(one): [0, offset] for (one, _), offset in zip(records, offsets, strict=True)}
+    sections = [one for one in tell_comparison(found) if one.key not in ("answer", "telling")]
+    answer = tell_comparison(found)[0]
+    contents = _contents(found, old, new) | {"recordings": index} | _roads(found, old, recordings, scenario)
+    return fill_template(
+        "versions.html.j2",
+        _STYLES,
+        _SCRIPTS,
+        policy=_POLICY,
+        title=f"{found.title}: {found.names[0]} and {found.names[1]}",
+        about=f"{found.names[0]} is the old version, {found.names[1]} the new one.",
+        answer=answer,
+        changed=found.changed,
+        sections=sections,
+        charts=list(draw_charts(found, old.space.parameters)),
+        telling=[(2 * k + 1, 2 * k + 2, one.why, _ids(one)) for k, one in enumerate(found.telling)],
+        contents=contents,
+        blocks=[base64.b64encode(block).decode()],
+    )
+
+
+def _both(k: int, telling: Telling, old: Study, new: Study) -> tuple[tuple[int, Study, int], ...]:
+    """Numbers that the page gives to a pair, and whose they are."""
+    return (2 * k + 1, old, telling.pair.ids[0]), (2 * k + 2, new, telling.pair.ids[1])
+
+
+def _ids(telling: Telling) -> str:
+    first, second = telling.pair.ids
+    return f"Scenario {first}" if first == second else f"Scenarios {first} and {second}"
+
+
+def _courses(study: Study, scenario: int, found: Comparison) -> dict[str, FloatArray]:
+    names = [one.metric for one in found.scores]
+    return {name: METRICS.create(name).capped(study.course(scenario, name)) for name in names}
+
+
+def _contents(found: Comparison, old: Study, new: Study) -> dict[str, Any]:
+    """What the page of a replay knows, with the two scenarios of each pair under numbers of the page's own."""
+    rows = [{row.id: row for row in study.rows()} for study in (old, new)]
+    pairs = [one.pair for one in found.telling]
+    outcomes = sorted({outcome for one in pairs for outcome in one.outcomes if outcome})
+    metrics = [one.metric for one in found.scores]
+    each = [(pair, side, rows[side][pair.ids[side]]) for pair in pairs for side in (0, 1)]
+    errors = {str(k + 1): row.error or "" for k, (_, _, row) in enumerate(each) if row.state == "failed"}
+    meta = old.meta
+    subject = tell_subject(meta, old.path.name)
+    critical = None
+    if meta.critical is not None and not meta.weights and not meta.pareto:
+        first = METRICS.create(meta.metrics[0])
+        critical = {"threshold": meta.critical, "lower_is_critical": first.lower_is_critical, "unit": first.unit}
+    return subject | {
+        "metrics": [one for one in subject["metrics"] if one["name"] in metrics] or subject["metrics"],
+        "searched": meta.metrics[0] if critical is not None else "",
+        "critical": critical,
+        "outcomes": outcomes,
+        "called": {
+            str(k + 1): f"{('Old', 'New')[side]}: scenario {row.id} of {found.names[side]}"
+            for k, (_, side, row) in enumerate(each)
+        },
+        "scenarios": {
+            "id": list(range(1, len(each) + 1)),
+            "round": [row.round for _, _, row in each],
+            "failed": [int(row.state == "failed") for _, _, row in each],
+            "values": plain_values(old.space.parameters, [row for _, _, row in each]),
+            "scores": {name: [_score(pair.scores, name, side) for pair, side, _ in each] for name in metrics},
+            "critical": [int(bool(pair.critical and pair.critical[side])) for pair, side, _ in each],
+            "outcome": [outcomes.index(pair.outcomes[side]) if pair.outcomes[side] else None for pair, side, _ in each],
+            "kept": [0] * len(each),
+        },
+        "kept": {},
+        "errors": errors,
+        "kinds": {},
+    }
+
+
+def _score(scores: Mapping[str, tuple[float, float]], name: str, side: int) -> float | None:
+    return plain_score(scores[name][side]) if name in scores else None
+
+
+def _roads(
+    found: Comparison, old: Study, recordings: list[Recording], scenario: Path | str | Scenario | None
+) -> dict[str, Any]:
+    values = found.telling[0].pair.values if found.telling else None
+    road, missing = find_roads(old, recorded_region(recordings), scenario, values)
+    return {"roads": None if road is None else pack_roads(road), "roads_missing": missing}
