@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -41,7 +42,7 @@ class Places:
 
     @classmethod
     def of(cls, space: ParameterSpace, seed: int) -> Places:
-        """Choose places that stand for a space.
+        """Choose places that stand for a space: all scenarios of a small one of steps and choices, else some.
 
         Parameters
         ----------
@@ -58,8 +59,11 @@ class Places:
         number: dict[bytes, int] = {}
         of = np.array([number.setdefault(key, len(number)) for key in row_keys(points)])
         first = np.unique(of, return_index=True)[1]
-        points = points[first]
-        return cls(points, encoded(space, points), np.bincount(of) / len(of))
+        points, weights = points[first], np.bincount(of) / len(of)
+        sizes = [one.size for one in space.parameters]
+        if None not in sizes and math.prod(one or 1 for one in sizes) <= _PLACES:
+            points, weights = _every(space, points, seed)
+        return cls(points, encoded(space, points), weights)
 
     def chosen(self, matters: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
         """Choose some of the places, those above all that matter, so that sums over them stand for all.
@@ -106,6 +110,18 @@ class Places:
         # What is a rounding error away is the same place.
         nearest = _squares(centres, ran).min(axis=1) - _SAME
         return np.asarray((_squares(centres, around) < nearest[:, None]) @ weights)
+
+
+def _every(space: ParameterSpace, met: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
+    """All scenarios of a finite space, those that were met first, and the share of the space that each stands for."""
+    points = space.snap(space.lattice())
+    points = points[space.admits(points)]
+    known = set(row_keys(met))
+    rest = points[[key not in known for key in row_keys(points)]]
+    points = np.concatenate([met, np.random.default_rng([seed, 7]).permutation(rest)])
+    weights = space.shares(points)
+    there = weights > 0.0
+    return points[there], weights[there] / weights.sum()
 
 
 def _squares(a: FloatArray, b: FloatArray) -> FloatArray:
