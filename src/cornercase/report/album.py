@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -45,15 +46,23 @@ def write_figures(data: ReportData, folder: Path) -> None:
     InputError
         It cannot be written.
     """
-    captions = []
+    captions: list[str] = []
+    taken: set[str] = set()
     for drawing in draw_all(data):
-        name = portable_name(drawing.name)
+        name = _another(portable_name(drawing.name), taken)
         for ending, content in draw_files(drawing.figure).items():
             with written_whole(folder / f"{name}.{ending}") as temporary:
                 temporary.write_bytes(content)
         captions.append(f"{name}: {plain_text(drawing.caption)}\n")
     with written_whole(folder / _CAPTIONS) as temporary:
         temporary.write_text("".join(captions), encoding="utf-8", newline="\n")
+
+
+def _another(name: str, taken: set[str]) -> str:
+    """A name that no file has yet; formulas may differ by what no name of a file may hold."""
+    free = next(one for n in count(1) if (one := f"{name}-{n}" if n > 1 else name).lower() not in taken)
+    taken.add(free.lower())
+    return free
 
 
 def draw_files(figure: Figure) -> dict[str, bytes]:

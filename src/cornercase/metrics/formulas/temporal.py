@@ -135,7 +135,8 @@ def _evaluate(text: str, fed: list[tuple[str, FloatArray]]) -> FloatArray:
         import rtamt
     except ImportError as error:
         raise InputError(
-            "RTAMT, which follows temporal operators, is not installed; it comes with pip install 'cornercase[stl]'."
+            "RTAMT, which follows temporal operators, is not installed; it comes with pip install 'cornercase[stl]' and"
+            " a Python of 3.12 or earlier."
         ) from error
     specification = rtamt.StlDiscreteTimeOfflineSpecification()
     for name, _ in fed:
