@@ -51,6 +51,8 @@ STUDIES = {
         "--driver", "Ego=normal", "--critical", "0.4", "--optimizer", "sobol",
     ),
 }  # fmt: skip
+# What a manifest says of how its files are run again; the tests of suites hold it.
+RUN_AGAIN = ("format", "version", "ego", "other", "metrics", "critical threshold", "space", "files")
 SEARCHES = ("bayes", "level-set", "evolutionary")
 
 # Relative and absolute.
@@ -76,9 +78,12 @@ def results(name: str, folder: Path) -> dict[str, object]:
     run("export", study, "-o", folder / "export")
     summary = json.loads(run("show", study, "--json"))
     manifest = json.loads((folder / "reduced" / "manifest.json").read_text())
-    for one, keys in ((summary, ("scenario", "seconds")), (manifest, ("scenario",))):
+    for one, keys in ((summary, ("scenario", "seconds")), (manifest, ("scenario", *RUN_AGAIN))):
         for key in keys:
             del one[key]
+    for one in manifest["scenarios"]:
+        # As in the summary.
+        del one["kind"]
     with open(folder / "export" / "scenarios.csv", newline="") as file:
         scenarios = list(csv.reader(file))
     return {"summary": summary, "manifest": manifest, "scenarios": scenarios}

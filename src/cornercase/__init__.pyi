@@ -41,4 +41,6 @@ from .study import ImportResult as ImportResult
 from .study import Study as Study
 from .study import import_recordings as import_recordings
 from .suite import Comparison as Comparison
+from .suite import SuiteResult as SuiteResult
 from .suite import compare as compare
+from .suite import test as test

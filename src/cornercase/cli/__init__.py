@@ -11,13 +11,13 @@ from cornercase._common.texts import shorten
 
 # Their order is that of the commands in the help.
 # isort: off
-from cornercase.cli import running, studies, estimating, comparing, warming
+from cornercase.cli import running, studies, testing, estimating, comparing, warming
 
 # isort: on
 from cornercase.cli.messages import in_words_of_the_command_line, show_notices
 from cornercase.cli.options import app, err
 
-__all__ = ["app", "comparing", "estimating", "main", "running", "studies", "warming"]
+__all__ = ["app", "comparing", "estimating", "main", "running", "studies", "testing", "warming"]
 
 
 _LONGEST: Final = 1400

@@ -10,10 +10,12 @@ from cornercase._common.errors import NoticeWarning
 from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
-    "archetypes", "archetypes_by", "batch", "beside", "budget", "by", "continuous", "cover", "critical", "duration",
-    "ego", "encounter", "eps", "fps", "gamma", "host", "keep", "max_seconds",
+    "against", "archetypes", "archetypes_by", "batch", "beside", "budget", "by", "continuous", "cover", "critical",
+    "duration",
+    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_seconds",
     "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
-    "patience", "port", "profile", "repeats", "retries", "scenario", "seed", "share", "simulator", "size",
+    "patience", "port", "profile", "repeats", "require", "requirements", "retries", "scenario",
+    "seed", "share", "simulator", "size",
     "space", "stop_when", "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
@@ -31,7 +33,7 @@ _RENAMED: Final = {
 }
 _COMMANDS: Final = (
     "analyze", "check", "compare", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce",
-    "replay", "report", "show", "simulate", "watch",
+    "replay", "report", "show", "simulate", "test", "watch",
 )  # fmt: skip
 _QUOTED: Final = re.compile(r"`(\w+)`")
 

@@ -8,6 +8,8 @@ from .critical_clusters import find_critical_clusters as find_critical_clusters
 from .critical_coverage import CriticalCoverage as CriticalCoverage
 from .held_out import HeldOut as HeldOut
 from .held_out import HeldOutCritical as HeldOutCritical
+from .manifest import MANIFEST as MANIFEST
+from .manifest import MANIFEST_FORMAT as MANIFEST_FORMAT
 from .manifest import read_reduction as read_reduction
 from .medoids import choose_medoids as choose_medoids
 from .reduced_set import KeptScenario as KeptScenario

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final, get_args
 
+from cornercase._common.version import __version__
 from cornercase.evidence import Estimate
 from cornercase.reduction.cluster_shapes import ClusterShape
 from cornercase.reduction.coverage import Coverage
@@ -16,6 +17,12 @@ from cornercase.reduction.kept import Role
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.study import Study, damage_told, made, require
 
+MANIFEST: Final = "manifest.json"
+"""Name of the file that says what is kept."""
+
+MANIFEST_FORMAT: Final = 1
+"""Version of what it holds."""
+
 _GRADED: Final = (
     "held_out: each fifth of the scenarios, or one fifth of many, judges a set that was chosen in the same way from the"
     " other four, beside random choices and k-medoids of these; all other figures describe the kept scenarios among"
@@ -23,8 +30,10 @@ _GRADED: Final = (
 )
 
 
-def make_manifest(study: Study, reduced: ReducedSet) -> dict[str, Any]:
-    """Put a reduced set, and where it comes from, into plain values.
+def make_manifest(
+    study: Study, reduced: ReducedSet, kinds: Mapping[int, str], files: Mapping[str, str]
+) -> dict[str, Any]:
+    """Put a reduced set, where it comes from, and how it is run again, into plain values.
 
     Parameters
     ----------
@@ -32,6 +41,10 @@ def make_manifest(study: Study, reduced: ReducedSet) -> dict[str, Any]:
         Holds the scenarios.
     reduced : ReducedSet
         The reduced set.
+    kinds : mapping of int to str
+        Names of clusters.
+    files : mapping of str to str
+        SHA-256 of each file that was written, by its place in the folder.
 
     Returns
     -------
@@ -40,19 +53,27 @@ def make_manifest(study: Study, reduced: ReducedSet) -> dict[str, Any]:
     """
     meta = study.meta
     return {
+        "format": MANIFEST_FORMAT,
+        "version": __version__,
         "scenario": meta.scenario,
         "fingerprint": meta.fingerprint,
         "study": study.path.name,
         "simulator": meta.simulator,
         "settings": dict(meta.settings),
+        "ego": meta.ego,
+        "other": meta.other,
+        "metrics": list(meta.metrics),
+        "critical threshold": meta.critical,
+        "space": meta.space.to_json(),
         "by": reduced.by,
         "run": reduced.run,
         "kept": len(reduced.kept),
         "graded": _GRADED,
-        "scenarios": [_of_kept(one) for one in reduced.kept],
+        "scenarios": [_of_kept(one) | {"kind": kinds.get(one.cluster, "")} for one in reduced.kept],
         "shapes": [_of_shape(one) for one in reduced.shapes],
         "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
         "critical": {name: asdict(one) for name, one in reduced.critical.items()},
+        "files": dict(files),
     }
 
 

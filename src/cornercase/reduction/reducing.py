@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
 from cornercase._common.arguments import number, text, whole_number
 from cornercase._common.errors import InputError
-from cornercase._common.files import portable_name, require_folder, written_whole
+from cornercase._common.files import portable_name, read_file, require_folder, written_whole
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, read_analysis
 from cornercase.reduction.choosing import Material, Wish, choose, try_choice
@@ -22,7 +23,7 @@ from cornercase.reduction.grading import Ran, grade, grade_critical, hold_out, r
 from cornercase.reduction.held_out import Trial
 from cornercase.reduction.hulls import find_hull
 from cornercase.reduction.kept import Kept
-from cornercase.reduction.manifest import make_manifest, save_reduction
+from cornercase.reduction.manifest import MANIFEST, make_manifest, save_reduction
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.scenario import Scenario, write_concrete
 from cornercase.study import IMPORTED, Study, damage_told, explored_scenario, open_study
@@ -127,7 +128,8 @@ def reduce(
             find_critical_clusters(opened, analysis),
         )
         reduced = _described(ran, analysis, material, Wish(size, cover, archetypes, archetypes_by), within)
-        _write(opened, explored, reduced, folder)
+        kinds = {profile.cluster: profile.label for profile in analysis.profiles}
+        _write(opened, explored, reduced, kinds, folder)
         save_reduction(opened, reduced)
         opened.add_elapsed("reduce", time.monotonic() - begun)
     return reduced
@@ -192,17 +194,23 @@ def _facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -
     )
 
 
-def _write(study: Study, scenario: Scenario | None, reduced: ReducedSet, folder: Path) -> None:
+def _write(
+    study: Study, scenario: Scenario | None, reduced: ReducedSet, kinds: Mapping[int, str], folder: Path
+) -> None:
     """Write the kept scenarios, and last the manifest."""
     drivers = study.meta.settings.get("drivers", {})
+    written: dict[str, Path] = {}
     for one in reduced.kept if scenario is not None else ():
         assert scenario is not None
-        write_concrete(
+        files = write_concrete(
             scenario,
             one.values,
             folder / one.file,
             drivers={entity: driver for entity, driver in drivers.items() if isinstance(driver, str)},
             description=f"Scenario {one.id} of the logical scenario {study.meta.title}: {one.why}",
         )
-    with written_whole(folder / "manifest.json") as temporary:
-        temporary.write_text(json.dumps(make_manifest(study, reduced), indent=2) + "\n", encoding="utf-8", newline="\n")
+        written |= {file.relative_to(folder).as_posix(): file for file in files}
+    digests = {place: hashlib.sha256(read_file(file)).hexdigest() for place, file in sorted(written.items())}
+    manifest = make_manifest(study, reduced, kinds, digests)
+    with written_whole(folder / MANIFEST) as temporary:
+        temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8", newline="\n")

@@ -40,7 +40,7 @@ def write_concrete(
     target: Path,
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
-) -> None:
+) -> tuple[Path, ...]:
     """Write a concrete scenario that runs by itself.
 
     The road file and the catalogs are copied beside it, unless they are there already.
@@ -57,6 +57,11 @@ def write_concrete(
     description : str, optional
         Replaces the description in the file's header.
 
+    Returns
+    -------
+    tuple of Path
+        The file, and those beside it that it needs.
+
     Raises
     ------
     InputError
@@ -67,6 +72,7 @@ def write_concrete(
         copy_beside(source, target.parent / place, root)
     with written_whole(target) as temporary:
         temporary.write_bytes(made.content)
+    return target, *(target.parent / place for _, place, _ in made.beside)
 
 
 def fill_concrete(

@@ -23,7 +23,7 @@ def explored_scenario(study: Study, given: Path | str | Scenario | None = None) 
     Returns
     -------
     Scenario or None
-        None of a study of imported recordings.
+        None of a study of imported recordings; of a suite its first file.
 
     Raises
     ------

@@ -28,16 +28,19 @@ _DIFFERENT: Final = {
     "settings": "other simulator settings",
     "repeats": "another number of repeats",
     "audit": "another share of audits",
+    "suite": "other files, or files that have changed since",
 }
 
 
 _TYPES: Final[dict[str, Any]] = (
-    dict.fromkeys(("scenario", "fingerprint", "ego", "other", "optimizer", "simulator", "version"), str)
+    dict.fromkeys(("scenario", "fingerprint", "ego", "other", "optimizer", "simulator", "suite", "version"), str)
     | dict.fromkeys(("seed", "budget", "batch", "repeats"), int)
     | dict.fromkeys(("settings", "weights"), dict)
-    | dict.fromkeys(("metrics", "files"), list)
+    | dict.fromkeys(("metrics", "files", "requirements"), list)
     | {"critical": (int, float), "audit": (int, float), "pareto": bool}
 )
+# What only later versions write.
+_LATER: Final = ("requirements", "suite")
 
 
 MOST_AUDITS: Final = 0.5
@@ -67,9 +70,9 @@ class StudyMeta:
     Attributes
     ----------
     scenario : str
-        Path of the scenario file, or of the folder of imported recordings.
+        Path of the scenario file, or of the folder of imported recordings or of a suite.
     fingerprint : str
-        SHA-256 of the scenario and the files that it uses, or of the imported files.
+        SHA-256 of the scenario and the files that it uses, or of the imported files; of a suite that of its first one.
     space : ParameterSpace
         What is varied.
     ego, other : str
@@ -77,7 +80,7 @@ class StudyMeta:
     metrics : tuple of str
         The first is the one that is searched.
     optimizer : str
-        Name of the optimizer; ``"none"`` for imported recordings.
+        Name of the optimizer; ``"none"`` for imported recordings and suites.
     simulator : str
         Name of the simulator; ``"imported"`` for imported recordings.
     settings : mapping of str to object
@@ -95,7 +98,11 @@ class StudyMeta:
     audit : float
         Share of the scenarios that are drawn at random to judge the search, and that it is never told.
     files : tuple of str
-        Imported recordings, in the order of the scenarios' ids.
+        Imported recordings, or the scenario files of a suite, in the order of the scenarios' ids.
+    requirements : tuple of str
+        What the scenarios of a suite have to fulfil, each as `cornercase.suite.Requirement` reads it.
+    suite : str
+        SHA-256 of all files of a suite, and of those that they use; empty where one scenario file was explored.
     version : str
         Version of cornercase that made the study.
     """
@@ -118,18 +125,19 @@ class StudyMeta:
     repeats: int = 1
     audit: float = 0.0
     files: tuple[str, ...] = ()
+    requirements: tuple[str, ...] = ()
+    suite: str = ""
     version: str = __version__
 
     @property
     def file_name(self) -> str:
-        """Name of the scenario file, or of the folder of recordings, without the folders that it lies in."""
-        # Written on Windows, it may be read elsewhere.
-        return re.split(r"[\\/]", self.scenario.rstrip("\\/"))[-1]
+        """Name of the scenario file, the or the first of a suite, or of the folder of recordings, without folders."""
+        return _last_part(self.files[0] if self.suite and self.files else self.scenario)
 
     @property
     def title(self) -> str:
-        """What the study is called: the name of its scenario file without ending."""
-        return Path(self.file_name).stem
+        """What the study is called: the name of its scenario file without ending, or that of its folder."""
+        return Path(_last_part(self.scenario)).stem
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values.
@@ -148,6 +156,8 @@ class StudyMeta:
             "repeats": self.repeats if self.repeats > 1 else None,
             "audit": self.audit or None,
             "files": list(self.files) or None,
+            "requirements": list(self.requirements) or None,
+            "suite": self.suite or None,
         }
 
     def is_audit(self, scenario: int) -> bool:
@@ -182,13 +192,14 @@ class StudyMeta:
             It is of something else.
         """
         # A field that is plain or empty stands there as None.
-        given = {one.name: plain[one.name] for one in fields(cls) if plain[one.name] is not None}
+        known = [one.name for one in fields(cls) if one.name in plain or one.name not in _LATER]
+        given = {name: plain[name] for name in known if plain[name] is not None}
         for name, value in given.items():
             if name in _TYPES and (
                 not isinstance(value, _TYPES[name]) or isinstance(value, bool) != (name == "pareto")
             ):
                 raise ValueError(f"its {name} is {str(value)[:60]!r}")
-        for name in ("metrics", "files"):
+        for name in ("metrics", "files", "requirements"):
             if not all(isinstance(one, str) for one in given.get(name, ())):
                 raise ValueError(f"its {name} are no texts")
         if not given["metrics"] or not all(isinstance(one, int | float) for one in given.get("weights", {}).values()):
@@ -200,7 +211,7 @@ class StudyMeta:
             raise ValueError("its audit is no share")
         if not isinstance(given.get("settings", {}).get("drivers", {}), dict):
             raise ValueError("its drivers are no names by entity")
-        given |= {name: tuple(given[name]) for name in ("metrics", "files") if name in given}
+        given |= {name: tuple(given[name]) for name in ("metrics", "files", "requirements") if name in given}
         return cls(**given | {"space": ParameterSpace.from_json(plain["space"])})
 
     def require_same(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
@@ -248,3 +259,8 @@ class StudyMeta:
             raise InputError(
                 f"{path}: its optimizer chose for a budget of {self.budget} scenarios; give the same `budget`."
             )
+
+
+def _last_part(path: str) -> str:
+    # Written on Windows, it may be read elsewhere.
+    return re.split(r"[\\/]", path.rstrip("\\/"))[-1]

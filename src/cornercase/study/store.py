@@ -27,6 +27,8 @@ from cornercase.study.table import Row
 
 # Tables that hold something of scenarios; those that refer to others come first.
 _CONTENT: Final = tuple(table for table in reversed(TABLES) if table != "meta")
+# What of a study may change while it goes on.
+_CHANGING: Final = ("space", "critical", "budget", "requirements")
 
 
 class Study(StudyContents):
@@ -107,8 +109,8 @@ class Study(StudyContents):
     def continue_with(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
         """Refuse to go on with a study of something else, and note what has changed.
 
-        That is the budget, and what an earlier version did not write: the constraints of the space, which follow from
-        the same scenario file, and a threshold. A study in which no scenario has ended yet
+        That is the budget, the requirements of a suite, and what an earlier version did not write: the constraints of
+        the space, which follow from the same scenario file, and a threshold. A study in which no scenario has ended yet
         becomes one of `meta`.
 
         Parameters
@@ -135,6 +137,8 @@ class Study(StudyContents):
             critical=meta.critical if self.meta.critical is None else self.meta.critical,
             # Scenarios that are there already stay, also where the new budget is smaller.
             budget=max(meta.budget, min(self.meta.budget, len(self.rows()))),
+            # What ran stays; it is only judged by something else.
+            requirements=meta.requirements,
         )
         if known == self.meta:
             return
@@ -142,7 +146,7 @@ class Study(StudyContents):
             plain = known.to_json()
             connection.executemany(
                 "UPDATE meta SET value = ? WHERE key = ?",
-                [(json.dumps(plain[key], sort_keys=True), key) for key in ("space", "critical", "budget")],
+                [(json.dumps(plain[key], sort_keys=True), key) for key in _CHANGING],
             )
         self.meta, self.space = known, known.space
 
@@ -156,7 +160,7 @@ class Study(StudyContents):
         with self._database.writing() as connection:
             _remove_content(connection)
             connection.executemany(
-                "UPDATE meta SET value = ? WHERE key = ?",
+                "INSERT OR REPLACE INTO meta (value, key) VALUES (?, ?)",
                 [(json.dumps(value, sort_keys=True), key) for key, value in meta.to_json().items()],
             )
         self.meta, self.space = meta, meta.space

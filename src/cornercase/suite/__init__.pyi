@@ -9,6 +9,14 @@ from .comparing_results import SpaceChange as SpaceChange
 from .comparing_results import Telling as Telling
 from .comparing_words import Section as Section
 from .comparing_words import tell_comparison as tell_comparison
+from .difference import Difference as Difference
+from .difference import find_difference as find_difference
+from .judging import judge as judge
+from .requirement import Requirement as Requirement
+from .result import ScenarioResult as ScenarioResult
+from .result import SuiteResult as SuiteResult
+from .testing import test as test
 from .verdict import State as State
 from .verdict import Verdict as Verdict
 from .verdict import worst_state as worst_state
+from .verdicts import verdicts_of as verdicts_of

@@ -1,0 +1,151 @@
+"""The command that runs a suite."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Column, Table
+
+from cornercase.cli import parsing
+from cornercase.cli.options import Drivers, Retries, Timeout, Workers, app, err, out
+
+if TYPE_CHECKING:
+    from cornercase.suite import ScenarioResult, SuiteResult
+
+
+@app.command(name="test")
+def test_(
+    suite: Annotated[
+        Path,
+        typer.Argument(metavar="DIR|manifest.json", help="What reduce wrote, or a folder of concrete scenarios."),
+    ],
+    *,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.db", help="Study to write or go on with.")],
+    require: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--require",
+            metavar="EXPRESSION",
+            help="What each scenario has to fulfil: 'no collision', 'no collision with NAME', 'no collision at fault',"
+            " 'reach X,Y[,R] within T', or a formula such as 'ttc > 1.5' and 'ego.acceleration > -4'.",
+        ),
+    ] = None,
+    requirements: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml|yaml", help="More of them, as a list called require.")
+    ] = None,
+    strict: Annotated[bool, typer.Option("--strict", help="What is inconclusive has not passed.")] = False,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE.xml", help="JUnit file to write, for Jenkins, GitLab or GitHub.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="STUDY.db",
+            help="Study with earlier recordings; default: the one that was reduced, where it lies beside the manifest.",
+        ),
+    ] = None,
+    simulator: Annotated[
+        str | None, typer.Option(metavar="NAME", help="What runs the scenarios; default: as in the manifest.")
+    ] = None,
+    driver: Drivers = None,
+    workers: Workers = 1,
+    timeout: Timeout = None,
+    retries: Retries = 1,
+    ego: Annotated[str | None, typer.Option(help="Entity under test; default: as in the manifest.")] = None,
+    other: Annotated[
+        str | None, typer.Option(help="Entity it is measured against; default: as in the manifest.")
+    ] = None,
+    metric: Annotated[
+        list[str] | None,
+        typer.Option("--metric", metavar="NAME", help="Criticality metric to store; default: those of the manifest."),
+    ] = None,
+    time_step: Annotated[
+        float | None, typer.Option(metavar="S", help="Time step in s; default: as in the manifest.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Longest duration in s; default: as in the manifest.")
+    ] = None,
+    on_collision: Annotated[
+        str | None, typer.Option(metavar="stop|continue", help="What a collision does; default: as in the manifest.")
+    ] = None,
+) -> None:
+    """Run a reduced set, or any concrete scenarios, again, and judge them.
+
+    Ends with 0 where all passed, with 1 where some failed or could not be run, with 2 where nothing could be run. The
+    same command again goes on where it stopped.
+
+    \b
+    Example:
+      cornercase test reduced --driver Ego=aggressive --require "no collision" \\
+          --require "ttc > 0.5" --junit out.xml -o run.db
+    """
+    from cornercase import suite as room
+
+    result = room.test(
+        suite,
+        output,
+        require=require or (),
+        requirements=requirements,
+        ego=ego,
+        other=other,
+        metrics=metric or (),
+        simulator=simulator,
+        workers=workers,
+        timeout=timeout,
+        retries=retries,
+        time_step=time_step,
+        duration=duration,
+        on_collision=on_collision,
+        drivers=parsing.pairs(driver or (), "--driver"),
+        against=against,
+        junit=junit,
+        progress=True,
+    )
+    if as_json:
+        sys.stdout.write(json.dumps(_plain(result.to_json()), indent=2, ensure_ascii=False) + "\n")
+    else:
+        _print(result)
+        if junit is not None:
+            err.print(f"Written to {junit}")
+    if not result.has_passed(strict=strict):
+        raise typer.Exit(1)
+
+
+def _print(result: SuiteResult) -> None:
+    compared = result.against is not None
+    last = ["recording"] if compared else []
+    table = Table(Column("scenario", no_wrap=True), "verdict", Column("why", overflow="fold"), *last, box=None)
+    for one in result.scenarios:
+        words = [_against(one)] if compared else []
+        state = "not run" if one.state == "error" else one.state
+        table.add_row(one.file, state, one.reason, *words)
+    out.print(table)
+    out.print(f"{result.text}, in {result.study}.")
+    out.print(f"{result.comparison}.")
+
+
+def _against(one: ScenarioResult) -> str:
+    found = one.difference
+    if found is None:
+        return "–"
+    if found.same:
+        return "the same"
+    if found.distance is None:
+        return "another"
+    since = "" if found.time is None else f" from {found.time:.4g} s"
+    return f"up to {found.distance:.3g} m elsewhere{since}"
+
+
+def _plain(value: Any) -> Any:
+    """Values as JSON has them, which knows nothing that is not finite."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

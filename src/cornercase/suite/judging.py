@@ -1,0 +1,211 @@
+"""Whether a recording fulfils a requirement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.texts import quoted_name
+from cornercase._common.typing import FloatArray
+from cornercase.metrics import Comparison, Formula, Signals, signals_of
+from cornercase.recordings import Collision, Recording
+from cornercase.suite.fault import is_at_fault
+from cornercase.suite.requirement import Kind, Requirement
+from cornercase.suite.verdict import Verdict
+
+# Instants of a simulator's clock that differ by less are the same.
+_CLOCK: Final = 1e-6
+
+
+def judge(
+    requirement: Requirement,
+    recording: Recording,
+    ego: str,
+    other: str,
+    *,
+    courses: Mapping[str, FloatArray] | None = None,
+) -> Verdict:
+    """Judge a recording.
+
+    Parameters
+    ----------
+    requirement : Requirement
+    recording : Recording
+    ego, other : str
+        Names of the entity under test and of the one that formulas speak of.
+    courses : mapping of str to ndarray of float64, shape (T,), optional
+        Courses of metrics that are known already, by name.
+
+    Returns
+    -------
+    Verdict
+        Inconclusive where what the requirement speaks of never arose, or where the recording ends before the time that
+        the ego has.
+
+    Raises
+    ------
+    InputError
+        The recording has no entity of that name.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cornercase.recordings import Recording
+    >>> from cornercase.suite import Requirement, judge
+    >>> still = np.zeros((2, 3))
+    >>> recording = Recording(
+    ...     time=np.array([0.0, 0.1, 0.2]), names=("Ego", "Other"), kinds=("car", "car"),
+    ...     x=np.array([[0.0, 1.0, 2.0], [20.0, 20.0, 20.0]]), y=still, heading=still,
+    ...     speed=np.array([[10.0] * 3, [0.0] * 3]), acceleration=still,
+    ...     length=np.full(2, 4.0), width=np.full(2, 2.0), center_x=np.zeros(2),
+    ... )
+    >>> judge(Requirement.parse("reach 2,0,0.5 within 1"), recording, "Ego", "Other").reason
+    'Ego reaches (2, 0) at 0.2 s'
+    """
+    if requirement.formula is not None:
+        return _judge_formula(requirement, requirement.formula, recording, (ego, other), courses)
+    return _JUDGES[requirement.kind](requirement, recording, ego)
+
+
+def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
+    i, whom = recording.index(ego), requirement.entity
+    there = np.isfinite(recording.x[i])
+    if whom:
+        there &= np.isfinite(recording.x[recording.index(whom)])
+    if not there.any():
+        who = f"{quoted_name(ego)} and {quoted_name(whom)} are never there together" if whom else _never(ego)
+        return Verdict("inconclusive", requirement.text, who)
+    found = [one for one in recording.collisions if ego in one.entities and (not whom or whom in one.entities)]
+    if not found:
+        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch {_whom(whom)}")
+    return _collided(requirement, recording, ego, found[0])
+
+
+def _judge_fault(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
+    if not np.isfinite(recording.x[recording.index(ego)]).any():
+        return Verdict("inconclusive", requirement.text, _never(ego))
+    found = [one for one in recording.collisions if ego in one.entities]
+    at_fault = next((one for one in found if is_at_fault(recording, ego, one)), None)
+    if at_fault is not None:
+        return _collided(requirement, recording, ego, at_fault, f", as {quoted_name(ego)} drives into it")
+    if not found:
+        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch anybody")
+    first = found[0]
+    reason = f"{_pair(first, ego)} collide at {first.time:.6g} s, but {quoted_name(ego)} does not drive into it"
+    return Verdict("passed", requirement.text, reason, first.time)
+
+
+def _judge_place(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
+    assert requirement.place is not None
+    x, y, radius = requirement.place
+    there = f"({x:.6g}, {y:.6g})"
+    away = np.hypot(*(recording.center(ego) - (x, y)).T)
+    known = np.flatnonzero(np.isfinite(away))
+    if not len(known):
+        return Verdict("inconclusive", requirement.text, _never(ego))
+    since = recording.time - recording.time[0]
+    inside = known[since[known] <= requirement.within + _CLOCK]
+    reached = inside[away[inside] <= radius]
+    if len(reached):
+        at = float(recording.time[reached[0]])
+        reason = f"{quoted_name(ego)} reaches {there} at {at:.6g} s"
+        return Verdict("passed", requirement.text, reason, at, float(away[reached[0]]))
+    if not len(inside):
+        return Verdict(
+            "inconclusive", requirement.text, f"{quoted_name(ego)} is not there before {since[known[0]]:.6g} s"
+        )
+    nearest = inside[away[inside].argmin()]
+    at, value = float(recording.time[nearest]), float(away[nearest])
+    said = f"{quoted_name(ego)} comes no nearer to {there} than {value:.4g} m, at {at:.6g} s"
+    # Where the ego leaves the scenario before, it will not come there any more.
+    if since[-1] < requirement.within - _CLOCK and known[-1] == len(since) - 1:
+        reason = f"{said}, but was observed for {since[-1]:.6g} s only"
+        return Verdict("inconclusive", requirement.text, reason, at, value)
+    return Verdict("failed", requirement.text, f"{said}, within {requirement.within:.6g} s", at, value)
+
+
+def _judge_formula(
+    requirement: Requirement,
+    formula: Formula,
+    recording: Recording,
+    who: tuple[str, str],
+    courses: Mapping[str, FloatArray] | None,
+) -> Verdict:
+    signals = signals_of(recording, *who, courses)
+    if not formula.observed(signals):
+        reason = f"'{formula.text}' speaks of what never arose: nothing in it is ever defined"
+        return Verdict("inconclusive", requirement.text, reason)
+    robustness = float(formula.robustness(signals)[0])
+    failed = not formula.holds(signals)[0]
+    bound = formula.comparisons[0]
+    if formula.root is bound:
+        return _judge_bound(requirement, bound, signals, failed)
+    state = "does not hold" if failed else "holds"
+    # Robustness is how far one of the comparisons is from its bound at some instant.
+    for one in formula.comparisons:
+        margin = one.margin(signals)
+        decisive = np.flatnonzero(np.abs(margin) == abs(robustness))
+        if len(decisive):
+            at, value = float(signals.time[decisive[0]]), float(one.left.values(signals)[decisive[0]])
+            reason = f"'{formula.text}' {state}: {one.left.text} is {value:.4g}{_unit(one)} at {at:.6g} s"
+            return Verdict("failed" if failed else "passed", requirement.text, reason, at, value)
+    reason = f"'{formula.text}' {state}, and no change of a number would alter that"
+    return Verdict("failed" if failed else "passed", requirement.text, reason)
+
+
+def _judge_bound(requirement: Requirement, bound: Comparison, signals: Signals, failed: bool) -> Verdict:
+    margin, values = bound.margin(signals), bound.left.values(signals)
+    worst = int(np.nanargmin(margin))
+    at, value = float(signals.time[worst]), float(values[worst])
+    lower = bound.relation in (">", ">=")
+    if not failed:
+        reason = f"{bound.left.text} is {value:.4g}{_unit(bound)} at {'least' if lower else 'most'}, at {at:.6g} s"
+        return Verdict("passed", requirement.text, reason, at, value)
+    goes, where = ("falls", "below") if lower else ("rises", "above")
+    if margin[worst] == 0.0:
+        where = f"not {'above' if lower else 'below'}"
+    reason = f"{bound.left.text} {goes} to {value:.4g}{_unit(bound)} at {at:.6g} s, {where} {bound.right.text}"
+    first = float(signals.time[np.flatnonzero(bound.holds(signals) < 0.0)[0]])
+    return Verdict(
+        "failed", requirement.text, f"{reason}{f', first at {first:.6g} s' if first < at else ''}", at, value
+    )
+
+
+def _unit(one: Comparison) -> str:
+    return "" if one.left.unit == "1" else f" {one.left.unit}"
+
+
+def _collided(requirement: Requirement, recording: Recording, ego: str, one: Collision, more: str = "") -> Verdict:
+    i, j = (recording.index(name) for name in one.entities)
+    at = int(np.abs(recording.time - one.time).argmin())
+    vx, vy = (
+        recording.speed[i, at] * part(recording.heading[i, at])
+        - recording.speed[j, at] * part(recording.heading[j, at])
+        for part in (np.cos, np.sin)
+    )
+    speed = float(np.hypot(vx, vy))
+    reason = f"{_pair(one, ego)} collide at {one.time:.6g} s with {speed:.3g} m/s to each other{more}"
+    return Verdict("failed", requirement.text, reason, one.time, speed)
+
+
+def _pair(one: Collision, ego: str) -> str:
+    (other,) = (name for name in one.entities if name != ego)
+    return f"{quoted_name(ego)} and {quoted_name(other)}"
+
+
+def _whom(name: str) -> str:
+    return quoted_name(name) if name else "anybody"
+
+
+def _never(ego: str) -> str:
+    return f"{quoted_name(ego)} is never there"
+
+
+_JUDGES: Final[dict[Kind, Callable[[Requirement, Recording, str], Verdict]]] = {
+    "no collision": _judge_collision,
+    "no collision with": _judge_collision,
+    "no collision at fault": _judge_fault,
+    "reach": _judge_place,
+}

@@ -1,0 +1,85 @@
+"""Verdicts as JUnit XML, which Jenkins, GitLab and others show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from junitparser import Error, Failure, JUnitXml, Properties, Property, Skipped, TestCase, TestSuite
+
+from cornercase._common.files import written_whole
+from cornercase._common.texts import plain_text
+from cornercase.suite.result import ScenarioResult, SuiteResult
+from cornercase.suite.verdict import Verdict
+
+
+def write_junit(result: SuiteResult, path: Path) -> None:
+    """Write a test case for each scenario.
+
+    What failed is a failure, what is inconclusive is skipped, and where the simulator failed is an error. The time of
+    a case is that in the scenario, so that the same results give the same bytes.
+
+    Parameters
+    ----------
+    result : SuiteResult
+    path : Path
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    place = result.suite.resolve()
+    suite = TestSuite(_text(place.parent.name if place.is_file() else place.name))
+    suite.add_property("simulator", _text(result.simulator))
+    for number, requirement in enumerate(result.requirements, start=1):
+        suite.add_property(f"requirement {number}", _text(requirement))
+    suite.add_testcases([_case(one, suite.name or "suite") for one in result.scenarios])
+    document = JUnitXml("cornercase")
+    document.add_testsuite(suite)
+    document.update_statistics()
+    with written_whole(path) as temporary:
+        document.write(str(temporary), pretty=True)
+
+
+def _case(one: ScenarioResult, suite: str) -> TestCase:
+    case = TestCase(_text(Path(one.file).stem), suite, one.duration or 0.0)
+    properties = Properties()
+    for name, value in _facts(one).items():
+        properties.add_property(Property(_text(name), _text(value)))
+    case.append(properties)
+    if one.state == "error":
+        case.result = [_told(Error(_text(one.reason), "simulator"), one.verdicts)]
+    elif one.state == "failed":
+        first = next(verdict for verdict in one.verdicts if verdict.state == "failed")
+        told = Failure(_text(f"{first.requirement}: {first.reason}"), _text(first.requirement))
+        case.result = [_told(told, one.verdicts)]
+    elif one.state == "inconclusive":
+        case.result = [Skipped(_text(one.reason), "inconclusive")]
+    return case
+
+
+def _told(told: Error | Failure, verdicts: tuple[Verdict, ...]) -> Error | Failure:
+    """Put all verdicts into a failure, a line each."""
+    told.text = "\n".join(_text(f"{one.state}: {one.requirement}: {one.reason}") for one in verdicts)
+    return told
+
+
+def _facts(one: ScenarioResult) -> dict[str, str]:
+    facts = {"file": one.file, "scenario": str(one.id)}
+    facts |= {f"parameter {name}": _number(value) for name, value in one.values.items()}
+    facts |= {f"score {name}": _number(value) for name, value in one.scores.items()}
+    facts |= {"kind": one.kind, "role": one.role, "why": one.why}
+    if one.difference is not None:
+        facts["recording"] = "the same" if one.difference.same else "another"
+        if one.difference.distance is not None and not one.difference.same:
+            facts["largest distance of the ego in m"] = _number(one.difference.distance)
+    return {name: value for name, value in facts.items() if value}
+
+
+def _number(value: float | str) -> str:
+    return value if isinstance(value, str) else repr(value)
+
+
+def _text(text: str) -> str:
+    """Write out what XML cannot hold."""
+    return "".join(c if c not in "\ufffe\uffff" else "\ufffd" for c in plain_text(text))

@@ -1,0 +1,156 @@
+"""The reduced set of a folder, read from the manifest that `reduce` wrote."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError
+from cornercase._common.files import read_file
+from cornercase.reduction import MANIFEST_FORMAT
+from cornercase.scenario import ParameterSpace, Scenario
+from cornercase.study import IMPORTED
+from cornercase.suite.contents import SuiteContents, SuiteScenario
+
+# What reading damaged values raises.
+_BROKEN: Final = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
+_SETTINGS: Final = ("time_step", "duration", "on_collision")
+
+
+def read_manifest(path: Path) -> SuiteContents:
+    """Read a manifest, and the files that it names.
+
+    Parameters
+    ----------
+    path : Path
+        ``manifest.json``.
+
+    Returns
+    -------
+    SuiteContents
+
+    Raises
+    ------
+    InputError
+        It is none, or of another format; or a file is gone or has changed since.
+    """
+    plain = _loaded(path)
+    try:
+        return _contents(path, plain)
+    except InputError:
+        raise
+    except _BROKEN as error:
+        raise InputError(
+            f"{path}: cannot be used as a manifest ({type(error).__name__}: {str(error)[:200]}); run `reduce` again."
+        ) from error
+
+
+def _loaded(path: Path) -> dict[str, Any]:
+    try:
+        plain = json.loads(read_file(path).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{path}: is no JSON ({str(error)[:200]}); name the manifest.json that `reduce` wrote."
+        ) from error
+    if not isinstance(plain, dict) or not isinstance(plain.get("scenarios"), list):
+        raise InputError(f"{path}: is no manifest; name the manifest.json that `reduce` wrote, or a folder of files.")
+    if plain.get("simulator") == IMPORTED:
+        raise InputError(f"{path}: its recordings were imported, so that there are no scenario files to run.")
+    if "format" not in plain:
+        raise InputError(
+            f"{path}: an earlier version of cornercase wrote it, without what it takes to run it again; run `reduce`"
+            " again."
+        )
+    if plain["format"] != MANIFEST_FORMAT:
+        raise InputError(
+            f"{path}: has the format {str(plain['format'])[:20]}, and this version of cornercase reads"
+            f" {MANIFEST_FORMAT}; use the version that wrote it, or run `reduce` again."
+        )
+    return plain
+
+
+def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
+    folder = path.parent
+    digests = {str(place): str(digest) for place, digest in plain["files"].items()}
+    for place, digest in digests.items():
+        _require_file(path, place, digest)
+    space = ParameterSpace.from_json(plain["space"])
+    scenarios = []
+    for one in plain["scenarios"]:
+        if one["file"] not in digests:
+            raise InputError(f"{path}: says nothing of the content of {str(one['file'])[:100]}; run `reduce` again.")
+        file = folder / one["file"]
+        scenarios.append(
+            SuiteScenario(
+                file=one["file"],
+                scenario=Scenario.read(file),
+                values={_text(name): _value(value) for name, value in one["values"].items()},
+                kind=_text(one["kind"]),
+                role=_text(one["role"]),
+                why=_text(one["why"]),
+                origin=int(one["id"]),
+            )
+        )
+    if not scenarios:
+        raise InputError(f"{path}: names no scenario; run `reduce` again.")
+    if len({one.file for one in scenarios}) < len(scenarios):
+        raise InputError(f"{path}: names a file twice; run `reduce` again.")
+    settings = dict(plain["settings"])
+    critical = plain["critical threshold"]
+    return SuiteContents(
+        place=path,
+        scenarios=tuple(scenarios),
+        space=space,
+        ego=_text(plain["ego"]),
+        other=_text(plain["other"]),
+        metrics=tuple(map(_text, plain["metrics"])),
+        critical=None if critical is None else _finite(critical),
+        simulator=_text(plain["simulator"]),
+        settings={name: settings[name] for name in _SETTINGS if name in settings},
+        # A driver of one's own stands there with its settings, and not by its name.
+        lost_drivers=tuple(
+            entity for entity, driver in dict(settings.get("drivers", {})).items() if not isinstance(driver, str)
+        ),
+        study=_text(plain["study"]),
+        fingerprint=_text(plain["fingerprint"]),
+    )
+
+
+def _require_file(path: Path, place: str, digest: str) -> None:
+    # The manifest may come from anywhere, and names nothing outside of its folder.
+    parts = re.split(r"[\\/]", place)
+    if any(part in ("", ".", "..") or ":" in part for part in parts):
+        raise InputError(f"{path}: names {place[:100]}, which is no file in its folder; run `reduce` again.")
+    file = path.parent / place
+    if not file.is_file():
+        raise InputError(f"{file}: is named in {path.name}, but is not there; restore it, or run `reduce` again.")
+    if hashlib.sha256(read_file(file)).hexdigest() != digest:
+        raise InputError(
+            f"{file}: has changed since {path.name} was written; restore it, run `reduce` again, or take {path.name}"
+            " away to run the files as they are."
+        )
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{str(value)[:60]!r} is no text")
+    return value
+
+
+def _finite(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TypeError(f"{str(value)[:60]!r} is no number")
+    return float(value)
+
+
+def _value(value: object) -> float | str:
+    if isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool)):
+        return value
+    return _finite(value)

@@ -1,0 +1,118 @@
+"""A suite from a folder or a manifest."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.arguments import path as path_argument
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase.reduction import MANIFEST
+from cornercase.scenario import (
+    Declaration,
+    Parameter,
+    ParameterSpace,
+    Scenario,
+    Value,
+    read_declarations,
+    typed_value,
+)
+from cornercase.suite.contents import SuiteContents, SuiteScenario
+from cornercase.suite.manifest import read_manifest
+
+_FILE: Final = "file"
+
+
+def read_suite(place: Path | str) -> SuiteContents:
+    """Read a suite.
+
+    Parameters
+    ----------
+    place : path
+        A manifest that `cornercase.reduce` wrote, a folder with one, or any folder of concrete scenarios, whose
+        ``.xosc`` files are all run. Distributions of parameters and catalogs in such a folder are no scenarios.
+
+    Returns
+    -------
+    SuiteContents
+
+    Raises
+    ------
+    InputError
+        There is nothing to run, a file cannot be used, or one of a manifest is gone or has changed.
+
+    Warns
+    -----
+    NoticeWarning
+        Files in the folder are no scenarios.
+    """
+    path = path_argument("suite", place)
+    if path.is_dir():
+        manifest = path / MANIFEST
+        return read_manifest(manifest) if manifest.is_file() else _of_folder(path)
+    if not path.exists():
+        raise InputError(f"{path}: is not there; name a folder of scenarios, or the manifest.json that `reduce` wrote.")
+    return read_manifest(path)
+
+
+def _of_folder(folder: Path) -> SuiteContents:
+    read = [Scenario(file) for file in sorted(folder.glob("*.xosc"))]
+    others = [one.path.name for one in read if _is_of_something_else(one)]
+    if others:
+        warnings.warn(f"not run, as they are no scenarios: {', '.join(others)}", NoticeWarning, stacklevel=3)
+    scenarios = [Scenario.read(one.path) for one in read if one.path.name not in others]
+    if not scenarios:
+        raise InputError(f"{folder}: holds no scenario; name a folder with .xosc files, or with a manifest.json.")
+    values, space = _varied(scenarios)
+    return SuiteContents(
+        place=folder,
+        scenarios=tuple(SuiteScenario(one.path.name, one, its) for one, its in zip(scenarios, values, strict=True)),
+        space=space,
+    )
+
+
+def _is_of_something_else(scenario: Scenario) -> bool:
+    root = scenario.root
+    return root.find("ParameterValueDistribution") is not None or root.find("Catalog") is not None
+
+
+def _varied(scenarios: Sequence[Scenario]) -> tuple[list[dict[str, Value]], ParameterSpace]:
+    """Parameters that all declare and that differ; where these do not tell all apart, which file it is besides."""
+    declared = [{one.name: one for one in read_declarations(each.root, str(each.path))} for each in scenarios]
+    names = [
+        name
+        for name, one in declared[0].items()
+        if all(name in each and each[name].kind == one.kind for each in declared)
+    ]
+    found = {name: [_value(each[name]) for each in declared] for name in names}
+    found = {name: values for name, values in found.items() if len(set(values)) > 1}
+    parameters = [_parameter(name, values) for name, values in found.items()]
+    if len(set(zip(*found.values(), strict=True))) < len(scenarios):
+        files = [one.path.name for one in scenarios]
+        name = _FILE if _FILE not in found else "scenario file"
+        found[name] = list(files)
+        parameters.append(Parameter(name, 0.0, len(files) - 1.0, None, tuple(files)))
+    rows: list[dict[str, Value]] = [{name: values[k] for name, values in found.items()} for k in range(len(scenarios))]
+    # Whole numbers and truth values are told by their declarations.
+    known: Mapping[str, Declaration] = declared[0]
+    return rows, ParameterSpace(parameters).typed(
+        [known[name] for name in found if name in known], str(scenarios[0].path)
+    )
+
+
+def _value(declaration: Declaration) -> Value:
+    try:
+        return typed_value(declaration.value, declaration.kind)
+    except ValueError:
+        # An expression, for one.
+        return declaration.value
+
+
+def _parameter(name: str, values: Sequence[Value]) -> Parameter:
+    if all(isinstance(one, int | float) for one in values):
+        numbers = [float(one) for one in values]
+        return Parameter(name, min(numbers), max(numbers))
+    choices = tuple(sorted({str(one) for one in values}))
+    return Parameter(name, 0.0, len(choices) - 1.0, None, choices)

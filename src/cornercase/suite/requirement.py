@@ -1,0 +1,146 @@
+"""What a scenario has to fulfil."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Final, Literal
+
+from cornercase._common.arguments import text
+from cornercase._common.errors import InputError
+from cornercase.metrics import Formula
+
+Kind = Literal["no collision", "no collision with", "no collision at fault", "reach", "formula"]
+
+REACHED: Final = 2.0
+"""How near in m the ego has to come to a place, unless the requirement says it."""
+
+_NUMBER: Final = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)"
+_FOR: Final = re.compile(r"for\s+(\S+?)\s*:\s+(.+)", re.DOTALL)
+_REACH: Final = re.compile(
+    rf"reach\s+{_NUMBER}\s*,\s*{_NUMBER}(?:\s*,\s*{_NUMBER})?\s+within\s+{_NUMBER}\s*(\S*)", re.DOTALL
+)
+_FORMS: Final = (
+    "'no collision', 'no collision with NAME', 'no collision at fault', 'reach X,Y[,R] within T', or a bound such as"
+    " 'ttc > 1.5'"
+)
+_LARGEST: Final = 1e6
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """What a scenario has to fulfil; made of a text with `parse`.
+
+    Attributes
+    ----------
+    text : str
+        As it stands in studies and messages.
+    kind : {"no collision", "no collision with", "no collision at fault", "reach", "formula"}
+    entity : str
+        Whom the ego must not touch; empty where the requirement names nobody.
+    place : tuple of three float, or None
+        x and y in m of where the ego has to come, and how near in m.
+    within : float
+        s that the ego has for it.
+    formula : Formula or None
+    pattern : str
+        Which files it is for, with ``*`` and ``?``; empty for all.
+    """
+
+    text: str
+    kind: Kind
+    entity: str = ""
+    place: tuple[float, float, float] | None = None
+    within: float = 0.0
+    formula: Formula | None = None
+    pattern: str = ""
+
+    def __str__(self) -> str:
+        return self.text
+
+    @classmethod
+    def parse(cls, requirement: str) -> Requirement:
+        """Read a requirement.
+
+        Parameters
+        ----------
+        requirement : str
+            ``"no collision"`` with anybody, ``"no collision with NAME"``, ``"no collision at fault"``, ``"reach
+            X,Y[,R] within T"`` in m and s, or a formula as `cornercase.metrics.Formula` reads it, such as
+            ``"ttc > 1.5"``. After ``"for PATTERN: "`` it is one of the files of that name only, where ``*`` stands for
+            any characters and ``?`` for one.
+
+        Returns
+        -------
+        Requirement
+
+        Raises
+        ------
+        InputError
+            It is none, a unit does not fit, or it names a metric that there is not.
+
+        Examples
+        --------
+        >>> from cornercase.suite import Requirement
+        >>> Requirement.parse("for *-00012.xosc:  reach 60, -1.75 within 20 s").text
+        'for *-00012.xosc: reach 60,-1.75,2 within 20'
+        """
+        given = " ".join(text("require", requirement).split())
+        found = _FOR.fullmatch(given)
+        pattern, body = (found[1], found[2]) if found else ("", given)
+        one = _collision(body) or _place(body) or _formula(body, given)
+        shown = f"for {pattern}: {one.text}" if pattern else one.text
+        return cls(shown, one.kind, one.entity, one.place, one.within, one.formula, pattern)
+
+    def concerns(self, file: str) -> bool:
+        """Tell whether it is one of a file.
+
+        Parameters
+        ----------
+        file : str
+            Name of a scenario's file.
+
+        Returns
+        -------
+        bool
+        """
+        return not self.pattern or fnmatchcase(file, self.pattern)
+
+
+def _collision(body: str) -> Requirement | None:
+    words = body.split(" ", 3)
+    if words[0] != "no":
+        return None
+    if body == "no collision":
+        return Requirement(body, "no collision")
+    if body == "no collision at fault":
+        return Requirement(body, "no collision at fault")
+    if words[:3] == ["no", "collision", "with"] and len(words) == 4:
+        return Requirement(body, "no collision with", entity=words[3])
+    raise InputError(f"`require` {body}: is no requirement; write {_FORMS}.")
+
+
+def _place(body: str) -> Requirement | None:
+    if body.split(" ", 1)[0] != "reach":
+        return None
+    found = _REACH.fullmatch(body)
+    if found is None:
+        raise InputError(f"`require` {body}: is no place and time; write 'reach X,Y[,R] within T', in m and s.")
+    x, y, radius, within = (float(one) if one else REACHED for one in found.groups()[:4])
+    if found[5] not in ("", "s"):
+        raise InputError(f"`require` {body}: the unit '{found[5]}' does not fit; give the time in s.")
+    if not (0.0 < radius <= _LARGEST and 0.0 < within <= _LARGEST and max(abs(x), abs(y)) <= _LARGEST):
+        raise InputError(f"`require` {body}: give a place within 1000 km, and a radius and a time above 0.")
+    return Requirement(
+        f"reach {x:.15g},{y:.15g},{radius:.15g} within {within:.15g}", "reach", place=(x, y, radius), within=within
+    )
+
+
+def _formula(body: str, given: str) -> Requirement:
+    try:
+        formula = Formula.parse(body)
+    except InputError as error:
+        why = str(error)
+        raise InputError(why if body in why else f"`require` {given}: {why}") from error
+    return Requirement(formula.text, "formula", formula=formula)

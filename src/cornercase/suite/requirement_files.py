@@ -1,0 +1,85 @@
+"""Requirements from a TOML or YAML file."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.files import read_file
+
+_KEY: Final = "require"
+_KNOWN: Final = (_KEY, "for")
+_LARGEST: Final = 1_000_000
+
+
+def read_requirements(path: Path) -> list[str]:
+    """Read requirements from a file.
+
+    Parameters
+    ----------
+    path : Path
+        TOML, or YAML where the file ends in ``.yaml`` or ``.yml``: a list called ``require``, and a table called
+        ``for`` of further lists by the pattern of file names that they are for.
+
+    Returns
+    -------
+    list of str
+        As `cornercase.suite.Requirement.parse` reads them; not parsed yet.
+
+    Raises
+    ------
+    InputError
+        The file cannot be used, or PyYAML is not there to read YAML.
+    """
+    plain = _loaded(path)
+    if not isinstance(plain, dict):
+        raise InputError(f"{path}: holds no list called '{_KEY}'; write {_KEY} = [\"no collision\"].")
+    for name in plain:
+        if name not in _KNOWN:
+            raise InputError(f"{path}: has '{str(name)[:60]}', which is not known; {suggestion(str(name), _KNOWN)}")
+    found = _texts(path, _KEY, plain.get(_KEY, []))
+    patterns = plain.get("for", {})
+    if not isinstance(patterns, dict):
+        raise InputError(f"{path}: 'for' holds no lists by the pattern of file names.")
+    for pattern, requirements in patterns.items():
+        if not isinstance(pattern, str) or not pattern or any(map(str.isspace, pattern)):
+            raise InputError(f"{path}: '{str(pattern)[:60]}' in 'for' is no pattern of file names.")
+        found += [f"for {pattern}: {one}" for one in _texts(path, pattern, requirements)]
+    if not found:
+        raise InputError(f'{path}: holds no requirement; write {_KEY} = ["no collision"].')
+    return found
+
+
+def _texts(path: Path, name: str, value: object) -> list[str]:
+    if not isinstance(value, list) or not all(isinstance(one, str) and one.strip() for one in value):
+        raise InputError(f"{path}: '{name[:60]}' is no list of texts, such as [\"no collision\"].")
+    return value
+
+
+def _loaded(path: Path) -> Any:
+    content = read_file(path, _LARGEST)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is no text in UTF-8 ({error.reason}).") from error
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _of_yaml(path, text)
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: is no TOML ({error}).") from error
+
+
+def _of_yaml(path: Path, text: str) -> Any:
+    try:
+        import yaml
+    except ImportError as error:
+        raise InputError(
+            f"{path}: to read YAML takes PyYAML; install it with pip install pyyaml, or write the file as TOML."
+        ) from error
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise InputError(f"{path}: is no YAML ({' '.join(str(error).split())[:200]}).") from error

@@ -1,0 +1,109 @@
+"""The scenarios of a suite run, measured and stored."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.ledger import Notice, warn_of
+from cornercase._common.progress import ProgressBar
+from cornercase.metrics import METRICS, Metric, measured
+from cornercase.simulators import SIMULATORS, Simulator, outcomes_of
+from cornercase.study import Row, Study, StudyMeta
+from cornercase.suite.contents import SuiteContents, SuiteScenario
+
+
+def run_suite(
+    suite: SuiteContents, meta: StudyMeta, simulator: Simulator, path: Path, workers: int, progress: bool
+) -> None:
+    """Run what a study does not hold yet; each scenario is stored the moment it has ended.
+
+    Parameters
+    ----------
+    suite : SuiteContents
+    meta : StudyMeta
+        Of the study.
+    simulator : Simulator
+        Open.
+    path : Path
+        The study, which need not be there.
+    workers : int
+        Simulators side by side.
+    progress : bool
+        Whether to show a bar.
+
+    Raises
+    ------
+    InputError
+        None of the scenarios can be run, or the study is of something else; it is left as it is.
+    """
+    for one in suite.scenarios:
+        simulator.require_means(one.scenario)
+    simulator.require_runnable([one.concrete for one in suite.scenarios])
+    _warn(suite, simulator)
+    metrics = [METRICS.create(name) for name in meta.metrics]
+    with Study.open(path) if path.exists() else Study.create(path, meta) as study:
+        study.continue_with(meta)
+        values = [dict(one.values) for one in suite.scenarios]
+        rows = study.rows() or study.propose(1, meta.space.points(values), values)
+        bar = ProgressBar(len(rows), "testing", "scenarios") if progress else None
+        try:
+            with noted_interrupts() as check:
+                for done in _run(study, rows, suite.scenarios, simulator, metrics, workers):
+                    check()
+                    if bar is not None:
+                        bar.update(done, "")
+        finally:
+            if bar is not None:
+                bar.stop()
+        failed = study.failed()
+        if not study.done():
+            # What nothing could be run with must not keep out the corrected command.
+            reason = failed[0].error if failed else "there is none"
+            study.clear()
+            raise InputError(f"None of the {len(rows)} scenarios of {suite.place} could be run; the first: {reason}.")
+
+
+def _warn(suite: SuiteContents, simulator: Simulator) -> None:
+    """Tell what of the files has no effect; what is the same in several once."""
+    notices = SIMULATORS.class_of(simulator.name).notices
+    found: dict[tuple[tuple[str, ...], str], Notice] = {}
+    for one in suite.scenarios:
+        for notice in notices(one.scenario):
+            found.setdefault((notice.what, notice.why), notice)
+    warn_of(found.values())
+
+
+def _run(
+    study: Study,
+    rows: Sequence[Row],
+    scenarios: Sequence[SuiteScenario],
+    simulator: Simulator,
+    metrics: Sequence[Metric],
+    workers: int,
+) -> Iterator[int]:
+    """Run the pending scenarios, and count those that have ended."""
+    pending = [row for row in rows if row.state == "pending"]
+    done = len(rows) - len(pending)
+    yield done
+    # A simulator that takes many at once would give nothing back before the last of them has ended.
+    at_once = workers if SIMULATORS.class_of(simulator.name).takes_batches else max(len(pending), 1)
+    for begin in range(0, len(pending), at_once):
+        chosen = pending[begin : begin + at_once]
+        outcomes = outcomes_of(simulator, [scenarios[row.id - 1].concrete for row in chosen])
+        for row in chosen:
+            begun = time.monotonic()
+            outcome = next(outcomes)
+            ended = time.monotonic()
+            if isinstance(outcome, SimulationError):
+                study.fail(row.id, outcome)
+            else:
+                study.finish(row.id, outcome, measured(metrics, outcome, study.meta.ego, study.meta.other))
+            study.add_all_elapsed({"simulate": ended - begun, "store": time.monotonic() - ended})
+            done += 1
+            yield done
+        # Lets the simulator clear up.
+        next(outcomes, None)

@@ -1,0 +1,288 @@
+"""From a reduced set to verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase._common.arguments import by_name, flag, shown, text, texts, whole_number
+from cornercase._common.arguments import path as path_argument
+from cornercase._common.errors import InputError
+from cornercase._common.files import require_other_file
+from cornercase.drivers import Driver, is_driver, named_driver
+from cornercase.metrics import METRICS, require_another
+from cornercase.simulators import MOST_WORKERS, start_simulator
+from cornercase.study import Study, StudyMeta
+from cornercase.suite.contents import SuiteContents
+from cornercase.suite.junit import write_junit
+from cornercase.suite.origin import find_differences, find_origin
+from cornercase.suite.reading import read_suite
+from cornercase.suite.requirement import Requirement
+from cornercase.suite.requirement_files import read_requirements
+from cornercase.suite.result import ScenarioResult, SuiteResult
+from cornercase.suite.running import run_suite
+from cornercase.suite.verdict import Verdict, worst_state
+from cornercase.suite.verdicts import judge_row
+
+_PLAIN: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
+_BUILTIN: Final = "builtin"
+_RAN: Final = "runs"
+
+
+# Its parameters are the options of the command.
+def test(
+    suite: Path | str,
+    study: Path | str,
+    *,
+    require: Sequence[str] = (),
+    requirements: Path | str | None = None,
+    ego: str | None = None,
+    other: str | None = None,
+    metrics: Sequence[str] = (),
+    simulator: str | None = None,
+    workers: int = 1,
+    timeout: float | None = None,
+    retries: int = 1,
+    time_step: float | None = None,
+    duration: float | None = None,
+    on_collision: str | None = None,
+    drivers: Mapping[str, str | Driver] | None = None,
+    against: Path | str | None = None,
+    junit: Path | str | None = None,
+    progress: bool = False,
+) -> SuiteResult:
+    """Run the scenarios of a suite again, judge them, and compare them with those that they were kept from.
+
+    Each scenario is stored the moment it has ended. The same call again goes on where it stopped; with other
+    requirements it judges what has run.
+
+    Parameters
+    ----------
+    suite : path
+        Folder of a reduced set or its manifest, or any folder of concrete scenarios.
+    study : path
+        Study to write or go on with.
+    require : sequence of str
+        What each scenario has to fulfil, as `cornercase.suite.Requirement.parse` reads it.
+    requirements : path, optional
+        TOML or YAML file with more of them.
+    ego, other : str, optional
+        Names of the entity under test and of the one that it is measured against; by default those of the manifest.
+    metrics : sequence of str
+        Criticality metrics that are stored; by default those of the manifest, without one those that the requirements
+        speak of, or else the clearance.
+    simulator : str, optional
+        By default that of the manifest; without one the builtin simulator.
+    workers : int, default 1
+        Simulators side by side.
+    timeout : float, optional
+        Time in s after which a scenario is given up.
+    retries : int, default 1
+        How often a scenario is run again after the simulator died or hung.
+    time_step, duration : float, optional
+        s; by default those of the manifest, without one 0.05 s and 60 s.
+    on_collision : {"continue", "stop"}, optional
+        What a collision does to the run; by default as in the manifest, without one it goes on.
+    drivers : mapping of str to str or Driver, optional
+        Who drives, by entity: a preset, ``package.module:Class``, or a driver. By default what the files say.
+    against : path, optional
+        Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former,
+        where it lies beside the manifest or in the folder above.
+    junit : path, optional
+        JUnit file to write.
+    progress : bool, default False
+        Show how far it is on standard error.
+
+    Returns
+    -------
+    SuiteResult
+
+    Raises
+    ------
+    InputError
+        Something cannot be used, a file of the manifest is gone or has changed, none of the scenarios can be run, or
+        the study is of something else.
+
+    Warns
+    -----
+    NoticeWarning
+        Something in the files has no effect in the simulator.
+    """
+    path = path_argument("study", study)
+    known = [Requirement.parse(one) for one in _required(require, requirements)]
+    contents = read_suite(suite)
+    origin = None if against is None else path_argument("against", against)
+    for one in (contents.place, origin):
+        if one is not None and not one.is_dir():
+            require_other_file(path, one)
+    found, why_not = find_origin(contents, origin)
+    if found is not None:
+        require_other_file(path, found)
+    who = _entities(contents, ego, other, known, drivers or {})
+    workers = whole_number("workers", workers, 1, MOST_WORKERS)
+    options = {name: contents.settings.get(name, plain) for name, plain in _PLAIN.items()}
+    given = {"time_step": time_step, "duration": duration, "on_collision": on_collision}
+    options |= {name: value for name, value in given.items() if value is not None}
+    name = _simulator(contents, simulator)
+    options["drivers"] = _drivers(contents, drivers)
+    with start_simulator(name, options, ego=who[0], workers=workers, timeout=timeout, retries=retries) as started:
+        meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings)
+        run_suite(contents, meta, started, path, workers, flag("progress", progress))
+    with Study.open(path, readonly=True) as opened:
+        result = _result(contents, opened, known, found, why_not)
+    if junit is not None:
+        write_junit(result, path_argument("junit", junit))
+    return result
+
+
+def _required(require: Sequence[str], requirements: Path | str | None) -> list[str]:
+    given = list(texts("require", require))
+    if requirements is not None:
+        given += read_requirements(path_argument("requirements", requirements))
+    # What stands twice counts once.
+    return list(dict.fromkeys(given))
+
+
+def _entities(
+    suite: SuiteContents,
+    ego: str | None,
+    other: str | None,
+    requirements: Sequence[Requirement],
+    drivers: Mapping[str, object],
+) -> tuple[str, str]:
+    """Names of ego and other, once each file was found to have them and all others that are named."""
+    found = []
+    for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
+        if given is None and not own:
+            raise InputError(f"`{role}`: {suite.place} does not say it; name an entity.")
+        found.append(own if given is None else text(role, given))
+    require_another(*found)
+    asked = {found[0]: "ego", found[1]: "other"}
+    asked |= {one.entity: "one that must not be touched" for one in requirements if one.entity}
+    asked |= dict.fromkeys(by_name("drivers", drivers), "driven entity")
+    for one in suite.scenarios:
+        for name, role in asked.items():
+            one.scenario.require_entity(name, role)
+    for required in requirements:
+        if required.entity == found[0]:
+            raise InputError(f"`require` {required}: is the ego itself; name another entity.")
+        if not any(required.concerns(one.file) for one in suite.scenarios):
+            raise InputError(f"`require` {required}: none of the files of {suite.place} is called so.")
+    return found[0], found[1]
+
+
+def _metrics(suite: SuiteContents, given: Sequence[str], requirements: Sequence[Requirement]) -> tuple[str, ...]:
+    names = list(texts("metrics", given) or suite.metrics)
+    if not names:
+        names = [name for one in requirements if one.formula is not None for name in one.formula.metrics]
+    return tuple(METRICS.create(name).name for name in dict.fromkeys(names or ["clearance"]))
+
+
+def _simulator(suite: SuiteContents, given: str | None) -> str:
+    if given is not None:
+        return text("simulator", given)
+    name, colon, _ = suite.simulator.partition(":")
+    # Options may name files and programs, and a manifest may come from anywhere.
+    if colon:
+        raise InputError(
+            f"`simulator`: {suite.place} names '{suite.simulator[:100]}', with options; say yourself which simulator is"
+            " to run."
+        )
+    return name or _BUILTIN
+
+
+def _drivers(suite: SuiteContents, given: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
+    drivers: dict[str, str | Driver] = {}
+    for entity, driver in by_name("drivers", given or {}).items():
+        if isinstance(driver, str) and driver:
+            made = named_driver(driver)
+            # A preset stays a name in the study.
+            drivers[entity] = made if ":" in driver else driver
+        elif is_driver(driver):
+            drivers[entity] = driver
+        else:
+            raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or one that is made.")
+    for entity in suite.lost_drivers:
+        if entity not in drivers:
+            raise InputError(
+                f"`drivers`: a driver of somebody's own drove {entity} when {suite.place} was made, and no file can"
+                " name it; say who drives."
+            )
+    return drivers
+
+
+def _meta(
+    suite: SuiteContents,
+    who: tuple[str, str],
+    metrics: tuple[str, ...],
+    requirements: Sequence[Requirement],
+    simulator: str,
+    settings: Mapping[str, object],
+) -> StudyMeta:
+    # The threshold is one of the first metric.
+    critical = suite.critical if suite.metrics[:1] == metrics[:1] else METRICS.create(metrics[0]).critical
+    return StudyMeta(
+        scenario=str(suite.folder.resolve()),
+        fingerprint=suite.scenarios[0].scenario.fingerprint(),
+        space=suite.space,
+        ego=who[0],
+        other=who[1],
+        metrics=metrics,
+        optimizer="none",
+        simulator=simulator,
+        settings=settings,
+        critical=critical,
+        budget=len(suite.scenarios),
+        batch=len(suite.scenarios),
+        files=tuple(one.file for one in suite.scenarios),
+        requirements=tuple(one.text for one in requirements),
+        suite=suite.digest,
+    )
+
+
+def _result(
+    suite: SuiteContents, study: Study, requirements: list[Requirement], origin: Path | None, why_not: str
+) -> SuiteResult:
+    differences = {} if origin is None else find_differences(suite, origin, study)
+    scenarios = []
+    for row, one in zip(study.rows(), suite.scenarios, strict=True):
+        verdicts = judge_row(study, row, requirements)
+        failed = row.state == "failed"
+        duration = None
+        if not failed:
+            time = study.recording(row.id).time
+            duration = float(time[-1] - time[0])
+        if not requirements:
+            verdicts = [_ran(row.error if failed else None, duration)]
+        scenarios.append(
+            ScenarioResult(
+                id=row.id,
+                file=one.file,
+                state="error" if failed else worst_state(verdicts),
+                values=dict(row.values),
+                scores=study.scores_of(row.id),
+                duration=duration,
+                verdicts=tuple(verdicts),
+                kind=one.kind,
+                role=one.role,
+                why=one.why,
+                origin=one.origin,
+                difference=differences.get(row.id),
+            )
+        )
+    return SuiteResult(
+        study=study.path,
+        suite=suite.place,
+        simulator=study.meta.simulator,
+        requirements=study.meta.requirements,
+        scenarios=tuple(scenarios),
+        against=origin,
+        why_not_compared=why_not,
+    )
+
+
+def _ran(error: str | None, duration: float | None) -> Verdict:
+    if duration is None:
+        return Verdict("inconclusive", _RAN, f"the simulator failed: {error}")
+    return Verdict("passed", _RAN, f"it ran for {duration:.6g} s", value=duration)
