@@ -134,20 +134,19 @@ def _judge_formula(
     courses: Mapping[str, FloatArray] | None,
 ) -> Verdict:
     signals = signals_of(recording, *who, courses)
-    if not formula.observed(signals):
-        reason = f"'{formula.text}' speaks of what never arose: nothing in it is ever defined"
-        return Verdict("inconclusive", requirement.text, reason)
     robustness = float(formula.robustness(signals)[0])
     failed = not formula.holds(signals)[0]
-    bound = formula.comparisons[0]
-    if formula.root is bound:
-        return _judge_bound(requirement, bound, signals, failed)
+    if not failed and not formula.observed(signals):
+        never = [one.text for one in formula.comparisons if np.isnan(one.margin(signals)).all()]
+        reason = f"what {' and '.join(never)} speaks of never arose"
+        return Verdict("inconclusive", requirement.text, reason)
+    if formula.bound is not None:
+        return _judge_bound(requirement, formula.bound, signals, failed)
     state = "does not hold" if failed else "holds"
-    # Robustness is how far one of the comparisons is from its bound at some instant.
-    for one in formula.comparisons:
-        margin = one.margin(signals)
-        decisive = np.flatnonzero(np.abs(margin) == abs(robustness))
-        if len(decisive):
+    # Robustness is how far one of the comparisons is from its bound at some instant; its sign turns behind a 'not'.
+    for sign, one in ((sign, one) for sign in (1.0, -1.0) for one in formula.comparisons):
+        decisive = np.flatnonzero(sign * one.margin(signals) == robustness)
+        if len(decisive) and np.isfinite(robustness):
             at, value = float(signals.time[decisive[0]]), float(one.left.values(signals)[decisive[0]])
             reason = f"'{formula.text}' {state}: {one.left.text} is {value:.4g}{_unit(one)} at {at:.6g} s"
             return Verdict("failed" if failed else "passed", requirement.text, reason, at, value)
@@ -160,6 +159,9 @@ def _judge_bound(requirement: Requirement, bound: Comparison, signals: Signals, 
     worst = int(np.nanargmin(margin))
     at, value = float(signals.time[worst]), float(values[worst])
     lower = bound.relation in (">", ">=")
+    if not failed and np.isinf(value):
+        reason = f"{bound.left.text} is infinite all the time"
+        return Verdict("passed", requirement.text, reason)
     if not failed:
         reason = f"{bound.left.text} is {value:.4g}{_unit(bound)} at {'least' if lower else 'most'}, at {at:.6g} s"
         return Verdict("passed", requirement.text, reason, at, value)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from junitparser import Error, Failure, JUnitXml, Properties, Property, Skipped, TestCase, TestSuite
+from lxml import etree
 
 from cornercase._common.files import written_whole
 from cornercase._common.texts import plain_text
@@ -37,30 +39,37 @@ def write_junit(result: SuiteResult, path: Path) -> None:
     document = JUnitXml("cornercase")
     document.add_testsuite(suite)
     document.update_statistics()
+    root = etree.fromstring(document.tostring())
+    # Jenkins' schema knows it of a suite, but not of all suites together, and times to the millisecond.
+    del root.attrib["skipped"]
+    for timed in (root, *root):
+        timed.set("time", f"{sum(one.duration or 0.0 for one in result.scenarios):.3f}")
+    etree.indent(root)
     with written_whole(path) as temporary:
-        document.write(str(temporary), pretty=True)
+        temporary.write_bytes(etree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
 def _case(one: ScenarioResult, suite: str) -> TestCase:
-    case = TestCase(_text(Path(one.file).stem), suite, one.duration or 0.0)
-    properties = Properties()
-    for name, value in _facts(one).items():
+    case = TestCase(_text(Path(one.file).stem), suite, round(one.duration or 0.0, 3))
+    properties, facts = Properties(), _facts(one)
+    for name, value in facts.items():
         properties.add_property(Property(_text(name), _text(value)))
     case.append(properties)
     if one.state == "error":
-        case.result = [_told(Error(_text(one.reason), "simulator"), one.verdicts)]
+        case.result = [_told(Error(_text(one.reason), "simulator"), one.verdicts, facts)]
     elif one.state == "failed":
         first = next(verdict for verdict in one.verdicts if verdict.state == "failed")
         told = Failure(_text(f"{first.requirement}: {first.reason}"), _text(first.requirement))
-        case.result = [_told(told, one.verdicts)]
+        case.result = [_told(told, one.verdicts, facts)]
     elif one.state == "inconclusive":
         case.result = [Skipped(_text(one.reason), "inconclusive")]
     return case
 
 
-def _told(told: Error | Failure, verdicts: tuple[Verdict, ...]) -> Error | Failure:
-    """Put all verdicts into a failure, a line each."""
-    told.text = "\n".join(_text(f"{one.state}: {one.requirement}: {one.reason}") for one in verdicts)
+def _told(told: Error | Failure, verdicts: tuple[Verdict, ...], facts: Mapping[str, str]) -> Error | Failure:
+    """Put all verdicts into a failure, and the facts too, as not everybody shows properties."""
+    lines = [f"{one.state}: {one.requirement}: {one.reason}" for one in verdicts]
+    told.text = "\n".join(map(_text, [*lines, "", *(f"{name}: {value}" for name, value in facts.items())]))
     return told
 
 

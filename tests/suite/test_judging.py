@@ -1,0 +1,143 @@
+"""Verdicts against motions whose answer is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from cornercase import InputError
+from cornercase.suite import Requirement, judge
+from two_cars import met
+
+FAR = (np.full(6, 100.0), 0.0, 0.0, 0.0)
+
+
+def judged(requirement, recording):
+    return judge(Requirement.parse(requirement), recording, "Ego", "Other")
+
+
+def along(x, speed=10.0):
+    return (x, 0.0, 0.0, speed)
+
+
+# Six instants, 0.1 s apart: who drives where at the contact, and whether the ego is at fault.
+DRIVES = np.arange(6) * 1.0
+CONTACTS = {
+    "runs into one ahead": (along(DRIVES), along(np.full(6, 8.5), 0.0), True),
+    "is hit from behind": (along(np.full(6, 8.5), 0.0), along(DRIVES), False),
+    "is hit from behind by a faster one": (along(8.5 + 0.5 * DRIVES, 5.0), along(2.0 * DRIVES - 2.0, 20.0), False),
+    "backs into one behind": (along(-DRIVES, -10.0), along(np.full(6, -8.5), 0.0), True),
+    "stands on a crossing": (along(np.zeros(6), 0.0), (0.0 * DRIVES, DRIVES - 7.5, math.pi / 2, 10.0), False),
+    "is hit at its side": (along(DRIVES), (DRIVES[::-1] * 0 + 5.0, DRIVES - 7.5, math.pi / 2, 10.0), False),
+    "hits the side of one that crosses": (along(DRIVES), (np.full(6, 7.5), DRIVES - 4.0, math.pi / 2, 10.0), True),
+    "head-on": (along(DRIVES), (12.5 - DRIVES, 0.0, math.pi, 10.0), True),
+    "changes into the lane of one beside it": (
+        (DRIVES * 0 + 10.0 * np.arange(6), 0.22 * np.arange(6), 0.022, 100.0),
+        (10.0 * np.arange(6), np.full(6, 3.0), 0.0, 100.0),
+        True,
+    ),
+    "is beside one that changes into its lane": (
+        (10.0 * np.arange(6), np.full(6, 0.0), 0.0, 100.0),
+        (10.0 * np.arange(6), 3.0 - 0.22 * np.arange(6), -0.022, 100.0),
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CONTACTS)
+def test_the_one_who_drives_into_the_other_is_at_fault(case):
+    ego, other, at_fault = CONTACTS[case]
+    recording = met(ego, other, collides=0.5)
+    found = judged("no collision at fault", recording)
+    assert found.state == ("failed" if at_fault else "passed"), found.reason
+    assert "Ego and Other collide at 0.5 s" in found.reason
+    # By whomever, it is a collision.
+    assert judged("no collision", recording).state == "failed"
+    assert judged("no collision with Other", recording).time == 0.5
+
+
+def test_no_collision_is_passed_where_nobody_is_touched_and_open_where_nobody_was_there():
+    assert judged("no collision", met(along(DRIVES), FAR)).state == "passed"
+    never = met(along(np.full(6, np.nan)), FAR)
+    assert judged("no collision", never).reason == "Ego is never there"
+    assert {judged(one, never).state for one in ("no collision", "no collision at fault", "reach 0,0 within 1")} == {
+        "inconclusive"
+    }
+    absent = met(along(DRIVES), (np.full(6, np.nan), 0.0, 0.0, 0.0))
+    assert judged("no collision with Other", absent).state == "inconclusive"
+    assert judged("no collision", absent).state == "passed"
+
+
+@pytest.mark.parametrize(
+    ("requirement", "state", "time", "value"),
+    [
+        ("reach 4,0,0.5 within 1", "passed", 0.4, 0.0),
+        ("reach 4,0,1.5 within 0.3", "passed", 0.3, 1.0),
+        ("reach 4,3,1 within 0.5", "failed", 0.4, 3.0),
+        # What is observed ends before the time is over.
+        ("reach 9,0,1 within 2 s", "inconclusive", 0.5, 4.0),
+    ],
+)
+def test_a_place_is_reached_in_time_or_not_or_nobody_knows(requirement, state, time, value):
+    found = judged(requirement, met(along(DRIVES), FAR))
+    assert (found.state, found.time, found.value) == (state, pytest.approx(time), pytest.approx(value))
+
+
+def test_a_bound_names_the_worst_instant_and_the_value_there():
+    # 20 m behind one that stands, 4 m long each: the gap closes from 16 m at 10 m/s.
+    recording = met(along(DRIVES), along(np.full(6, 20.0), 0.0))
+    found = judged("ttc > 1.45", recording)
+    assert found.reason == "ttc falls to 1.1 s at 0.5 s, below 1.45, first at 0.2 s"
+    assert (found.time, found.value) == (0.5, pytest.approx(1.1))
+    assert judged("ttc > 1", recording).reason == "ttc is 1.1 s at least, at 0.5 s"
+    assert judged("ego.speed < 36 km/h", recording).state == "failed"
+    assert judged("ego.speed <= 36 km/h", recording).state == "passed"
+    assert judged("ego.speed < 36 km/h", recording).reason == "ego.speed rises to 10 m/s at 0 s, not below 36 km/h"
+
+
+def test_a_bound_on_what_never_arose_is_open():
+    apart = met(along(-DRIVES, -10.0), along(np.full(6, 20.0), 0.0))
+    found = judged("pet >= 1", apart)
+    assert (found.state, found.reason) == ("inconclusive", "what pet >= 1 speaks of never arose")
+    # They are not on a collision course, which is known.
+    assert judged("ttc > 1.5", apart).reason == "ttc is infinite all the time"
+
+
+def test_temporal_logic_names_the_number_that_decides():
+    pytest.importorskip("rtamt")
+    recording = met(along(DRIVES), along(np.full(6, 20.0), 0.0))
+    found = judged("always[0:0.3] (clearance > 14)", recording)
+    assert (found.state, found.time, found.value) == ("failed", pytest.approx(0.3), pytest.approx(13.0))
+    assert found.reason.endswith("does not hold: clearance is 13 m at 0.3 s")
+    assert judged("eventually (clearance < 12)", recording).state == "passed"
+
+
+@pytest.mark.parametrize(
+    ("requirement", "words"),
+    [
+        ("no colision", "write 'no collision'"),
+        ("no collision with", "is no requirement"),
+        ("reach 3 within 5", "write 'reach X,Y"),
+        ("reach 3,4 within 5 km", "the unit 'km' does not fit; give the time in s"),
+        ("reach 3,4,0 within 5", "a radius and a time above 0"),
+        ("tcc > 1.5", "ttc"),
+        ("ttc > 1.5 m", "unit 'm' does not fit"),
+        ("ttc >", "ttc >"),
+        ("", "give a text"),
+    ],
+)
+def test_what_is_no_requirement_is_refused(requirement, words):
+    with pytest.raises(InputError) as error:
+        Requirement.parse(requirement)
+    assert words in str(error.value)
+
+
+def test_a_requirement_may_be_for_some_files_only():
+    one = Requirement.parse("for run-*.xosc: no  collision with  Van 2")
+    assert one.text == "for run-*.xosc: no collision with Van 2"
+    assert Requirement.parse(one.text) == one
+    assert one.concerns("run-12.xosc")
+    assert not one.concerns("other.xosc")
+    assert one.entity == "Van 2"
