@@ -56,21 +56,21 @@ def _case(one: ScenarioResult, suite: str) -> TestCase:
         properties.add_property(Property(_text(name), _text(value)))
     case.append(properties)
     if one.state == "error":
-        case.result = [_told(Error(_text(one.reason), "simulator"), one.verdicts, facts)]
+        case.result = [_filled(Error(_text(one.reason), "simulator"), one.verdicts, facts)]
     elif one.state == "failed":
         first = next(verdict for verdict in one.verdicts if verdict.state == "failed")
-        told = Failure(_text(f"{first.requirement}: {first.reason}"), _text(first.requirement))
-        case.result = [_told(told, one.verdicts, facts)]
+        said = Failure(_text(f"{first.requirement}: {first.reason}"), _text(first.requirement))
+        case.result = [_filled(said, one.verdicts, facts)]
     elif one.state == "inconclusive":
         case.result = [Skipped(_text(one.reason), "inconclusive")]
     return case
 
 
-def _told(told: Error | Failure, verdicts: tuple[Verdict, ...], facts: Mapping[str, str]) -> Error | Failure:
+def _filled(said: Error | Failure, verdicts: tuple[Verdict, ...], facts: Mapping[str, str]) -> Error | Failure:
     """Put all verdicts into a failure, and the facts too, as not everybody shows properties."""
     lines = [f"{one.state}: {one.requirement}: {one.reason}" for one in verdicts]
-    told.text = "\n".join(map(_text, [*lines, "", *(f"{name}: {value}" for name, value in facts.items())]))
-    return told
+    said.text = "\n".join(map(_text, [*lines, "", *(f"{name}: {value}" for name, value in facts.items())]))
+    return said
 
 
 def _facts(one: ScenarioResult) -> dict[str, str]:

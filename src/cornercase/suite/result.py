@@ -121,12 +121,12 @@ class SuiteResult:
         """How it went, in a sentence without a full stop."""
         names = {"error": "not run"}
         counts = Counter(one.state for one in self.scenarios)
-        told = [
+        said = [
             f"{counts[state]} {names.get(state, state)}"
             for state in ("passed", "failed", "inconclusive", "error")
             if counts[state]
         ]
-        return f"{', '.join(told)} of {len(self.scenarios)} scenario{'' if len(self.scenarios) == 1 else 's'}"
+        return f"{', '.join(said)} of {len(self.scenarios)} scenario{'' if len(self.scenarios) == 1 else 's'}"
 
     @property
     def comparison(self) -> str:
