@@ -105,6 +105,13 @@ def test_any_command_reads_the_run(ran):
         assert result.exit_code == 0, result.output
 
 
+def test_its_report_draws_the_road_and_names_the_command(explored, ran, tmp_path):
+    page = cc.write_report(ran.study, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "6 scenarios were run, of a suite" in page
+    assert "cornercase test reduced --ego Ego --other C" in page
+    assert "The road is not drawn" not in page
+
+
 def test_workers_change_nothing(explored, ran, tmp_path):
     cc.test(explored / "reduced", tmp_path / "run.db", require=["no collision"], workers=2)
     assert stored(tmp_path / "run.db") == stored(ran.study)

@@ -118,6 +118,8 @@ def tell_about(data: ReportData) -> str:
     said = [f"{meta.ego} is the ego, {meta.other} the other."]
     if meta.simulator == IMPORTED:
         said.append(f"{_scenarios(summary.run)} imported, measured by {', '.join(meta.metrics)}.")
+    elif meta.suite:
+        said.append(f"{_scenarios(summary.run)} run, of a suite, measured by {', '.join(meta.metrics)}.")
     else:
         searched = f"{'the ' if meta.pareto else ''}{summary.searched}"
         said.append(f"{_scenarios(summary.run)} run, searched by {meta.optimizer} for {searched}.")

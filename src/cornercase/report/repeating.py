@@ -35,6 +35,8 @@ def name_command(meta: StudyMeta) -> str:
         words = ["estimate", "STUDY.db", *_numbers(meta)]
     elif meta.simulator == IMPORTED:
         words = ["import", meta.file_name, *_measures(meta), *_table(meta)]
+    elif meta.suite:
+        words = ["test", meta.title, *_measured(meta), *_required(meta), *_simulator(meta)]
     else:
         words = ["explore", meta.file_name, *_ranges(meta), *_measures(meta), *_search(meta), *_simulator(meta)]
     return shlex.join(["cornercase", *words, "-o", "study.db"])
@@ -57,7 +59,7 @@ def tell_limits(meta: StudyMeta, run: int) -> Iterator[str]:
     """
     if meta.optimizer.startswith(_ESTIMATE):
         yield "STUDY.db stands for the study that the estimate was made of."
-    elif meta.simulator != IMPORTED:
+    elif meta.simulator != IMPORTED and not meta.suite:
         if not all(map(_is_range, meta.space.parameters)):
             yield f"{_SPACE} stands for the file that says what varies: the study holds its content, but not its name."
         if run < meta.budget:
@@ -79,10 +81,19 @@ def _ranges(meta: StudyMeta) -> Iterator[str]:
         yield from ("--range", f"{one.name}={_plain(one.low)}:{_plain(one.high)}{step}")
 
 
-def _measures(meta: StudyMeta) -> Iterator[str]:
+def _measured(meta: StudyMeta) -> Iterator[str]:
     yield from ("--ego", meta.ego, "--other", meta.other)
     for name in meta.metrics:
         yield from ("--metric", name)
+
+
+def _required(meta: StudyMeta) -> Iterator[str]:
+    for requirement in meta.requirements:
+        yield from ("--require", requirement)
+
+
+def _measures(meta: StudyMeta) -> Iterator[str]:
+    yield from _measured(meta)
     if meta.critical is not None:
         yield from ("--critical", _plain(meta.critical))
 
