@@ -197,6 +197,11 @@ def test_a_scenario_that_one_version_could_not_run_is_a_change(tmp_path):
     found = compared(old, new)
     assert found
     assert (found.count("not in one"), found.count("in neither"), found.count("the same")) == (1, 1, 34)
+    assert found.reason == "1 of 36 scenarios could be run with one version only"
+    assert compared(old, old).reason == "all 35 scenarios that both ran are the same bytes"
+    broken = written(tmp_path / "broken.db", GAPS, failed=range(36))
+    with pytest.raises(InputError, match="no scenario was run with both"):
+        compared(broken, broken)
     assert [(one.pair.ids, one.why) for one in found.telling] == [((9, 9), "could not be run with the new version")]
     assert next(one for one in found.tests if one.about == "not run").differ == 1
 
@@ -270,7 +275,7 @@ def test_metrics_are_chosen_by_name(tmp_path):
 
 def test_nothing_in_common_is_refused(tmp_path):
     old = written(tmp_path / "old.db", GAPS)
-    with pytest.raises(InputError, match="have no scenario in common"):
+    with pytest.raises(InputError, match="no scenario was run with both"):
         compared(old, written(tmp_path / "new.db", GAPS, GRID * 0.99))
 
 

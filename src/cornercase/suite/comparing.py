@@ -95,17 +95,17 @@ def _tests(
 ) -> tuple[ChangeTest, ...]:
     """Test the pairs, and the fillings of both searches where these are too few; what is tested hangs on no score."""
     paired = [one for one in pairs if certain or one.unselected]
-    found = tests_of_pairs(paired, metrics) if paired else []
+    found = tests_of_pairs(paired, metrics) if any(one.run != "in neither" for one in paired) else []
     filling = len(old.filling()), len(new.filling())
     # Where the fillings are mostly the same scenarios, pairs say more.
     if sum(one.unselected for one in pairs) < FEWEST <= min(filling):
         (scores, facts), (others, other_facts) = sample_of(old, metrics), sample_of(new, metrics)
         both = {name: each for name, each in facts.items() if name in other_facts}
         found += tests_of_samples((scores, others), (both, other_facts))
-    if not found and not pairs:
+    if not found and all(one.run == "in neither" for one in pairs):
         raise InputError(
-            f"{old.study.path} and {new.study.path}: have no scenario in common, and only {filling[0]} and {filling[1]}"
-            f" scenarios that were chosen whatever the scores are, of {FEWEST} that are needed; explore both with the"
+            f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {filling[0]} and"
+            f" {filling[1]} scenarios that were chosen whatever the scores are, of {FEWEST} that are needed; explore both with the"
             " same `seed`, or with `audit`."
         )
     return correct(found)
@@ -114,22 +114,25 @@ def _tests(
 def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -> tuple[bool, str]:
     """Whether the versions differ, and why that is said."""
     runs = Counter(one.run for one in pairs)
-    otherwise = runs["otherwise"] + runs["not in one"]
+    ran = sum(one.ran for one in pairs)
     significant = [one for one in tests if one.corrected <= LEVEL]
-    if certain and otherwise:
-        return True, (
-            f"{otherwise} of {len(pairs)} scenarios that both ran went otherwise, and both simulators repeat themselves"
+    if otherwise := certain and runs["otherwise"]:
+        return (
+            True,
+            f"{otherwise} of {ran} scenarios that both ran went otherwise, and both simulators repeat themselves",
         )
+    if certain and runs["not in one"]:
+        return True, f"{runs['not in one']} of {len(pairs)} scenarios could be run with one version only"
     if significant:
         first = min(significant, key=lambda one: one.corrected)
         more = f" and {len(significant) - 1} more" if len(significant) > 1 else ""
         return True, (
             f"{first.about} differs ({first.method}, p = {first.corrected:.2g} corrected for {len(tests)} tests){more}"
         )
-    if pairs and runs["the same"] == len(pairs):
-        return False, f"all {len(pairs)} scenarios that both ran are the same bytes"
-    if certain and pairs:
-        return False, f"the {len(pairs)} scenarios that both ran are the same up to rounding"
+    if ran and runs["the same"] == len(pairs) - runs["in neither"]:
+        return False, f"all {ran} scenarios that both ran are the same bytes"
+    if certain and ran:
+        return False, f"the {ran} scenarios that both ran are the same up to rounding"
     if not tests:
         return False, "none of the scenarios that both ran can be tested: a search chose them by their scores"
     return False, f"none of {len(tests)} tests shows a change, at {LEVEL:.0%} over all of them"

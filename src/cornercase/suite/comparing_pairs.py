@@ -134,10 +134,8 @@ def key_of(study: Study, row: Row) -> tuple[object, ...]:
     Returns
     -------
     tuple
-        A number, or the text of a choice, for each parameter; without parameters the name of its file.
+        A number, or the text of a choice, for each parameter.
     """
-    if not study.space.dimension and row.id <= len(study.meta.files):
-        return (study.meta.files[row.id - 1],)
     return tuple(
         str(value) if one.choices else float(value)
         for one in study.space.parameters
@@ -272,6 +270,8 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
         chosen = both
     else:
         chosen = tuple(dict.fromkeys(metrics))
+        if not chosen:
+            raise InputError(f"`metrics`: name at least one; both have {', '.join(both) or 'none'}.")
         for name in chosen:
             if name not in both:
                 raise InputError(f"`metrics` {name}: is not in both studies; both have {', '.join(both) or 'none'}.")
