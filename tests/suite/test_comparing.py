@@ -219,6 +219,28 @@ def test_outcomes_and_collisions_that_changed_are_counted(tmp_path):
     assert all("collide" in one.why for one in found.telling)
 
 
+def test_verdicts_on_the_requirements_of_both_are_compared_first(tmp_path):
+    gaps = 2.0 + GAPS
+    changed = gaps.copy()
+    changed[3], changed[8] = 1.0, 9.0
+    old = written(tmp_path / "old.db", gaps, requirements=("distance > 1.5", "no collision"))
+    new = written(tmp_path / "new.db", changed, requirements=("no collision with B", "distance > 1.5"))
+    found = compared(old, new)
+    assert found.verdicts == {("distance > 1.5", "passed", "passed"): 35, ("distance > 1.5", "passed", "failed"): 1}
+    assert [one.pair.ids for one in found.telling] == [(4, 4), (9, 9)]
+    assert found.telling[0].why == "distance > 1.5: passed, now failed"
+    assert next(one for one in found.tests if one.about == "failed verdict").differ == 1
+    assert "distance > 1.5 passed failed 1" in told(found)
+    without = written(tmp_path / "without.db", changed)
+    assert compared(old, without).verdicts == {}
+
+
+def test_runs_of_other_suites_are_refused(tmp_path):
+    old, new = (written(tmp_path / f"{one}.db", GAPS, suite=one) for one in ("a", "b"))
+    with pytest.raises(InputError, match="are of other versions of the same suite"):
+        compared(old, new)
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [

@@ -20,6 +20,7 @@ from cornercase.suite.comparing_results import LEVEL, ChangeTest, Comparison, Ki
 from cornercase.suite.comparing_space import find_space_change
 from cornercase.suite.comparing_telling import choose_telling
 from cornercase.suite.comparing_tests import FEWEST, correct, moved_by, tests_of_pairs, tests_of_samples
+from cornercase.suite.verdicts import verdicts_of
 
 # What is named where it differs; seed and search say which scenarios were run, not what with.
 _NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "repeats": "runs of each scenario"}
@@ -56,7 +57,7 @@ def compare(
     """
     with open_study(old, readonly=True) as before, open_study(new, readonly=True) as after:
         chosen = require_comparable(before, after, None if metrics is None else texts("metrics", metrics))
-        sides = [Side.of(study, chosen, {}) for study in (before, after)]
+        sides = [Side.of(study, chosen, verdicts_of(study)) for study in (before, after)]
         pairs = read_pairs(*sides)
         certain = all(_repeats_itself(study.meta.simulator) for study in (before, after))
         tests = _tests(sides[0], sides[1], pairs, chosen, certain)
@@ -105,8 +106,8 @@ def _tests(
     if not found and all(one.run == "in neither" for one in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {filling[0]} and"
-            f" {filling[1]} scenarios that were chosen whatever the scores are, of {FEWEST} that are needed; explore both with the"
-            " same `seed`, or with `audit`."
+            f" {filling[1]} scenarios that were chosen whatever the scores are, of {FEWEST} that are needed; explore"
+            " both with the same `seed`, or with `audit`."
         )
     return correct(found)
 

@@ -248,11 +248,10 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
     pair = f"{old.path} and {new.path}"
     a, b = old.meta, new.meta
     # Of recordings that were imported it is that of the recordings.
-    if a.fingerprint != b.fingerprint and IMPORTED not in (a.simulator, b.simulator):
-        same_name = "another version of the same scenario file" if a.file_name == b.file_name else "other scenarios"
-        raise InputError(
-            f"{pair}: are of {same_name} ({a.file_name}, {b.file_name}); compare studies of the same file."
-        )
+    if (a.fingerprint, a.suite) != (b.fingerprint, b.suite) and IMPORTED not in (a.simulator, b.simulator):
+        what = "suites" if a.suite and b.suite else "scenarios"
+        versions = f"other versions of the same {what[:-1]}" if a.file_name == b.file_name else f"other {what}"
+        raise InputError(f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same.")
     if a.space.parameters != b.space.parameters:
         raise InputError(
             f"{pair}: are of other parameter spaces ({', '.join(a.space.names) or 'none'};"
