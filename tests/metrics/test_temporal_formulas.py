@@ -208,6 +208,15 @@ def test_without_rtamt_the_extra_is_named(monkeypatch):
         robustness("always(ttc > 2)", given)
 
 
+def test_without_rtamt_no_study_is_begun(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "rtamt", None)
+    example = "examples/t_intersection/t_intersection"
+    logical = cc.LogicalScenario.read(f"{example}.xosc", f"{example}.space.xosc")
+    with pytest.raises(InputError, match=r"pip install 'cornercase\[stl\]'"):
+        cc.explore(logical, tmp_path / "s.db", ego="Ego", other="C", metrics=["stl:always(ttc > 1)"], budget=2)
+    assert not (tmp_path / "s.db").exists()
+
+
 def test_the_metric_of_a_formula():
     metric = METRICS.create("stl:always[0:5] (clearance > 0.5)")
     assert (metric.name, metric.unit, metric.critical) == ("stl:always[0:5] (clearance > 0.5)", "m", 0.0)

@@ -151,9 +151,11 @@ class Configuration:
         Raises
         ------
         InputError
-            There is no such metric, or the weights or the front cannot be searched.
+            There is no such metric, what it needs is not installed, or the weights or the front cannot be searched.
         """
         metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
+        for metric in metrics:
+            metric.require()
         return Objective(metrics, self.weights, self.pareto)
 
     def criteria(self) -> list[Criterion]:

@@ -98,6 +98,17 @@ class Metric(ABC):
             There is no entity of that name.
         """
 
+    def require(self) -> None:  # noqa: B027 - optional
+        """Refuse to measure where a package that is needed is not installed; asked before anything is run.
+
+        Studies of the metric can be read without it, so it is not asked for when the metric is made.
+
+        Raises
+        ------
+        InputError
+            It is missing; the message says how to install it. By default nothing is needed.
+        """
+
     def capped(self, course: FloatArray) -> FloatArray:
         """Bring a course between the cap and the most critical value, so that it is finite everywhere.
 

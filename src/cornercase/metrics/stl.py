@@ -11,6 +11,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.formulas.formula import Formula
 from cornercase.metrics.formulas.signals import is_metric, signals_of
+from cornercase.metrics.formulas.temporal import require_rtamt
 from cornercase.metrics.formulas.terms import Bound, Comparison
 from cornercase.metrics.registry import METRICS
 from cornercase.recordings import Recording
@@ -56,6 +57,10 @@ class Stl(Metric):
         comparisons = self.formula.comparisons
         self.cap = max(map(_cap, comparisons))
         self.most_critical = -max(_FAR, *(gap for one in comparisons for gap in _beyond(one)), 0.0)
+
+    def require(self) -> None:
+        if self.formula.temporal:
+            require_rtamt()
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         signals = signals_of(recording, ego, other)

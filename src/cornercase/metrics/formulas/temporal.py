@@ -130,14 +130,27 @@ def _steps(interval: tuple[float, float], time: FloatArray) -> tuple[IntArray, I
     return source, place, begin, end
 
 
-def _evaluate(text: str, fed: list[tuple[str, FloatArray]]) -> FloatArray:
+def require_rtamt() -> None:
+    """Refuse to go on where RTAMT is not installed.
+
+    Raises
+    ------
+    InputError
+        It is not.
+    """
     try:
-        import rtamt
+        import rtamt  # noqa: F401
     except ImportError as error:
         raise InputError(
             "RTAMT, which follows temporal operators, is not installed; it comes with pip install 'cornercase[stl]' and"
             " a Python of 3.12 or earlier."
         ) from error
+
+
+def _evaluate(text: str, fed: list[tuple[str, FloatArray]]) -> FloatArray:
+    require_rtamt()
+    import rtamt
+
     specification = rtamt.StlDiscreteTimeOfflineSpecification()
     for name, _ in fed:
         specification.declare_var(name, "float")
