@@ -133,21 +133,19 @@ class Killing(SimpleDriver):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_a_killed_run_goes_on_as_if_undisturbed(reduced, tmp_path):
+def test_a_killed_run_goes_on_as_if_undisturbed(reduced, tmp_path, monkeypatch):
     (tmp_path / "killing.py").write_text(KILLING)
-
-    def command(output, **environment):
-        return subprocess.run(
-            [sys.executable, "-c", "from cornercase.cli import main; main()", "test", reduced, "--driver",
-             "Ego=killing:Killing", "-o", output],
-            cwd=tmp_path, env={**os.environ, **environment}, capture_output=True, timeout=120, check=False,
-        )  # fmt: skip
-
-    assert command("killed.db", KILL="yes").returncode == -9
+    monkeypatch.chdir(tmp_path)
+    arguments = ["test", str(reduced), "--driver", "Ego=killing:Killing", "-o"]
+    killed = subprocess.run(
+        [sys.executable, "-c", "from cornercase.cli import main; main()", *arguments, "killed.db"],
+        env={**os.environ, "KILL": "yes"}, capture_output=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert killed.returncode == -9
     with Study.open(tmp_path / "killed.db", readonly=True) as study:
         assert 0 < len(study.done()) < 6
-    assert command("killed.db").returncode == 0
-    assert command("whole.db").returncode == 0
+    for name in ("killed.db", "whole.db"):
+        assert CliRunner().invoke(app, [*arguments, name]).exit_code == 0
     assert stored(tmp_path / "killed.db") == stored(tmp_path / "whole.db")
 
 
