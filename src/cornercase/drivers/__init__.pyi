@@ -15,6 +15,12 @@ from .parameters import AGGRESSIVE as AGGRESSIVE
 from .parameters import CAUTIOUS as CAUTIOUS
 from .parameters import NORMAL as NORMAL
 from .parameters import Behaviour as Behaviour
+from .references.driver import ReferenceDriver as ReferenceDriver
+from .references.encounters import EncounterOutcome as EncounterOutcome
+from .references.encounters import drive_cut_in as drive_cut_in
+from .references.encounters import drive_cut_out as drive_cut_out
+from .references.encounters import drive_deceleration as drive_deceleration
+from .references.models import REFERENCES as REFERENCES
 from .registry import DRIVERS as DRIVERS
 from .simple import SimpleDriver as SimpleDriver
 from .traffic import BEHAVIOUR as BEHAVIOUR

@@ -1,0 +1,79 @@
+"""The reference drivers of UN Regulation No. 157 as drivers of a scenario."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.typing import FloatArray
+from cornercase.drivers.base import Driver, Situation
+from cornercase.drivers.references.models import REFERENCES, Reaction
+from cornercase.drivers.references.surroundings import Surroundings
+
+# m/s² at which a speed is reached that the scenario asks for, as long as nothing is unsafe.
+_GAINING, _LOSING = 2.0, 4.0
+
+
+class ReferenceDriver(Driver):
+    """A reference driver of UN Regulation No. 157, of cut-ins, cut-outs and decelerations.
+
+    It goes at the speed that the scenario asks for, until it finds somebody unsafe; from then on it brakes, or keeps
+    its speed. It does not steer, does not foresee whose ways will cross, and does not drive off again; see
+    ``docs/drivers.md``.
+
+    Parameters
+    ----------
+    name : {"cc-human", "fsm", "rss", "reg157"}
+        Careful and competent human, fuzzy safety model, Responsibility-Sensitive Safety, reaction time of 5.2.5.2.
+    delay : float, optional
+        s from the first unsafe instant to braking, instead of the regulation's.
+
+    Raises
+    ------
+    InputError
+        There is no such reference driver, or the delay is below 0.
+
+    References
+    ----------
+    UN Regulation No. 157, 5.2.5.2 and Annex 4, Appendix 3; Annex 3, Appendix 3 of the 01 series of amendments.
+    Mattas et al., Driver models for the definition of safety requirements of automated vehicles in international
+    regulations. Application to motorway driving conditions, Accident Analysis & Prevention 174 (2022) 106743.
+    """
+
+    def __init__(self, name: str, delay: float | None = None) -> None:
+        if name not in REFERENCES:
+            raise InputError(f"There is no reference driver '{name}'; {suggestion(name, sorted(REFERENCES))}")
+        reference = REFERENCES[name]
+        if delay is not None:
+            if not (np.isfinite(delay) and delay >= 0.0):
+                raise InputError(
+                    f"`delay` of the driver '{name}' is {delay}; it has to be a number of seconds, 0 or more."
+                )
+            reference = replace(reference, delay=float(delay))
+        self._reference = reference
+        self.settings = {"driver": name, "delay": reference.delay}
+        self.start(0, 0)
+
+    def start(self, scenarios: int, others: int) -> None:
+        """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
+        self._reaction = Reaction(self._reference, scenarios)
+        self._surroundings = Surroundings(scenarios, others)
+        self._acceleration = np.zeros(scenarios)
+
+    def acceleration(self, situation: Situation) -> FloatArray:
+        """Acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
+        s, dt = situation, situation.time_step
+        alarm = self._reference.judge(self._surroundings.view(s, self._acceleration))
+        counts = alarm.unsafe & s.active[:, None]
+        wanted = np.where(counts, alarm.deceleration, 0.0).max(axis=1, initial=0.0)
+        unsafe = counts.any(axis=1)
+        reacts = self._reaction.acceleration(unsafe, wanted, dt)
+        # Where the scenario asks for no speed, it is kept.
+        target = np.where(np.isfinite(s.target_speed), s.target_speed, s.speed)
+        most = np.where(self._reaction.reacted, 0.0, _GAINING)
+        goes = np.clip((target - s.speed) / dt, -_LOSING, most)
+        a = np.maximum(np.where(unsafe, reacts, goes), -s.speed / dt)
+        self._acceleration[s.active] = a[s.active]
+        return np.where(s.active, a, 0.0)

@@ -1,0 +1,220 @@
+"""Reference drivers in the three encounters for which the regulation defines them, at 10 Hz, without a scenario file."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers.references.models import GRAVITY, REFERENCES, URGENT, Reaction, View, time_to_collision
+
+TIME_STEP: Final = 0.1
+"""s."""
+
+STEPS: Final = 350
+"""Time steps of a run at most."""
+
+LENGTH, WIDTH = 4.3, 1.9
+"""m of a car."""
+
+STANDING_LENGTH: Final = 5.0
+"""m of the car that stands behind the one that cuts out."""
+
+LANE: Final = 3.5
+"""m between the centres of two lanes."""
+
+WANDERING: Final = 0.375
+"""m that a car is off the middle of its lane before it counts as cutting in or out; Annex 4, Appendix 3."""
+
+# m/s by which the lateral speed rises in a time step, with 1.5 m/s².
+_RISE = 0.15
+
+
+class EncounterOutcome(NamedTuple):
+    """What comes of N encounters.
+
+    Attributes
+    ----------
+    crash : ndarray of bool, shape (N,)
+        Whether the ego and another touch.
+    proactive, critical : ndarray of float64, shape (N,)
+        Fuzzy surrogate safety metrics of `fsm`, else 0: the largest of the run, and in a cut-out those to the standing car
+        when the one ahead leaves the middle of its lane, or 0 where that crashes.
+    gap : ndarray of float64, shape (N,)
+        m to the one ahead at the start.
+    """
+
+    crash: BoolArray
+    proactive: FloatArray
+    critical: FloatArray
+    gap: FloatArray
+
+
+def drive_cut_in(
+    name: str, speed: FloatArray, other_speed: FloatArray, gap: FloatArray, lateral_speed: FloatArray
+) -> EncounterOutcome:
+    """Let a reference driver meet cars that cut in from the next lane.
+
+    The other comes from the middle of the next lane to that of the ego's. Its lateral speed rises with 1.5 m/s² before that.
+
+    Parameters
+    ----------
+    name : str
+        Of a reference driver.
+    speed, other_speed : ndarray of float64, shape (N,)
+        m/s.
+    gap : ndarray of float64, shape (N,)
+        m between the bumpers when the other has its lateral speed, and is still a lane's width aside.
+    lateral_speed : ndarray of float64, shape (N,)
+        m/s.
+
+    Returns
+    -------
+    EncounterOutcome
+        A run of `cc-human` ends without a crash where it finds the time to collision above 2 s at the intrusion.
+
+    References
+    ----------
+    UN Regulation No. 157, Annex 4, Appendix 3.
+    """
+    reference, n = REFERENCES[name], len(speed)
+    rising, behind = _rise(lateral_speed)
+    x, v, a = np.zeros(n), speed.copy(), np.zeros(n)
+    other_x = gap + LENGTH + (speed - other_speed) * TIME_STEP * rising.sum(axis=0)
+    aside = LANE + behind
+    reaction, never = Reaction(reference, n), np.zeros(n, dtype=np.bool_)
+    crash, over, intruded = never.copy(), never.copy(), never.copy()
+    proactive, critical, start = np.zeros(n), np.zeros(n), other_x - LENGTH
+    for i in range(STEPS):
+        u = np.where(rising[i], i * _RISE, lateral_speed) if i < len(rising) else lateral_speed
+        u = np.where(aside <= 0.0, 0.0, u)
+        touches = (np.abs(other_x - x) < LENGTH) & (np.abs(aside) < WIDTH) & ~over
+        crash, over = crash | touches, over | touches
+        view = View(
+            (other_x - LENGTH / 2) - (x + LENGTH / 2),
+            aside - WIDTH,
+            u,
+            v,
+            other_speed,
+            a,
+            np.full(n, 2 * LENGTH),
+            never,
+        )
+        if name == "cc-human":
+            begins = (view.lateral_gap < 0.0) & ~intruded
+            intruded |= begins
+            over |= begins & (time_to_collision(view) > URGENT)
+        alarm = reference.judge(view)
+        proactive = np.where(over, proactive, np.maximum(proactive, alarm.proactive))
+        critical = np.where(over, critical, np.maximum(critical, alarm.critical))
+        v, a = _next_speed(v, reaction.acceleration(alarm.unsafe, alarm.deceleration, TIME_STEP))
+        x, other_x, aside = x + v * TIME_STEP, other_x + other_speed * TIME_STEP, aside - u * TIME_STEP
+    return EncounterOutcome(crash, proactive, critical, start)
+
+
+def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_speed: FloatArray) -> EncounterOutcome:
+    """Let a reference driver follow cars that leave the lane in front of a standing car.
+
+    Where the one that cuts out hits the standing car, it stops dead.
+
+    Parameters
+    ----------
+    name : str
+        Of a reference driver.
+    speed : ndarray of float64, shape (N,)
+        m/s of the ego and of the car that it follows.
+    front_gap : ndarray of float64, shape (N,)
+        m from that to the standing car, if that were 4.3 m long; its middle stands so, but it is 5 m long.
+    lateral_speed : ndarray of float64, shape (N,)
+        m/s at which it cuts out, from the start.
+
+    Returns
+    -------
+    EncounterOutcome
+
+    References
+    ----------
+    UN Regulation No. 157, Annex 4, Appendix 3.
+    """
+    reference, n = REFERENCES[name], len(speed)
+    start = reference.following(speed)
+    x, v, a, other_v, none = np.zeros(n), speed.copy(), np.zeros(n), speed.copy(), np.zeros(n)
+    other_x, aside = start + LENGTH, np.zeros(n)
+    # The gap is laid out for a car of the usual length, in whose place a longer one stands.
+    standing_x, half = other_x + LENGTH + front_gap, (LENGTH + STANDING_LENGTH) / 2
+    always, in_lane = np.ones(n, dtype=np.bool_), np.full(n, -WIDTH)
+    reaction, crash, hit, shown = Reaction(reference, n), ~always, ~always, ~always
+    proactive, critical = np.zeros(n), np.zeros(n)
+    for _ in range(STEPS):
+        hit = hit | ((standing_x - other_x < half) & (aside < WIDTH))
+        crash = crash | (standing_x - x < half) | (hit & (other_x - x < LENGTH) & (aside < WIDTH))
+        other_v = np.where(hit, 0.0, other_v)
+        leaves = (aside > WANDERING) | hit
+        lengths = np.full(n, 2 * half)
+        view = View((standing_x - STANDING_LENGTH / 2) - (x + LENGTH / 2), in_lane, none, v, none, a, lengths, always)
+        to_standing = reference.judge(view)
+        gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
+        view = View(gap, aside - WIDTH, none, v, other_v, a, np.full(n, 2 * LENGTH), always)
+        to_other = reference.judge(view)
+        first = leaves & ~shown & ~hit
+        proactive[first], critical[first] = to_standing.proactive[first], to_standing.critical[first]
+        shown |= leaves
+        unsafe = np.where(hit, to_other.unsafe, to_standing.unsafe & leaves)
+        wanted = np.where(hit, to_other.deceleration, to_standing.deceleration)
+        v, a = _next_speed(v, reaction.acceleration(unsafe, wanted, TIME_STEP))
+        x, other_x = x + v * TIME_STEP, other_x + other_v * TIME_STEP
+        aside = aside + np.where(hit, 0.0, lateral_speed) * TIME_STEP
+    return EncounterOutcome(crash, np.where(hit, 0.0, proactive), np.where(hit, 0.0, critical), start)
+
+
+def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -> EncounterOutcome:
+    """Let a reference driver follow cars that brake at once, and constantly, to a standstill.
+
+    Parameters
+    ----------
+    name : str
+        Of a reference driver.
+    speed : ndarray of float64, shape (N,)
+        m/s of both.
+    deceleration : ndarray of float64, shape (N,)
+        In units of 9.81 m/s².
+
+    Returns
+    -------
+    EncounterOutcome
+
+    References
+    ----------
+    UN Regulation No. 157, Annex 4, Appendix 3.
+    """
+    reference, n = REFERENCES[name], len(speed)
+    start = reference.following(speed)
+    x, v, a, other_x, other_v = np.zeros(n), speed.copy(), np.zeros(n), start + LENGTH, speed.copy()
+    reaction, crash, always = Reaction(reference, n), np.zeros(n, dtype=np.bool_), np.ones(n, dtype=np.bool_)
+    proactive, critical = np.zeros(n), np.zeros(n)
+    for _ in range(STEPS - 1):
+        crash = crash | (other_x - x < LENGTH)
+        gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
+        view = View(gap, np.full(n, -WIDTH), np.zeros(n), v, other_v, a, np.full(n, 2 * LENGTH), always)
+        alarm = reference.judge(view)
+        proactive = np.where(crash, proactive, np.maximum(proactive, alarm.proactive))
+        critical = np.where(crash, critical, np.maximum(critical, alarm.critical))
+        v, a = _next_speed(v, reaction.acceleration(alarm.unsafe, alarm.deceleration, TIME_STEP))
+        other_v = np.maximum(other_v - deceleration * GRAVITY * TIME_STEP, 0.0)
+        x, other_x = x + v * TIME_STEP, other_x + other_v * TIME_STEP
+    return EncounterOutcome(crash, proactive, critical, start)
+
+
+def _rise(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Time steps before a lateral speed is reached, shape (steps, N), and the way across meanwhile in m, shape (N,)."""
+    steps = np.ceil(lateral_speed / _RISE)
+    instants = np.arange(max(int(steps.max(initial=0.0)), 1))[:, None]
+    rising = instants < steps
+    return rising, (rising * instants).sum(axis=0) * _RISE * TIME_STEP
+
+
+def _next_speed(speed: FloatArray, acceleration: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Speed after a time step, not below 0, and the acceleration that it took."""
+    risen = np.maximum(speed + acceleration * TIME_STEP, 0.0)
+    return risen, (risen - speed) / TIME_STEP

@@ -1,0 +1,290 @@
+"""The reference drivers of UN Regulation No. 157: what each of them takes for unsafe, and how it reacts.
+
+What they judge is how another stands and moves along and across the path, whatever scenario or set-up that comes from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers.references.fuzzy import (
+    COMFORTABLE,
+    HARD,
+    OF_THE_OTHER,
+    REACTION_TIME,
+    SAFETY_MARGIN,
+    critical_metric,
+    passes_clear,
+    proactive_metric,
+)
+
+GRAVITY: Final = 9.81
+"""m/s²."""
+
+FULL_BRAKING: Final = 0.774 * GRAVITY
+"""m/s²; UN Regulation No. 157, Annex 4, Appendix 3."""
+
+JERK: Final = 12.65
+"""m/s³ at which the deceleration rises: to full braking within 0.6 s."""
+
+URGENT: Final = 2.0
+"""Time to collision in s from which on the careful and competent human brakes for who cuts in."""
+
+HUMAN_HEADWAY: Final = 2.0
+"""s at which the careful and competent human follows."""
+
+RSS_TIME, RSS_ACCELERATION, RSS_BRAKING = 0.75, 3.0, 6.0
+"""Response time in s, acceleration during it and braking after it in m/s², of Responsibility-Sensitive Safety."""
+
+# Of Responsibility-Sensitive Safety across the path: margin in m, acceleration and braking in m/s².
+_RSS_MARGIN, _RSS_ASIDE = 0.3, 1.0
+# Of the regulation's 5.2.5.2: lateral gap in m from which on a cut-in counts, braking in m/s², times in s.
+_CUTTING_IN, _BRAKING_157, _DELAY_157, _RESERVE_157 = 0.5, 6.0, 0.35, 0.1
+# The careful and competent human takes its foot off the accelerator while it decides to brake.
+_ENGINE_BRAKING = 0.4
+# Rounding of time steps must not make the delay one step longer.
+_HAIR = 1e-9
+
+
+class View(NamedTuple):
+    """How others stand and move along and across the path of a driver.
+
+    Attributes
+    ----------
+    gap : ndarray of float64, shape (...)
+        m between the boxes along the path, negative where they are side by side or the other is behind.
+    lateral_gap : ndarray of float64, shape (...)
+        m between the boxes across the path, negative where they overlap.
+    inward : ndarray of float64, shape (...)
+        Speed of the other towards the path in m/s.
+    speed, other_speed : ndarray of float64, shape (...)
+        m/s along the path, of the driver and of the other.
+    acceleration : ndarray of float64, shape (...)
+        Of the driver in m/s².
+    lengths : ndarray of float64, shape (...)
+        m of both boxes together, along the path.
+    ahead : ndarray of bool, shape (...)
+        The other has been in the way since it was first seen, or came into it with time to spare, rather than cutting
+        in.
+    """
+
+    gap: FloatArray
+    lateral_gap: FloatArray
+    inward: FloatArray
+    speed: FloatArray
+    other_speed: FloatArray
+    acceleration: FloatArray
+    lengths: FloatArray
+    ahead: BoolArray
+
+
+class Alarm(NamedTuple):
+    """What a reference driver makes of a `View`.
+
+    Attributes
+    ----------
+    unsafe : ndarray of bool, shape (...)
+    deceleration : ndarray of float64, shape (...)
+        m/s² that it wants, once it brakes.
+    proactive, critical : ndarray of float64, shape (...)
+        Fuzzy surrogate safety metrics; 0 for the others than the fuzzy safety model.
+    """
+
+    unsafe: BoolArray
+    deceleration: FloatArray
+    proactive: FloatArray
+    critical: FloatArray
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A reference driver.
+
+    Attributes
+    ----------
+    title : str
+    judge : callable
+        Makes an `Alarm` of a `View`.
+    following : callable
+        Gap in m at which it follows one of the same speed in m/s.
+    delay : float
+        s from the first unsafe instant to braking.
+    delayed_deceleration : float
+        m/s² meanwhile.
+    jerk : float
+        m/s³ at which its deceleration rises.
+    """
+
+    title: str
+    judge: Callable[[View], Alarm]
+    following: Callable[[FloatArray], FloatArray]
+    delay: float
+    delayed_deceleration: float = 0.0
+    jerk: float = JERK
+
+
+class Reaction:
+    """How far a reference driver is in its reaction, in N runs.
+
+    A delay begins with the first unsafe instant and goes on in unsafe ones only; it does not begin a second time. While
+    it is safe again, the speed is kept.
+
+    Parameters
+    ----------
+    reference : Reference
+    runs : int
+        N.
+
+    Attributes
+    ----------
+    reacted : ndarray of bool, shape (N,)
+        Whether it ever was unsafe.
+    """
+
+    def __init__(self, reference: Reference, runs: int) -> None:
+        self._reference = reference
+        self._delay = np.full(runs, reference.delay)
+        self._braking = np.zeros(runs)
+        self.reacted = np.zeros(runs, dtype=np.bool_)
+
+    def acceleration(self, unsafe: BoolArray, deceleration: FloatArray, time_step: float) -> FloatArray:
+        """Go on by a time step.
+
+        Parameters
+        ----------
+        unsafe : ndarray of bool, shape (N,)
+            Where it is not, nothing changes.
+        deceleration : ndarray of float64, shape (N,)
+            m/s² that it wants, once it brakes.
+        time_step : float
+            s.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            m/s²; 0 where it is safe.
+        """
+        of = self._reference
+        brakes = unsafe & (self._delay <= _HAIR)
+        waits = unsafe & ~brakes
+        self.reacted |= unsafe
+        self._delay[waits] -= time_step
+        risen = np.minimum(self._braking + of.jerk * time_step, deceleration)
+        self._braking[brakes] = risen[brakes]
+        return np.where(brakes, -self._braking, np.where(waits, -of.delayed_deceleration, 0.0))
+
+
+def rss_distance(speed: FloatArray, other_speed: FloatArray) -> FloatArray:
+    """Safe longitudinal distance of Responsibility-Sensitive Safety, for two of the same direction.
+
+    Parameters
+    ----------
+    speed, other_speed : ndarray of float64, shape (...)
+        m/s of the one behind and the one ahead.
+
+    Returns
+    -------
+    ndarray of float64, shape (...)
+        m: v τ + a τ²/2 + (v + a τ)²/(2 b) - v_other²/(2 b), with τ 0.75 s, a 3 m/s² and b 6 m/s².
+
+    References
+    ----------
+    Shalev-Shwartz, Shammah, Shashua, On a Formal Model of Safe and Scalable Self-driving Cars, 2017, Definition 1.
+    """
+    risen = speed + RSS_ACCELERATION * RSS_TIME
+    meanwhile = speed * RSS_TIME + RSS_ACCELERATION * RSS_TIME**2 / 2.0
+    return meanwhile + risen**2 / (2.0 * RSS_BRAKING) - other_speed**2 / (2.0 * RSS_BRAKING)
+
+
+def rss_lateral_distance(inward: FloatArray) -> FloatArray:
+    """Safe lateral distance of Responsibility-Sensitive Safety to one who comes in, of a driver that keeps its path.
+
+    Parameters
+    ----------
+    inward : ndarray of float64, shape (...)
+        Speed of the other towards the path in m/s.
+
+    Returns
+    -------
+    ndarray of float64, shape (...)
+        m: 0.3 + (2 u + a τ) τ/2 + (u + a τ)²/(2 a), with τ 0.75 s and a 1 m/s².
+
+    References
+    ----------
+    Shalev-Shwartz, Shammah, Shashua (2017), Definition 6.
+    """
+    risen = inward + _RSS_ASIDE * RSS_TIME
+    return _RSS_MARGIN + (inward + risen) * RSS_TIME / 2.0 + risen**2 / (2.0 * _RSS_ASIDE)
+
+
+def time_to_collision(view: View) -> FloatArray:
+    """Seconds until the gap is closed if both keep their speeds; infinite where it does not close, or is none."""
+    closing = view.speed - view.other_speed
+    closes = (closing > 0.0) & (view.gap > 0.0)
+    return np.where(closes, view.gap / np.where(closes, closing, 1.0), np.inf)
+
+
+def _human_judges(view: View) -> Alarm:
+    in_the_way = (view.lateral_gap < 0.0) & (view.gap > 0.0)
+    urgent = time_to_collision(view) <= URGENT
+    return _alarm(in_the_way & (urgent | (view.ahead & (view.speed > view.other_speed))), FULL_BRAKING)
+
+
+def _rss_judges(view: View) -> Alarm:
+    # Until its middle has passed the other's, the driver is the one behind.
+    behind = view.gap + 0.5 * view.lengths > 0.0
+    near = view.gap < np.maximum(rss_distance(view.speed, np.maximum(view.other_speed, 0.0)), 0.0)
+    beside = view.lateral_gap < rss_lateral_distance(np.maximum(view.inward, 0.0))
+    return _alarm(behind & near & beside, FULL_BRAKING)
+
+
+def _regulation_judges(view: View) -> Alarm:
+    enough = (view.speed - view.other_speed) / (2.0 * _BRAKING_157) + _DELAY_157 + _RESERVE_157
+    return _alarm((view.lateral_gap <= _CUTTING_IN) & (time_to_collision(view) <= enough), _BRAKING_157)
+
+
+def _fuzzy_judges(view: View) -> Alarm:
+    closing, other_speed = view.speed - view.other_speed, np.maximum(view.other_speed, 0.0)
+    clear = passes_clear(view.gap, view.lateral_gap, view.inward, closing, view.lengths) | (view.gap <= 0.0)
+    proactive = np.where(clear, 0.0, proactive_metric(view.gap, view.speed, other_speed))
+    critical = np.where(clear, 0.0, critical_metric(view.gap, view.speed, other_speed, view.acceleration))
+    wanted = np.where(critical > 0.0, critical * (HARD - COMFORTABLE) + COMFORTABLE, proactive * COMFORTABLE)
+    return Alarm(proactive + critical > 0.0, wanted, proactive, critical)
+
+
+def _alarm(unsafe: BoolArray, deceleration: float) -> Alarm:
+    nothing = np.zeros(unsafe.shape)
+    return Alarm(unsafe, nothing + deceleration, nothing, nothing)
+
+
+def _human_follows(speed: FloatArray) -> FloatArray:
+    return HUMAN_HEADWAY * speed
+
+
+def _fuzzy_follows(speed: FloatArray) -> FloatArray:
+    """So far that it is just safe when the one ahead brakes as hard as it can, with both margins."""
+    stops, other_stops = speed**2 / (2.0 * COMFORTABLE), speed**2 / (2.0 * OF_THE_OTHER)
+    return speed * REACTION_TIME + stops - other_stops + 2.0 * SAFETY_MARGIN
+
+
+def _rss_follows(speed: FloatArray) -> FloatArray:
+    """So far that it is still safe when the one ahead has braked during the response time, and how far it closed."""
+    braked = np.maximum(speed - RSS_BRAKING * RSS_TIME, 0.0)
+    return RSS_BRAKING * RSS_TIME**2 / 2.0 + rss_distance(speed, braked)
+
+
+REFERENCES: Final[Mapping[str, Reference]] = MappingProxyType(
+    {
+        "cc-human": Reference("careful and competent human", _human_judges, _human_follows, 0.75, _ENGINE_BRAKING),
+        "fsm": Reference("fuzzy safety model", _fuzzy_judges, _fuzzy_follows, REACTION_TIME),
+        "rss": Reference("Responsibility-Sensitive Safety", _rss_judges, _rss_follows, RSS_TIME),
+        "reg157": Reference("reaction time of 5.2.5.2", _regulation_judges, _human_follows, _DELAY_157, jerk=np.inf),
+    }
+)
+"""The reference drivers by name."""
