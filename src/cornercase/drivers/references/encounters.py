@@ -1,4 +1,4 @@
-"""Reference drivers in the three encounters for which the regulation defines them, at 10 Hz, without a scenario file."""
+"""Reference drivers in the three encounters that the regulation defines them for, at 10 Hz, without a file."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class EncounterOutcome(NamedTuple):
     crash : ndarray of bool, shape (N,)
         Whether the ego and another touch.
     proactive, critical : ndarray of float64, shape (N,)
-        Fuzzy surrogate safety metrics of `fsm`, else 0: the largest of the run, and in a cut-out those to the standing car
-        when the one ahead leaves the middle of its lane, or 0 where that crashes.
+        Fuzzy surrogate safety metrics of `fsm`, else 0: the largest of the run, and in a cut-out those to the standing
+        car when the one ahead leaves the middle of its lane, or 0 where that crashes.
     gap : ndarray of float64, shape (N,)
         m to the one ahead at the start.
     """
@@ -56,7 +56,8 @@ def drive_cut_in(
 ) -> EncounterOutcome:
     """Let a reference driver meet cars that cut in from the next lane.
 
-    The other comes from the middle of the next lane to that of the ego's. Its lateral speed rises with 1.5 m/s² before that.
+    The other comes from the middle of the next lane to that of the ego's. Before that, its lateral speed rises with
+    1.5 m/s².
 
     Parameters
     ----------
@@ -91,16 +92,8 @@ def drive_cut_in(
         u = np.where(aside <= 0.0, 0.0, u)
         touches = (np.abs(other_x - x) < LENGTH) & (np.abs(aside) < WIDTH) & ~over
         crash, over = crash | touches, over | touches
-        view = View(
-            (other_x - LENGTH / 2) - (x + LENGTH / 2),
-            aside - WIDTH,
-            u,
-            v,
-            other_speed,
-            a,
-            np.full(n, 2 * LENGTH),
-            never,
-        )
+        now = (other_x - LENGTH / 2) - (x + LENGTH / 2)
+        view = View(now, aside - WIDTH, u, v, other_speed, a, np.full(n, 2 * LENGTH), never)
         if name == "cc-human":
             begins = (view.lateral_gap < 0.0) & ~intruded
             intruded |= begins

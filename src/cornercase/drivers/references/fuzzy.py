@@ -21,7 +21,7 @@ _LATERAL_RESERVE = 0.1
 
 
 def proactive_metric(gap: FloatArray, speed: FloatArray, other_speed: FloatArray) -> FloatArray:
-    """Proactive fuzzy surrogate safety metric (PFS): what happens if the one ahead brakes as hard as it can?
+    """Proactive fuzzy surrogate safety metric (PFS), for one ahead that brakes hard.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def proactive_metric(gap: FloatArray, speed: FloatArray, other_speed: FloatArray
 def critical_metric(
     gap: FloatArray, speed: FloatArray, other_speed: FloatArray, acceleration: FloatArray
 ) -> FloatArray:
-    """Critical fuzzy surrogate safety metric (CFS): what happens if the one ahead keeps its speed?
+    """Critical fuzzy surrogate safety metric (CFS), for one ahead that keeps its speed.
 
     Parameters
     ----------

@@ -199,7 +199,7 @@ def rss_distance(speed: FloatArray, other_speed: FloatArray) -> FloatArray:
     """
     risen = speed + RSS_ACCELERATION * RSS_TIME
     meanwhile = speed * RSS_TIME + RSS_ACCELERATION * RSS_TIME**2 / 2.0
-    return meanwhile + risen**2 / (2.0 * RSS_BRAKING) - other_speed**2 / (2.0 * RSS_BRAKING)
+    return np.asarray(meanwhile + risen**2 / (2.0 * RSS_BRAKING) - other_speed**2 / (2.0 * RSS_BRAKING))
 
 
 def rss_lateral_distance(inward: FloatArray) -> FloatArray:
@@ -270,7 +270,7 @@ def _human_follows(speed: FloatArray) -> FloatArray:
 def _fuzzy_follows(speed: FloatArray) -> FloatArray:
     """So far that it is just safe when the one ahead brakes as hard as it can, with both margins."""
     stops, other_stops = speed**2 / (2.0 * COMFORTABLE), speed**2 / (2.0 * OF_THE_OTHER)
-    return speed * REACTION_TIME + stops - other_stops + 2.0 * SAFETY_MARGIN
+    return np.asarray(speed * REACTION_TIME + stops - other_stops + 2.0 * SAFETY_MARGIN)
 
 
 def _rss_follows(speed: FloatArray) -> FloatArray:

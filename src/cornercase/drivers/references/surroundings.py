@@ -109,7 +109,7 @@ class _Line:
             self._along = np.linspace(0.0, path.distance[-1], max(count, 2))
             columns = (path.x, path.y, path.heading)
             self._x, self._y, self._heading = (np.interp(self._along, path.distance, one) for one in columns)
-            self._tree = KDTree(np.stack((self._x, self._y), axis=1))
+            self._tree: KDTree[None, None] | None = KDTree(np.stack((self._x, self._y), axis=1))
         else:
             self._along, self._x, self._y, self._heading = path.distance, path.x, path.y, path.heading
             self._tree = None
@@ -161,4 +161,4 @@ def _hidden(gap: FloatArray, off: FloatArray, in_the_way: BoolArray) -> BoolArra
     """Who is in the way behind somebody nearer that is in the middle of it, each of shape (N, A)."""
     screens = np.where((off <= WANDERING) & (gap > 0.0), gap, np.inf)
     nearest = screens.min(axis=1, keepdims=True, initial=np.inf)
-    return in_the_way & (gap > nearest)
+    return np.asarray(in_the_way & (gap > nearest))
