@@ -104,14 +104,14 @@ class _Line:
     """A path by samples that are close to each other, and where places are along it."""
 
     def __init__(self, path: DrivenPath) -> None:
-        if path.distance.ndim == 1:
-            count = int(np.ceil(path.distance[-1] / _SPACING)) + 1
-            self._along = np.linspace(0.0, path.distance[-1], max(count, 2))
-            columns = (path.x, path.y, path.heading)
-            self._x, self._y, self._heading = (np.interp(self._along, path.distance, one) for one in columns)
+        columns = (path.distance, path.x, path.y, path.heading)
+        if all(one.ndim == 1 or (one == one[0]).all() for one in columns):
+            given, x, y, heading = (one if one.ndim == 1 else one[0] for one in columns)
+            self._along = np.linspace(0.0, given[-1], max(int(np.ceil(given[-1] / _SPACING)) + 1, 2))
+            self._x, self._y, self._heading = (np.interp(self._along, given, one) for one in (x, y, heading))
             self._tree: KDTree[None, None] | None = KDTree(np.stack((self._x, self._y), axis=1))
         else:
-            self._along, self._x, self._y, self._heading = path.distance, path.x, path.y, path.heading
+            self._along, self._x, self._y, self._heading = columns
             self._tree = None
 
     def places(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
