@@ -1,14 +1,14 @@
-"""Whether the reference drivers of UN Regulation No. 157 prevent what the European Commission's implementation prevents.
+"""Whether the reference drivers of UN Regulation No. 157 prevent what the Commission's implementation prevents.
 
     python benchmarks/reference_drivers.py --r157 FOLDER [--quick] [--sample N] [--seed N] [--json FILE]
 
-FOLDER holds ``cut_in.csv``, ``cut_out.csv`` and ``deceleration.csv`` with outcomes of JRC-FSM, the open implementation of
-the Joint Research Centre. Each row is compared with the models by themselves, in the set-up of that implementation
-(`cornercase.drivers.drive_cut_in` and the like): share of rows with the same crash or none, and with the same fuzzy
-metrics to 1e-6. N rows of each file and model, drawn at random, are run as OpenSCENARIO in the builtin simulator
-(``examples/r157``), in the same time steps and in finer ones. Where these end otherwise, the cause is looked for by the
-model by itself: whether it differs as well, or ends otherwise with a gap that 0.1 s of closing make longer or shorter.
-``--quick`` takes 300 rows and the first time step alone.
+FOLDER holds ``cut_in.csv``, ``cut_out.csv`` and ``deceleration.csv`` with outcomes of JRC-FSM, the open implementation
+of the European Commission's Joint Research Centre. Each row is compared with the models by themselves, in the set-up
+of that implementation (`cornercase.drivers.drive_cut_in` and the like): share of rows with the same crash or none, and
+with the same fuzzy metrics to 1e-6. N rows of each file and model, drawn at random, are run as OpenSCENARIO in the
+builtin simulator (``examples/r157``), in the same time steps and in finer ones. Where these end otherwise, the cause is
+looked for by the model by itself: whether it differs as well, or ends otherwise with a gap that 0.1 s of closing make
+longer or shorter. ``--quick`` takes 300 rows and the first time step alone.
 
 Of a scenario file a driver is not told when the encounter is over; where the set-up says that the careful and competent
 human has time, it is over at the intrusion here as well. Rows without lateral motion are not run: nobody cuts in.
@@ -58,16 +58,19 @@ def column(rows: pd.DataFrame, name: str) -> Floats:
 def as_scenarios(file: str, name: str, rows: pd.DataFrame) -> list[ConcreteScenario]:
     """The same as concrete scenarios."""
     if file == "cut_in":
-        values = {"ego_kmh": rows.ego_kmh, "other_kmh": rows.other_kmh, "gap": rows.gap_m}
-        values["lateral_speed"] = rows.lateral_m_s
+        values = {"ego_kmh": column(rows, "ego_kmh"), "other_kmh": column(rows, "other_kmh")}
+        values |= {"gap": column(rows, "gap_m"), "lateral_speed": column(rows, "lateral_m_s")}
     else:
-        values = {"ego_kmh": rows.speed_kmh, "gap": REFERENCES[name].following(column(rows, "speed_kmh") / 3.6)}
+        values = {
+            "ego_kmh": column(rows, "speed_kmh"),
+            "gap": REFERENCES[name].following(column(rows, "speed_kmh") / 3.6),
+        }
         if file == "cut_out":
-            values |= {"front_gap": rows.front_gap_m, "lateral_speed": -rows.lateral_m_s}
+            values |= {"front_gap": column(rows, "front_gap_m"), "lateral_speed": -column(rows, "lateral_m_s")}
         else:
-            values["deceleration"] = rows.deceleration_g
-    table = pd.DataFrame({key: np.asarray(one, dtype=np.float64) for key, one in values.items()})
-    return [ConcreteScenario(EXAMPLES / f"{file}.xosc", one) for one in table.to_dict("records")]
+            values["deceleration"] = column(rows, "deceleration_g")
+    each = zip(*(one.tolist() for one in values.values()), strict=True)
+    return [ConcreteScenario(EXAMPLES / f"{file}.xosc", dict(zip(values, one, strict=True))) for one in each]
 
 
 def crashed(file: str, name: str, run: Recording | SimulationError) -> bool:
