@@ -15,8 +15,9 @@ from cornercase.drivers.references.models import URGENT, View, time_to_collision
 _SPACING = 0.5
 # Where a path runs otherwise in each scenario, places are looked for in so many scenarios at once.
 _AT_ONCE = 256
-# Rounding must not make an alarm of somebody who follows at just the safe distance; m, and m/s for who closes in.
-_HAIR, _SLOWLY = 1e-6, 0.1
+# What rounding adds up to must not make an alarm of somebody who follows at just the safe distance, in m; who closes in by
+# less, in m/s, does not close in.
+_HAIR, _SLOWLY = 1e-3, 0.1
 
 
 class Surroundings:
