@@ -15,8 +15,8 @@ from cornercase.drivers.references.models import URGENT, View, time_to_collision
 _SPACING = 0.5
 # Where a path runs otherwise in each scenario, places are looked for in so many scenarios at once.
 _AT_ONCE = 256
-# What rounding adds up to must not make an alarm of somebody who follows at just the safe distance, in m; who closes in by
-# less, in m/s, does not close in.
+# What rounding adds up to must not make an alarm of somebody who follows at just the safe distance, in m; who closes in
+# by less, in m/s, does not close in.
 _HAIR, _SLOWLY = 1e-3, 0.1
 
 
