@@ -28,8 +28,9 @@ from cornercase.report.data import read_report_data
 from cornercase.report.repeating import name_command
 from cornercase.report.words import percent
 from cornercase.scenario import Parameter, ParameterSpace
-from cornercase.study import Study
+from cornercase.study import Study, import_recordings
 from synthetic import SPACE, Synthetic, about, explorer, opened
+from two_cars import met
 
 # As `explorer` searches, so that the study knows which scenarios fill the space.
 BY_SOBOL = {"optimizer": "sobol", "seed": 7}
@@ -279,7 +280,8 @@ def test_answers_say_what_show_says(path, tmp_path):
     words = put_in_words(data.summary)
     answers = {one.name: one for one in page_answers(data)}
     share = words["critical"]["share"]
-    assert f"About {percent(share['value'])} of the space is critical" in answers["critical"].text
+    said = f"About {percent(share['value'])} of the space, as far as it can be run, is critical"
+    assert said in answers["critical"].text
     assert f"{percent(share['low'])} to {percent(share['high'])}" in answers["critical"].text
     assert f"{words['critical']['scenarios']} of the {words['run']} scenarios" in answers["critical"].text
     missed = words["critical"]["missed"]
@@ -303,7 +305,7 @@ def test_where_nothing_is_critical_a_bound_is_told_that_holds(tmp_path):
     assert text.startswith(f"None of the {data.summary.run} scenarios that were run is critical")
     # The rule of three.
     assert high == pytest.approx(3.0 / data.summary.run, rel=0.1)
-    assert f"At most {percent(high)} of the space is critical" in text
+    assert f"At most {percent(high)} of the space, as far as it can be run, is critical" in text
 
 
 @pytest.mark.parametrize(
@@ -365,3 +367,19 @@ def test_a_reduced_study_tells_what_is_kept(tmp_path):
     assert all({*edge} <= ran for edges in contents["hulls"].values() for edge in edges)
     text = next(one["text"] for one in contents["answers"] if one["name"] == "kept")
     assert text.startswith(f"Keep {len(kept)} of the {reduced.run} scenarios")
+
+
+def test_no_folder_of_the_machine_is_told(tmp_path):
+    time = np.arange(5.0)
+    for k in range(3):
+        met((10.0 * time, 0.0 * time, 0.0, 10.0), (5.0 * time, 4.0 + k, 0.0, 5.0)).to_csv(tmp_path / f"{k}.csv")
+    (tmp_path / "parameters.csv").write_text("file,gap\n0.csv,0\n1.csv,1\n2.csv,2\n")
+    import_recordings(tmp_path, tmp_path / "s.db", ego="Ego", other="Other", metrics=["distance"])
+    page = write_report(tmp_path / "s.db", tmp_path / "page.html").read_text()
+    assert str(tmp_path) not in page
+    assert "parameters.csv" in page
+
+
+def test_a_report_is_a_page(path, tmp_path):
+    with pytest.raises(InputError, match=r"ends with \.html"):
+        write_report(path, tmp_path / "report.pdf")

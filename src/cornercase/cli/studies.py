@@ -236,7 +236,9 @@ def replay(
     speed: Annotated[float, typer.Option(metavar="X", help="How fast a film runs: 0.5 is slow motion.")] = 1.0,
     scenario: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study."),
+        typer.Option(
+            metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
+        ),
     ] = None,
 ) -> None:
     """Show how a scenario went, as a page to play or as a film.

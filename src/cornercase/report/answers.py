@@ -138,7 +138,10 @@ def _about(share: float) -> str:
 
 
 def _interval(estimate: Estimate) -> str:
-    return f"90 % interval {percent(estimate.low)} to {percent(estimate.high)}"
+    low, high = percent(estimate.low), percent(estimate.high)
+    if low == high and estimate.low < estimate.high:
+        low, high = (f"{100.0 * one:.4g} %" for one in (estimate.low, estimate.high))
+    return f"90 % interval {low} to {high}"
 
 
 def _of_share(data: ReportData) -> Answer:
@@ -151,21 +154,24 @@ def _of_share(data: ReportData) -> Answer:
         return Answer(name, question, none)
     criterion = tell_criterion(known, summary.searched)
     of_set = known.known
+    ran_them = "" if summary.meta.simulator == IMPORTED else " that were run"
     if summary.run == 1:
         ran = f"The one scenario that was run is {'' if known.scenarios else 'not '}critical ({criterion})."
     elif known.scenarios:
-        ran = f"{known.scenarios} of the {summary.run} scenarios that were run are critical ({criterion})."
+        verb = "is" if known.scenarios == 1 else "are"
+        ran = f"{known.scenarios} of the {summary.run} scenarios{ran_them} {verb} critical ({criterion})."
     else:
-        ran = f"None of the {summary.run} scenarios that were run is critical ({criterion})."
+        ran = f"None of the {summary.run} scenarios{ran_them} is critical ({criterion})."
     if of_set is None:
         return Answer(name, question, f"{ran} Too few different scores are known to say something of all others.")
+    space = "the space, as far as it can be run," if data.failed else "the space"
     if of_set.share_doubt is not None:
-        about = f"{_about(of_set.share.value)} of the space is critical. " if known.scenarios else ""
+        about = f"{_about(of_set.share.value)} of {space} is critical. " if known.scenarios else ""
         return Answer(name, question, f"{about}{ran} No interval is given: {of_set.share_doubt}.")
     if not known.scenarios:
-        bound = f"At most {percent(of_set.share.high)} of the space is critical (upper end of a 90 % interval)."
+        bound = f"At most {percent(of_set.share.high)} of {space} is critical (upper end of a 90 % interval)."
         return Answer(name, question, f"{ran} {bound}")
-    share = f"{_about(of_set.share.value)} of the space is critical ({_interval(of_set.share)})."
+    share = f"{_about(of_set.share.value)} of {space} is critical ({_interval(of_set.share)})."
     return Answer(name, question, f"{share} {ran}")
 
 
@@ -302,9 +308,10 @@ def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
     if by is not None and by in data.summary.analyses:
         held_out, unit = judged[by], data.summary.analyses[by].unit
         yield (
-            f"From {'such a scenario' if critical else 'a scenario that had no part in the choice'} to the nearest kept"
-            f" one it is {with_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
-            f" {100.0 * held_out.better_mean:.0f} of 100 random choices of as many leave more."
+            "From a scenario that had no part in the choice to the nearest kept one it is"
+            f" {with_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
+            f" {100.0 * held_out.better_mean:.0f} of 100 random choices of as many leave more, and k-medoids"
+            f" {with_unit(f'{held_out.medoids_mean:.3g}', unit)}."
         )
 
 

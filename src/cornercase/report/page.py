@@ -79,6 +79,7 @@ _SCRIPTS: Final = (
     *REPLAY_SCRIPTS,
     "main.js",
 )
+_ENDINGS: Final = (".html", ".htm")
 POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
@@ -128,6 +129,8 @@ def write_report(
     folder = path.with_name(f"{path.stem}-figures") if figures is True else figures
     with open_study(study, readonly=True) as opened:
         require_other_file(path, opened.path)
+        if path.suffix.lower() not in _ENDINGS:
+            raise InputError(f"`path` {path}: the report is a page; name a file that ends with .html.")
         if not opened.done():
             _tell_why_empty(opened)
         begun = time.monotonic()

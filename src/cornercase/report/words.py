@@ -336,7 +336,7 @@ def tell_front(count: int) -> str:
     """
     if count == 1:
         return "One scenario is as critical as any other in every metric."
-    return f"Of {count} no other is as critical in every metric and more critical in one."
+    return f"{count} scenarios: no other is at least as critical as one of them in every metric and more so in one."
 
 
 def tell_unforetold() -> str:

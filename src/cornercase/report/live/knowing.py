@@ -143,6 +143,7 @@ def _find(path: Path, surroundings: Surroundings) -> tuple[dict[str, Any], dict[
     outcomes = {scenario: named[place] for scenario, place in places if place is not None}
     parts["kinds"] = {name: _by_id(one, ids) for name, one in parts["kinds"].items()}
     parts["outcomes"] = named
+    parts["known_of"] = len(ids)
     parts["details"] = [{"name": one.name, "title": one.title, "html": str(one.html)} for one in page_details(data)]
     parts["provenance"] = str(tell_provenance(data))
     return parts, outcomes

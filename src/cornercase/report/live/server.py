@@ -65,7 +65,13 @@ class _Answers:
                 yield news
             await asyncio.sleep(_PAUSE)
 
+    def _require_same(self, request: Request) -> None:
+        asked = request.query_params.get("epoch")
+        if asked is not None and asked != self._teller.follower.epoch:
+            raise InputError("Another study lies there by now.")
+
     def recording(self, request: Request) -> Response:
+        self._require_same(request)
         with Study.open(self._path, readonly=True) as study:
             (block,) = pack_recordings(study, [_id(request)]).blocks
         return Response(base64.b64decode(block), media_type="application/octet-stream")
@@ -90,6 +96,7 @@ class _Answers:
             return _download(content, f"{study.meta.title}-{scenario:05}.xosc", "application/xml")
 
     async def note(self, request: Request) -> Response:
+        self._require_same(request)
         body = b""
         try:
             async for chunk in request.stream():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cornercase._common import arguments
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.files import require_other_file, written_whole
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 _ENDINGS: Final = (".html", ".gif", ".mp4")
 _FASTEST: Final = 60.0
+# A frame of a GIF lasts two hundredths of a second at least.
+_FASTEST_GIF: Final = 50.0
 # A GIF with more frames, or larger ones, is too large to be sent.
 _RATES: Final = {".gif": 10.0, ".mp4": 25.0}
 _DOTS: Final = {".gif": 75, ".mp4": 100}
@@ -87,6 +90,8 @@ def replay(
     rate = _RATES.get(ending, 0.0) if fps is None else arguments.number("fps", fps, above=0.0)
     if rate > _FASTEST:
         raise InputError(f"`fps` {rate:g}: give at most {_FASTEST:g}.")
+    if ending == ".gif" and rate > _FASTEST_GIF:
+        raise InputError(f"`fps` {rate:g}: a GIF shows at most {_FASTEST_GIF:g}; write an .mp4.")
     if ending not in _ENDINGS:
         raise InputError(f"`path` {path}: ends with none of {', '.join(_ENDINGS)}, which say what is written.")
     if ending == ".html" and (fps is not None or speed != 1.0):
@@ -98,6 +103,9 @@ def replay(
     with open_study(study, readonly=True) as opened:
         require_other_file(path, opened.path)
         footage = read_footage(opened, ids, scenario)
+    if footage.road_missing and ending != ".html":
+        # The page says it by itself.
+        warnings.warn(footage.road_missing, NoticeWarning, stacklevel=2)
     with written_whole(path) as temporary:
         if ending == ".html":
             from cornercase.report.replays.page import fill_replay

@@ -6,6 +6,7 @@ import platform
 from collections.abc import Iterator
 from html import escape
 from importlib.metadata import version
+from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any, Final
 
 from markupsafe import Markup
@@ -105,7 +106,9 @@ def tell_provenance(data: ReportData) -> Markup:
         **_versions(meta),
     }
     table = make_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
-    limits = "".join(f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, data.summary.run))
+    limits = "".join(
+        f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, data.summary.run + data.summary.failed)
+    )
     command = f"<pre id='command' tabindex='0'><code>{escape(plain_text(name_command(meta)))}</code></pre>"
     return Markup(f"<p>This makes it again:</p>{command}{limits}{table}")
 
@@ -114,7 +117,11 @@ def _plain(value: Any) -> str:
     """Write a setting without the signs of a programming language."""
     if isinstance(value, dict):
         return ", ".join(f"{name}: {_plain(one)}" for name, one in value.items())
-    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
+    # Where the folders of whoever made the study lie is nobody else's concern.
+    path = next((kind(str(value)) for kind in (PurePosixPath, PureWindowsPath) if kind(str(value)).is_absolute()), None)
+    return str(value) if path is None else path.name
 
 
 def _versions(meta: StudyMeta) -> dict[str, str]:

@@ -49,7 +49,7 @@ function describeScenario(store, row, most = 10) {
   if (kept[id]) lines.push(["kept as", kept[id].role]);
   const note = store.notes.get(id);
   if (note) lines.push(["note", shortened(note, 90)]);
-  return lines;
+  return lines.map((line) => line.map(unturned));
 }
 
 // One sentence for the screen reader.
@@ -68,7 +68,7 @@ function rangeText(store, column) {
   const [low, high] = store.ranges.get(column);
   const [, key] = Store.split(column);
   const { choices, unit } = store.axis(column);
-  const name = key || (column === "id" ? "scenario" : column);
+  const name = unturned(key) || (column === "id" ? "scenario" : column);
   if (choices.length) {
     const some = choices.filter((_, k) => k >= low && k <= high);
     return `${name}: ${some.join(", ") || "none"}`;

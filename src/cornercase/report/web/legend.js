@@ -12,7 +12,7 @@ function legendItem(list, text, draw = null) {
     draw(g);
     item.append(canvas);
   }
-  item.append(text);
+  item.append(unturned(text));
   list.append(item);
   return item;
 }

@@ -64,7 +64,7 @@ class Link {
       const column = name === "score" ? `score ${store.options.metric}` : Link.columnOf(name);
       if (column === null || !store.has(column)) continue;
       const [low, high] = text.split(":").map((one) => (one === "" ? null : Number(one)));
-      if (Number.isNaN(low) || Number.isNaN(high) || high === undefined) continue;
+      if (![low, high].every((one) => one === null || Number.isFinite(one))) continue;
       const turned = low !== null && high !== null && low > high;
       ranges.push(turned ? [column, high, low] : [column, low, high]);
     }

@@ -16,6 +16,12 @@ function isLive() {
   return document.documentElement.dataset.live === "true";
 }
 
+// Another study may lie there by the time that something of this one is asked for.
+function ofStudy() {
+  const { live } = window.cornercase.store.contents;
+  return live ? { epoch: epochOf({ live }) } : {};
+}
+
 async function fetchContents() {
   const answer = await fetch(servedAt("contents"));
   if (!answer.ok) throw new Error(await answer.text());
@@ -99,7 +105,7 @@ class ServedRecordings {
 
   async fetch(id) {
     try {
-      const answer = await fetch(servedAt(`recordings/${id}`));
+      const answer = await fetch(servedAt(`recordings/${id}`, ofStudy()));
       if (answer.ok) return readRecord(await inflate(await answer.arrayBuffer()));
     } catch {
       // Asked for again when it is looked at the next time.
@@ -143,13 +149,16 @@ class Following {
         this.cursor = event.lastEventId || this.cursor;
         act(JSON.parse(event.data));
       });
-    on("scenarios", (told) => this.add(told));
+    // The server may tell of a study that has replaced the one that is shown.
+    const same = () => this.cursor.split(".")[0] === epochOf(this.store.contents);
+    on("scenarios", (told) => (same() ? this.add(told) : this.fetchAgain()));
     on("contents", () => this.fetchAgain());
-    on("knowledge", (told) => this.know(told));
+    on("knowledge", (told) => (same() ? this.know(told) : this.fetchAgain()));
     on("notes", (notes) => this.store.setNotes(notes));
     on("state", (state) => {
       this.last = state;
       this.state.show(state);
+      this.showHowOld();
     });
     events.onopen = () => this.last && this.state.show(this.last);
     // The browser connects again by itself, unless the server has refused it.
@@ -215,7 +224,23 @@ class Following {
     this.showKnowledge(told);
   }
 
+  // Sentences and tables follow in the background: of how many scenarios they are is said until they are of all.
+  showHowOld() {
+    const { known_of: known } = this.store.contents;
+    const ended = this.last ? this.last.run + this.last.failed : 0;
+    const old = document.getElementById("how-old");
+    const text = known && known < ended ? `Of the first ${known} of ${ended} scenarios; the others follow.` : "";
+    if (old) old.textContent = text;
+    else if (text) {
+      const box = document.createElement("p");
+      box.id = "how-old";
+      box.textContent = text;
+      document.getElementById("answers-title").after(box);
+    }
+  }
+
   showKnowledge({ title, about, answers, details, provenance }) {
+    this.showHowOld();
     if (title) {
       document.querySelector("#top h1").textContent = title;
       document.title = `cornercase: ${title}`;

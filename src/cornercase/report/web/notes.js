@@ -33,7 +33,7 @@ class NoteKeeper {
     const text = given.trim();
     if ((this.store.notes.get(id) ?? "") === text) return null;
     if (isLive()) {
-      const answer = await fetch(servedAt(`notes/${id}`), { method: "PUT", body: text }).catch(() => null);
+      const answer = await fetch(servedAt(`notes/${id}`, ofStudy()), { method: "PUT", body: text }).catch(() => null);
       if (answer === null) return "The note was not saved: the server does not answer.";
       if (!answer.ok) return `The note was not saved: ${await answer.text()}`;
       this.store.setNote(id, text);
@@ -60,8 +60,4 @@ class NoteKeeper {
     holder.textContent = JSON.stringify(contents).replace(/[<\u2028\u2029]/g, escaped);
     return `<!DOCTYPE html>\n${root.outerHTML}\n`;
   }
-}
-
-function escaped(sign) {
-  return `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`;
 }

@@ -90,12 +90,21 @@ class Plot {
       if (!empty) this.base.clearRect(0, 0, this.width, this.height);
       this.order = null;
       this.drawBase(this.base);
+      if (!this.store.shownCount) this.tellEmpty(this.base);
       this.lower.setAttribute("aria-label", this.summary());
       this.box.setAttribute("aria-label", `${this.title()}: arrow keys walk through the scenarios, Enter selects`);
     }
     this.over.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     if (!empty) this.over.clearRect(0, 0, this.width, this.height);
     this.drawOver(this.over);
+  }
+
+  tellEmpty(g) {
+    g.font = `13px ${themeColours().font}`;
+    g.fillStyle = themeColours().text;
+    g.textAlign = "center";
+    g.textBaseline = "middle";
+    g.fillText(fitted(g, "The filters leave no scenario.", this.width - 20), this.width / 2, this.height / 2);
   }
 
   title() {
@@ -189,7 +198,10 @@ class Plot {
     this.box.addEventListener("pointermove", (event) => {
       const now = place(event);
       if (start !== null && this.brushTo && (drag || Math.hypot(now[0] - start[0], now[1] - start[1]) > 4)) {
-        if (!drag) this.box.setPointerCapture(event.pointerId);
+        if (!drag) {
+          this.box.setPointerCapture(event.pointerId);
+          this.store.hover(null);
+        }
         drag = true;
         tip().hide();
         this.brushTo(start, now);

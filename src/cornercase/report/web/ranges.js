@@ -23,7 +23,7 @@ function setOptions(select, options, value = select.value) {
       ...options.map(([each, text]) => {
         const option = document.createElement("option");
         option.value = each;
-        option.textContent = shortened(text, 60);
+        option.textContent = shortened(unturned(text), 60);
         return option;
       }),
     );
@@ -55,6 +55,7 @@ class RangeFields {
       field.placeholder = name;
       if (id) field.id = id;
       field.addEventListener("change", () => this.change());
+      field.addEventListener("blur", () => this.column !== null && this.show(this.column));
       if (k) pair.append("–");
       pair.append(field);
       return field;
@@ -68,7 +69,10 @@ class RangeFields {
   change() {
     let [low, high] = this.fields.map((field) => (field.value === "" ? null : Number(field.value)));
     if (low !== null && high !== null && low > high) [low, high] = [high, low];
+    this.entered = document.activeElement;
     this.store.setRanges([[this.column, low, high]]);
+    this.show(this.column);
+    this.entered = null;
   }
 
   show(column) {
@@ -79,7 +83,7 @@ class RangeFields {
     this.fields.forEach((field, k) => {
       field.setAttribute("aria-label", `${title} ${k ? "to" : "from"}`);
       const value = Number.isFinite(range[k]) ? String(Number(range[k].toPrecision(5))) : "";
-      if (document.activeElement !== field && field.value !== value) field.value = value;
+      if ((document.activeElement !== field || field === this.entered) && field.value !== value) field.value = value;
     });
   }
 }

@@ -1,5 +1,14 @@
 "use strict";
 
+// A text without marks that turn the direction of writing: they would turn what stands beside it, too.
+function unturned(text) {
+  return text.replace(/[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]/g, escaped);
+}
+
+function escaped(sign) {
+  return `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`;
+}
+
 // What the page knows and what its reader chose: views read it, change it, and are told when it changed.
 //
 // Events: "contents" (scenarios came, live), "shown" (filters), "selected" (one of the two scenarios of the replay),
@@ -165,7 +174,8 @@ class Store {
     const [kind, key] = Store.split(name);
     if (!key) return { title: name === "id" ? "scenario [id]" : `${name} [1]`, choices: [] };
     const one = (kind === "score" ? this.contents.metrics : this.contents.parameters).find((each) => each.name === key);
-    return { title: one.unit ? `${key} [${one.unit}]` : key, unit: one.unit, choices: one.choices ?? [] };
+    const name = unturned(key);
+    return { title: one.unit ? `${name} [${one.unit}]` : name, unit: one.unit, choices: one.choices ?? [] };
   }
 
   // Whether there is such a column: addresses are written by people, too.

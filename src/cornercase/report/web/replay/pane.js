@@ -79,7 +79,7 @@ class ReplayPane {
       const value = scenarios.values[k][row];
       return `${one.name} = ${one.choices.length ? one.choices[value] : withSceneUnit(value, one.unit)}`;
     });
-    this.facts.textContent = [...new Set(facts), ...values].join(" · ");
+    this.facts.textContent = unturned([...new Set(facts), ...values].join(" · "));
   }
 
   whyMissing(id) {

@@ -186,7 +186,7 @@ function drawLabels(context, scene, boxes, lookOf, place) {
   const order = boxes.map((_, entity) => entity).filter((entity) => boxes[entity]);
   order.sort((one, other) => (lookOf(one) === "third") - (lookOf(other) === "third"));
   for (const entity of order) {
-    const [box, look, name] = [boxes[entity], lookOf(entity), shortName(scene.recording.names[entity])];
+    const [box, look, name] = [boxes[entity], lookOf(entity), shortName(unturned(scene.recording.names[entity]))];
     const { colours, view } = scene;
     const stands = !(Math.abs(box.speed) > 0.05);
     const text = look === "third" && stands ? name : `${name} ${box.speed.toFixed(1)} m/s`;

@@ -91,7 +91,7 @@ function missedTrace(missed, k) {
     y: values,
     line: { color: kindColour(2), dash: "dot" },
     marker: { symbol: "diamond", size: 7 },
-    error_y: intervalBars(values, missed.map((one) => [100 * one.low, 100 * one.high]), themeColours().faint),
+    error_y: intervalBars(values, missed.map(({ value, low, high }) => [100 * (low ?? value), 100 * (high ?? value)]), themeColours().faint),
     hovertemplate: "%{y:.3g} % after %{x} scenarios<extra>missed</extra>",
   };
 }

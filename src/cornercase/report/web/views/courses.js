@@ -94,6 +94,7 @@ class CoursesPlot extends Plot {
     }
     const most = [...groups].filter(([, rows]) => rows.length >= 5);
     most.sort((one, other) => other[1].length - one[1].length);
+    this.bandless = groups.size - Math.min(most.length, MOST_BANDS);
     for (const [label, rows] of most.slice(0, MOST_BANDS)) {
       const band = this.band(evenly(rows, MOST_IN_BAND / Math.min(most.length, MOST_BANDS)));
       const colour = store.options.colour === "kind" ? kindColour(label ?? 0) : themeColours().text;
@@ -163,10 +164,10 @@ VIEWS.push({
   title: "Courses over time",
   about: (store) => {
     const kinds = store.options.aspect === null ? "of all shown" : "of each kind";
-    const line = store.threshold() === null ? "" : " The dashed line is where critical begins.";
+    const line = store.threshold() === null ? "" : " A dashed line is where critical begins.";
     const { metric } = store.options;
     const { cap, unit, lower_is_critical: lower } = store.contents.metrics.find((one) => one.name === metric);
-    const beyond = `What is ${lower ? "above" : "below"} ${withUnit(cap, unit)} or not defined is drawn there.`;
+    const beyond = `What is ${lower ? "above" : "below"} ${withUnit(cap, unit)} or not defined is drawn at ${withUnit(cap, unit)}.`;
     return `How ${metric} goes in each scenario. Thick: the median ${kinds}, in the band that holds 80 %.${line} ${beyond}`;
   },
   wanted: (store) => Object.keys(store.contents.courses ?? {}).length > 0,
@@ -181,11 +182,13 @@ VIEWS.push({
       const items = plot.bands.map(({ label, count, colour }) => {
         const item = document.createElement("li");
         item.append(lineSample(colour, DASHES[(label ?? 0) % 4]));
-        item.append(`${label === null ? "all shown" : store.kindName(label)} (${count})`);
+        item.append(`${label === null ? "all shown" : unturned(store.kindName(label))} (${count})`);
         return item;
       });
       legend.replaceChildren(...items);
-      note.textContent = plot.drawn.length === MOST_COURSES ? tellPicked(MOST_COURSES, store.shownCount) : "";
+      const picked = plot.drawn.length === MOST_COURSES ? tellPicked(MOST_COURSES, store.shownCount) : "";
+      const others = plot.bandless ? `${plot.bandless} smaller groups have no median here.` : "";
+      note.textContent = `${picked} ${others}`.trim();
     };
     return {
       plot,

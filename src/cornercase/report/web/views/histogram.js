@@ -124,7 +124,7 @@ VIEWS.push({
   title: "Scores",
   about: (store) => {
     const { name, lower_is_critical: low } = store.metricOf();
-    const line = store.threshold() === null ? "" : " The dashed line is where critical begins.";
+    const line = store.threshold() === null ? "" : " A dashed line is where critical begins.";
     return `How many scenarios have which ${name}; ${low ? "low" : "high"} is critical.${line} Drag to keep a range.`;
   },
   finding: true,

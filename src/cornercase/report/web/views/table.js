@@ -143,6 +143,7 @@ class ScenarioTable {
   sort(key) {
     const down = this.sorting.key === key && !this.sorting.down;
     this.sorting = { key, down };
+    this.grid.scrollTop = 0;
     this.redraw(new Set(["shown"]));
     const at = this.columns.findIndex((one) => one.key === key);
     this.head.children[at]?.querySelector("button").focus();
@@ -221,7 +222,7 @@ class ScenarioTable {
     line.classList.toggle("current", at === this.current);
     for (const column of this.columns) {
       const cell = this.cell(column, "gridcell");
-      cell.textContent = column.text(row);
+      cell.textContent = unturned(column.text(row));
       if (!column.number && cell.textContent.length > 18) cell.title = cell.textContent;
       line.append(cell);
     }
