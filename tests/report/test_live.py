@@ -106,6 +106,15 @@ def test_a_scenario_is_given_exactly(whole, client, tmp_path):
         assert answer.headers["content-disposition"].startswith("attachment")
 
 
+def test_nothing_is_given_or_written_of_a_study_that_replaced_the_one_that_is_shown(client):
+    epoch = client.get("/contents").json()["live"]["cursor"].partition(".")[0]
+    assert client.get("/recordings/1", params={"epoch": epoch}).status_code == 200
+    assert client.get("/recordings/1", params={"epoch": "another"}).status_code == 404
+    answer = client.put("/notes/1", content=b"of the other", params={"epoch": "another"})
+    assert answer.status_code == 400
+    assert "Another study" in answer.text
+
+
 @pytest.mark.parametrize(
     "path",
     [

@@ -174,8 +174,8 @@ class Store {
     const [kind, key] = Store.split(name);
     if (!key) return { title: name === "id" ? "scenario [id]" : `${name} [1]`, choices: [] };
     const one = (kind === "score" ? this.contents.metrics : this.contents.parameters).find((each) => each.name === key);
-    const name = unturned(key);
-    return { title: one.unit ? `${name} [${one.unit}]` : name, unit: one.unit, choices: one.choices ?? [] };
+    const said = unturned(key);
+    return { title: one.unit ? `${said} [${one.unit}]` : said, unit: one.unit, choices: one.choices ?? [] };
   }
 
   // Whether there is such a column: addresses are written by people, too.
