@@ -15,6 +15,7 @@ from cornercase.report.knowledge import CriticalKnowledge
 from cornercase.report.words import (
     find_reasons,
     percent,
+    tell_compared,
     tell_criterion,
     tell_front,
     tell_unforetold,
@@ -236,7 +237,8 @@ def _of_kinds(data: ReportData) -> Answer:
     one = analyses[chosen]
     noise = int((one.labels < 0).sum())
     outside = f", and {noise} scenarios that are like few others" if noise else ""
-    said = [f"By {chosen} there are {one.clustering.n_clusters} kinds{outside}."]
+    compared = f" ({what})" if (what := tell_compared(chosen)) else ""
+    said = [f"By {chosen}{compared} there are {one.clustering.n_clusters} kinds{outside}."]
     points = [
         f"{each.label or f'cluster {each.cluster}'} ({each.size} scenarios)."
         for each in one.profiles
@@ -310,8 +312,8 @@ def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
         yield (
             "From a scenario that had no part in the choice to the nearest kept one it is"
             f" {with_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
-            f" {100.0 * held_out.better_mean:.0f} of 100 random choices of as many leave more, and k-medoids"
-            f" {with_unit(f'{held_out.medoids_mean:.3g}', unit)}."
+            f" {100.0 * held_out.better_mean:.0f} of 100 random choices of as many leave more; k-medoids"
+            f" leaves {with_unit(f'{held_out.medoids_mean:.3g}', unit)}."
         )
 
 

@@ -116,7 +116,8 @@ def of_distribution(data: ReportData, metric: Metric) -> str:
     scores = data.scores[metric.name]
     low, middle, high = (with_unit(f"{value:.3g}", metric.unit) for value in np.quantile(scores, (0.0, 0.5, 1.0)))
     if low == high:
-        return f"All scenarios have the {metric.name} score {low}."
+        whose = "All scenarios have" if len(scores) > 1 else "The one scenario has"
+        return f"{whose} the {metric.name} score {low}."
     said = f"{metric.name} scores lie between {low} and {high}; the median is {middle}."
     known = data.summary.knowledge.critical
     if known is not None and metric.name == data.summary.searched:

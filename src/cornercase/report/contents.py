@@ -18,7 +18,7 @@ from cornercase.report.answers import find_default_aspect, page_answers, tell_ab
 from cornercase.report.captions import page_captions
 from cornercase.report.curves import coverage_curves, hull_edges, search_curve, sensitivity_bars
 from cornercase.report.data import ReportData
-from cornercase.report.words import judge_clusters, name_kind
+from cornercase.report.words import judge_clusters, name_kind, tell_compared
 from cornercase.scenario import Parameter
 from cornercase.study import Row, StudyMeta
 
@@ -190,6 +190,7 @@ def _kinds(analysis: Analysis, place: Mapping[int, int], count: int) -> dict[str
         "names": {str(one.cluster): name_kind(one) for one in analysis.profiles},
         "examples": {str(one.cluster): one.example for one in analysis.profiles if one.example is not None},
         "judged": judge_clusters(analysis),
+        "compares": tell_compared(analysis.by),
     }
 
 

@@ -136,7 +136,12 @@ def tell_facts(tells: Mapping[str, Mapping[str, float]]) -> str:
         HTML.
     """
     facts = list(dict.fromkeys(fact for each in tells.values() for fact in each))
-    rows = [[by, *(f"{each[fact]:.2f}" if fact in each else _UNKNOWN for fact in facts)] for by, each in tells.items()]
+
+    def figure(value: float) -> str:
+        # Nothing is less than nothing.
+        return f"{round(value, 2) + 0.0:.2f}"
+
+    rows = [[by, *(figure(each[fact]) if fact in each else _UNKNOWN for fact in facts)] for by, each in tells.items()]
     return make_table(["by", *facts], rows)
 
 

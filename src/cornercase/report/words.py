@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Sequence
 from typing import Final
 
-from cornercase.clustering import Analysis, Profile
+from cornercase.clustering import ASPECTS, Analysis, Profile
+from cornercase.metrics import METRICS
 from cornercase.report.knowledge import CriticalKnowledge
 from cornercase.scenario import Parameter, Value
 from cornercase.study import Row
@@ -51,6 +53,25 @@ def name_kind(profile: Profile) -> str:
         ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``; without a name as `name_cluster`.
     """
     return ": ".join(filter(None, (name_cluster(profile.cluster), profile.label)))
+
+
+def tell_compared(by: str) -> str:
+    """Say what of two scenarios an aspect compares.
+
+    Parameters
+    ----------
+    by : str
+        Name of the aspect.
+
+    Returns
+    -------
+    str
+        ``"the direction in which the ego sees the other"``; empty for an aspect that is not known here.
+    """
+    if by not in ASPECTS:
+        return f"the course of {by}" if by.partition(":")[0] in METRICS else ""
+    said = (inspect.getdoc(type(ASPECTS.create(by))) or "").partition("\n")[0].partition(":")[0].rstrip(".")
+    return said[:1].lower() + said[1:]
 
 
 def judge_clusters(analysis: Analysis) -> str:

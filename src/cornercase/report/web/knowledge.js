@@ -9,7 +9,7 @@ function parsed(html) {
 
 function showAnswers(answers) {
   const section = document.getElementById("answers");
-  const box = section.querySelector(".answers") ?? section;
+  const box = section.querySelector(".columns");
   const before = new Map([...box.querySelectorAll(".answer")].map((one) => [one.dataset.question, one]));
   for (const { name, question, text, points } of answers) {
     let one = before.get(name);

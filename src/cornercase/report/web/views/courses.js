@@ -97,7 +97,7 @@ class CoursesPlot extends Plot {
     this.bandless = groups.size - Math.min(most.length, MOST_BANDS);
     for (const [label, rows] of most.slice(0, MOST_BANDS)) {
       const band = this.band(evenly(rows, MOST_IN_BAND / Math.min(most.length, MOST_BANDS)));
-      const colour = store.options.colour === "kind" ? kindColour(label ?? 0) : themeColours().text;
+      const colour = store.options.colour === "kind" && label !== null ? kindColour(label) : themeColours().accent;
       this.bands.push({ label, count: rows.length, colour });
       g.fillStyle = colour;
       g.globalAlpha = 0.16;

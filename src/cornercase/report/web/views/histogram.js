@@ -32,15 +32,20 @@ class HistogramPlot extends Plot {
     const [low, high] = finiteRange(values);
     const most = Math.max(8, Math.min(40, Math.round(2 * Math.cbrt(store.n) * 1.3)));
     const step = (high - low) / most || 1;
-    const bar = (k) => ({ low: low + k * step, high: low + (k + 1) * step, all: 0, shown: 0 });
-    this.bars = Array.from({ length: most }, (_, k) => bar(k));
+    // No bar is critical in part: the threshold stands between two of them.
+    const threshold = store.threshold();
+    const within = threshold !== null && threshold > low && threshold < high;
+    const from = within ? threshold - Math.ceil((threshold - low) / step) * step : low;
+    const last = from < low ? most : most - 1;
+    const bar = (k) => ({ low: from + k * step, high: from + (k + 1) * step, all: 0, shown: 0 });
+    this.bars = Array.from({ length: last + 1 }, (_, k) => bar(k));
     for (let row = 0; row < store.n; row++) {
       if (!Number.isFinite(values[row])) continue;
-      const bar = this.bars[Math.min(most - 1, Math.floor((values[row] - low) / step))];
+      const bar = this.bars[Math.max(0, Math.min(last, Math.floor((values[row] - from) / step)))];
       bar.all += 1;
       bar.shown += store.shown[row];
     }
-    return [low, low + most * step];
+    return [from, from + (last + 1) * step];
   }
 
   drawBase(g) {

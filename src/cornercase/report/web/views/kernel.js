@@ -161,8 +161,10 @@ VIEWS.push({
   title: "Kernel space",
   about: (store) => {
     const { aspect } = store.options;
-    const solid = store.contents.kinds[aspect].embedding.length > 2;
-    return `Scenarios that are near each other here are alike by ${aspect}.${solid ? " Drag to turn the space." : ""}`;
+    const { embedding, compares } = store.contents.kinds[aspect];
+    const what = compares ? ` (${compares})` : "";
+    const turn = embedding.length > 2 ? " Drag to turn the space." : "";
+    return `Scenarios that are near each other here are alike by ${aspect}${what}.${turn}`;
   },
   wanted: (store) => store.options.aspect !== null && store.contents.kinds[store.options.aspect].embedding.length > 0,
   create(box, store) {

@@ -62,11 +62,11 @@ class ParallelPlot extends Plot {
       for (const [value, text] of scale.ticks(55)) {
         const y = scale.at(value);
         line(g, at - 3, y, at + 4, y);
-        g.lineWidth = 3;
+        g.lineWidth = 5;
         g.strokeStyle = colours.raised;
         const said = fitted(g, text, apart - 12);
         g.strokeText(said, at + 6, y);
-        g.fillStyle = colours.faint;
+        g.fillStyle = colours.text;
         g.fillText(said, at + 6, y);
         g.lineWidth = 1;
         g.strokeStyle = colours.faint;
