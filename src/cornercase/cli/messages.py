@@ -15,7 +15,7 @@ _PARAMETERS: Final = (
     "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_seconds",
     "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repeats", "require", "requirements", "retries", "scenario",
-    "seed", "share", "simulator", "size", "speed",
+    "seed", "share", "simulator", "size",
     "space", "stop_when", "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
