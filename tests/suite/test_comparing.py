@@ -20,10 +20,10 @@ from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
 from cornercase.suite import Pair, tell_comparison
 from cornercase.suite.comparing_telling import choose_telling
-from cornercase.suite.comparing_tests import correct, discordant, moved_by, signed_ranks, tests_of_pairs
+from cornercase.suite.comparing_tests import correct, discordant, moved_by, signed_ranks
+from cornercase.suite.comparing_tests import tests_of_pairs as changes_of
 from synthetic import about
 
-tests_of_pairs.__test__ = False  # type: ignore[attr-defined]
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 GRID = np.stack(np.meshgrid(np.linspace(0.05, 0.95, 6), np.linspace(0.05, 0.95, 6)), axis=-1).reshape(-1, 2)
 
@@ -321,9 +321,7 @@ def test_what_is_so_or_not_is_tested_by_the_pairs_that_changed():
 
 def test_holms_correction():
     pairs = [plain_pair(k, 0.5) for k in range(3)]
-    tests = [
-        replace(one, p=p) for one, p in zip(tests_of_pairs(pairs, ["distance"]) * 2, (0.01, 0.04, 0.03), strict=False)
-    ]
+    tests = [replace(one, p=p) for one, p in zip(changes_of(pairs, ["distance"]) * 2, (0.01, 0.04, 0.03), strict=False)]
     assert [one.corrected for one in correct(tests)] == pytest.approx([0.03, 0.06, 0.06])
 
 
@@ -340,7 +338,7 @@ def test_a_version_is_rarely_told_from_itself_with_caps_and_ties():
             plain_pair(k, new, old, critical=(old < 0.5, new < 0.5), collides=(old < 0.2, new < 0.2))
             for k, (old, new) in enumerate(scores.tolist())
         ]
-        told_apart += min(one.corrected for one in correct(tests_of_pairs(pairs, ["distance"]))) <= 0.05
+        told_apart += min(one.corrected for one in correct(changes_of(pairs, ["distance"]))) <= 0.05
     # With 5 % the number is above 25 in fewer than 1 % of all seeds.
     assert told_apart <= 25
 

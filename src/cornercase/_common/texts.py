@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import textwrap
@@ -36,6 +37,21 @@ def plain_text(text: str) -> str:
     \x1b[2J
     """
     return _ORDERS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def first_line(what: object) -> str:
+    """Return the first line of what is said of something in its docstring.
+
+    Parameters
+    ----------
+    what : object
+
+    Returns
+    -------
+    str
+        Empty where nothing is said.
+    """
+    return (inspect.getdoc(what) or "").partition("\n")[0]
 
 
 def shorten(text: str, longest: int) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import sys
 from pathlib import Path
@@ -12,6 +11,7 @@ import typer
 from rich.table import Column, Table
 
 from cornercase._common.files import require_other_file
+from cornercase._common.texts import first_line
 from cornercase.cli import parsing
 from cornercase.cli.options import (
     Critical,
@@ -338,15 +338,12 @@ def metrics(
     known = [METRICS.create(name) for name in METRICS.names()]
     if as_json:
         keys = ("name", "unit", "lower_is_critical", "cap", "source")
-        rows = [
-            {key: getattr(one, key) for key in keys} | {"definition": (inspect.getdoc(one) or "").partition("\n")[0]}
-            for one in known
-        ]
+        rows = [{key: getattr(one, key) for key in keys} | {"definition": first_line(one)} for one in known]
         sys.stdout.write(json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
         return
     table = Table("metric", "unit", "critical is", "what it is", "source", box=None)
     for one in known:
-        what = (inspect.getdoc(one) or "").partition("\n")[0]
+        what = first_line(one)
         table.add_row(one.name, one.unit, "low" if one.lower_is_critical else "high", what, one.source)
     out.print(table)
 

@@ -11,6 +11,7 @@ from .loading import decides_compiled as decides_compiled
 from .loading import is_driver as is_driver
 from .loading import load_driver as load_driver
 from .loading import named_driver as named_driver
+from .loading import told_driver as told_driver
 from .parameters import AGGRESSIVE as AGGRESSIVE
 from .parameters import CAUTIOUS as CAUTIOUS
 from .parameters import NORMAL as NORMAL

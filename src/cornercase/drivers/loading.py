@@ -129,3 +129,24 @@ def named_driver(name: str) -> Driver:
         There is none.
     """
     return load_driver(name) if ":" in name else DRIVERS.create(name)
+
+
+def told_driver(driver: str | Driver) -> str | Driver:
+    """Load a driver as a simulator is told of it: a preset stays a name, so that studies and files can hold it.
+
+    Parameters
+    ----------
+    driver : str or Driver
+        As of `named_driver`, or one that is made.
+
+    Returns
+    -------
+    str or Driver
+
+    Raises
+    ------
+    InputError
+        There is no such driver.
+    """
+    made = named_driver(driver) if isinstance(driver, str) else driver
+    return driver if isinstance(driver, str) and ":" not in driver else made

@@ -11,7 +11,7 @@ from typing import Any
 from cornercase._common.arguments import flag, path, texts
 from cornercase._common.errors import InputError
 from cornercase._common.ledger import Notice, warn_of
-from cornercase.drivers import Driver, named_driver
+from cornercase.drivers import Driver, told_driver
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.optimizers import create_optimizer, optimizer_needs
@@ -234,16 +234,11 @@ def configured_simulator(one: Configuration) -> Simulator:
     Simulator
         To be closed.
     """
-    drivers: dict[str, str | Driver] = {}
-    for entity, driver in one.drivers.items():
-        made = named_driver(driver) if isinstance(driver, str) else driver
-        # A preset stays a name, so that it can be written into the reduced set's files.
-        drivers[entity] = driver if isinstance(driver, str) and ":" not in driver else made
     options: dict[str, Any] = {
         "time_step": one.time_step,
         "duration": one.duration,
         "on_collision": one.on_collision,
-        "drivers": drivers,
+        "drivers": {entity: told_driver(driver) for entity, driver in one.drivers.items()},
     }
     return start_simulator(
         one.simulator, options, ego=one.ego, workers=one.workers, timeout=one.timeout, retries=one.retries

@@ -2,6 +2,7 @@ from .csv import write_courses as write_courses
 from .formats.carla_log import read_carla_log as read_carla_log
 from .formats.erg import read_erg as read_erg
 from .reading import read_recording as read_recording
+from .recording import BOX as BOX
 from .recording import MOTION as MOTION
 from .recording import Collision as Collision
 from .recording import Recording as Recording

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Sequence
 from typing import Final
 
+from cornercase._common.texts import first_line
 from cornercase.clustering import ASPECTS, Analysis, Profile
 from cornercase.metrics import METRICS
 from cornercase.report.knowledge import CriticalKnowledge
@@ -70,7 +70,7 @@ def tell_compared(by: str) -> str:
     """
     if by not in ASPECTS:
         return f"the course of {by}" if by.partition(":")[0] in METRICS else ""
-    said = (inspect.getdoc(type(ASPECTS.create(by))) or "").partition("\n")[0].partition(":")[0].rstrip(".")
+    said = first_line(ASPECTS.create(by)).partition(":")[0].rstrip(".")
     return said[:1].lower() + said[1:]
 
 

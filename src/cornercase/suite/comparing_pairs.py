@@ -11,9 +11,10 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering import find_outcome
 from cornercase.exploration import Objective, chosen_blindly
-from cornercase.recordings import MOTION, Recording
+from cornercase.recordings import Recording
 from cornercase.study import IMPORTED, Row, Study
 from cornercase.suite.comparing_results import Pair, Run
+from cornercase.suite.difference import ARRAYS
 from cornercase.suite.verdict import Verdict
 
 # Of m, s, rad, m/s and m/s²: what another processor or compiler makes of the same motion.
@@ -210,7 +211,7 @@ def compare_recordings(old: Recording, new: Recording) -> Run:
     """
     if old.names != new.names or old.kinds != new.kinds or old.time.shape != new.time.shape:
         return "otherwise"
-    arrays = [(getattr(old, name), getattr(new, name)) for name in ("time", *MOTION, "length", "width", "center_x")]
+    arrays = [(getattr(old, name), getattr(new, name)) for name in ARRAYS]
     if old.collisions == new.collisions and all(np.array_equal(a, b, equal_nan=True) for a, b in arrays):
         return "the same"
     near = all(np.allclose(a, b, rtol=0.0, atol=_ROUNDING, equal_nan=True) for a, b in arrays)

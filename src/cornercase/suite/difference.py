@@ -9,12 +9,13 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.recordings import Recording
+from cornercase.recordings import BOX, MOTION, Recording
 
 NOTICED: Final = 1e-6
 """Distance in m from which a difference counts as one."""
 
-_ARRAYS: Final = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
+ARRAYS: Final = ("time", *MOTION, *BOX)
+"""What of a recording is numbers."""
 
 
 @dataclass(frozen=True)
@@ -91,5 +92,5 @@ def _distances(before: Recording, now: Recording, ego: str) -> FloatArray:
 def _is_same(before: Recording, now: Recording) -> bool:
     facts = [(one.names, one.kinds, one.collisions) for one in (before, now)]
     return facts[0] == facts[1] and all(
-        np.asarray(getattr(before, name)).tobytes() == np.asarray(getattr(now, name)).tobytes() for name in _ARRAYS
+        np.asarray(getattr(before, name)).tobytes() == np.asarray(getattr(now, name)).tobytes() for name in ARRAYS
     )

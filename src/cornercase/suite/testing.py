@@ -10,7 +10,7 @@ from cornercase._common.arguments import by_name, flag, shown, text, texts, whol
 from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file
-from cornercase.drivers import Driver, is_driver, named_driver
+from cornercase.drivers import Driver, is_driver, told_driver
 from cornercase.metrics import METRICS, require_another
 from cornercase.simulators import MOST_WORKERS, start_simulator
 from cornercase.study import Study, StudyMeta
@@ -195,12 +195,8 @@ def _simulator(suite: SuiteContents, given: str | None) -> str:
 def _drivers(suite: SuiteContents, given: Mapping[str, str | Driver] | None) -> dict[str, str | Driver]:
     drivers: dict[str, str | Driver] = {}
     for entity, driver in by_name("drivers", given or {}).items():
-        if isinstance(driver, str) and driver:
-            made = named_driver(driver)
-            # A preset stays a name in the study.
-            drivers[entity] = made if ":" in driver else driver
-        elif is_driver(driver):
-            drivers[entity] = driver
+        if (isinstance(driver, str) and driver) or is_driver(driver):
+            drivers[entity] = told_driver(driver)
         else:
             raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or one that is made.")
     for entity in suite.lost_drivers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from math import floor
 from typing import Final
 
@@ -139,7 +140,7 @@ def require_rtamt() -> None:
         It is not.
     """
     try:
-        import rtamt  # noqa: F401
+        importlib.import_module("rtamt")
     except ImportError as error:
         raise InputError(
             "RTAMT, which follows temporal operators, is not installed; it comes with pip install 'cornercase[stl]' and"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Final, Literal, NoReturn
+from typing import Final, Literal, NoReturn, cast
 
 from cornercase._common.errors import InputError, suggestion
 
@@ -27,6 +27,10 @@ _WORDS: Final = re.compile(
 _UNIT: Final = re.compile(r"[A-Za-z°%][\w/^²°]*")
 
 
+Kind = Literal["number", "sign", "name", "unit", "end"]
+"""Kind of a word."""
+
+
 @dataclass(frozen=True)
 class Word:
     """A word and its place.
@@ -39,7 +43,7 @@ class Word:
         Where it begins and where what follows it does, from 0.
     """
 
-    kind: Literal["number", "sign", "name", "unit", "end"]
+    kind: Kind
     text: str
     begin: int
     end: int
@@ -148,7 +152,8 @@ class Words:
             self.refuse(f"'{self._text[begin]}' is no part of a formula.", Word("end", "", begin, begin))
         if kind == "foreign":
             self.refuse(f"write {_FOREIGN[found.group()]} for {found.group()}.", Word("end", "", begin, begin))
-        return Word(kind, found.group(), begin, found.end())  # type: ignore[arg-type]
+        # The groups are called as the kinds are.
+        return Word(cast(Kind, kind), found.group(), begin, found.end())
 
 
 def operator_meant(name: str) -> str:
