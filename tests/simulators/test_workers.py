@@ -11,10 +11,11 @@ import numpy as np
 import psutil
 import pytest
 
-from conftest import same_recording
+from conftest import moving, ran, same_recording, scenario_file
 from cornercase._common.errors import InputError, SimulationError
+from cornercase.drivers import load_driver
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import WorkerSimulator, outcomes_of
+from cornercase.simulators import BuiltinSimulator, WorkerSimulator, outcomes_of
 from fake_simulators import BatchSimulator, FailingSimulator, Plan
 
 
@@ -199,3 +200,17 @@ def test_what_a_simulator_has_started_ends_with_it(tmp_path):
         time.sleep(0.05)
     else:
         pytest.fail("the child is still there")
+
+
+def test_a_driver_of_ones_own_in_the_current_folder_drives_in_a_worker_too(tmp_path, monkeypatch):
+    (tmp_path / "driver_of_workers.py").write_text(
+        "import numpy as np\nfrom cornercase.drivers import Driver\n\nclass Braking(Driver):\n"
+        "    def acceleration(self, situation):\n        return np.full(len(situation.speed), -1.5)\n"
+    )
+    path = scenario_file(tmp_path, init=moving())
+    monkeypatch.chdir(tmp_path)
+    options = {"duration": 2.0, "drivers": {"Ego": load_driver("driver_of_workers:Braking")}}
+    with WorkerSimulator("builtin", options) as simulator:
+        (found,) = ran(simulator, [ConcreteScenario(path)])
+    assert found.speed[0, -1] == pytest.approx(7.0)
+    assert same_recording(found, *ran(BuiltinSimulator(**options), [ConcreteScenario(path)]))

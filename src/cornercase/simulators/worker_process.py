@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 from cornercase._common.errors import InputError, SimulationError
@@ -98,7 +101,9 @@ class Worker:
             # Spawned, not forked: threads of numerical libraries do not survive a fork, and Windows has none.
             context = get_context("spawn")
             self.connection, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs, self._name, self._options), daemon=True)
+            # As bytes, so that the process looks for a driver of one's own where this one did.
+            given = theirs, self._name, pickle.dumps(self._options)
+            self._process = context.Process(target=_serve, args=given, daemon=True)
             self._process.start()
             theirs.close()
         self.task, self.waiting = task, list(task.indices)
@@ -187,12 +192,12 @@ class Worker:
         self._process = None
 
 
-def _serve(connection: Connection, name: str, options: dict[str, Any]) -> None:
+def _serve(connection: Connection, name: str, options: bytes) -> None:
     """Make a simulator, and run what comes until nothing follows."""
     # Ctrl-C is handled by the main process, which lets this one finish its scenario or stops it.
     leave_terminal()
     try:
-        simulator = SIMULATORS.create(name, **options)
+        simulator = SIMULATORS.create(name, **_loaded(options))
     except InputError as error:
         connection.send(error)
         return
@@ -204,6 +209,17 @@ def _serve(connection: Connection, name: str, options: dict[str, Any]) -> None:
             except EOFError:
                 return
             _answer(connection, simulator, concretes)
+
+
+def _loaded(options: bytes) -> dict[str, Any]:
+    """Options with their drivers, whose modules may lie in the current folder; last, so that it hides nothing."""
+    here = str(Path.cwd())
+    sys.path.append(here)
+    try:
+        found: dict[str, Any] = pickle.loads(options)
+    finally:
+        sys.path.remove(here)
+    return found
 
 
 def _answer(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
