@@ -209,7 +209,7 @@ def test_a_driver_of_ones_own_in_the_current_folder_drives_in_a_worker_too(tmp_p
     )
     path = scenario_file(tmp_path, init=moving())
     monkeypatch.chdir(tmp_path)
-    options = {"duration": 2.0, "drivers": {"Ego": load_driver("driver_of_workers:Braking")}}
+    options: dict[str, Any] = {"duration": 2.0, "drivers": {"Ego": load_driver("driver_of_workers:Braking")}}
     with WorkerSimulator("builtin", options) as simulator:
         (found,) = ran(simulator, [ConcreteScenario(path)])
     assert found.speed[0, -1] == pytest.approx(7.0)

@@ -18,7 +18,8 @@ from cornercase.optimizers import SobolOptimizer
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
-from cornercase.suite import Pair, tell_comparison
+from cornercase.suite import Pair, find_difference, tell_comparison
+from cornercase.suite.comparing_pairs import compare_recordings
 from cornercase.suite.comparing_telling import choose_telling
 from cornercase.suite.comparing_tests import correct, discordant, moved_by, signed_ranks
 from cornercase.suite.comparing_tests import tests_of_pairs as changes_of
@@ -239,6 +240,30 @@ def test_runs_of_other_suites_are_refused(tmp_path):
     old, new = (written(tmp_path / f"{one}.db", GAPS, suite=one) for one in ("a", "b"))
     with pytest.raises(InputError, match="are of other versions of the same suite"):
         compared(old, new)
+
+
+def test_a_suite_is_compared_with_the_study_that_it_was_reduced_from_alone(tmp_path):
+    explored = written(tmp_path / "old.db", GAPS, fingerprint="explored")
+    suite = {"fingerprint": "first file", "suite": "all files", "optimizer": "none"}
+    run = written(tmp_path / "run.db", GAPS[:5], GRID[:5], origin="explored", **suite)
+    for found in (compared(explored, run), compared(run, explored)):
+        assert not found
+        assert len(found.pairs) == found.count("the same") == 5
+        assert sorted(found.alone) == [0, 31]
+        assert found.differences[0] in ("scenarios: explored → of a suite", "scenarios: of a suite → explored")
+        assert found.space is None
+    for origin in ("", "another", "first file"):
+        other = written(tmp_path / f"other {origin}.db", GAPS[:5], GRID[:5], origin=origin, **suite)
+        with pytest.raises(InputError, match="are of other"):
+            compared(explored, other)
+
+
+def test_a_zero_with_another_sign_is_not_the_same_bytes_and_no_change(tmp_path):
+    old, zero = recording(2.0), recording(2.0)
+    new = replace(zero, x=np.where(zero.x == 0.0, -0.0, zero.x))
+    assert compare_recordings(old, zero) == "the same"
+    assert compare_recordings(old, new) == "within rounding"
+    assert not find_difference(old, new, "Ego").same
 
 
 @pytest.mark.parametrize(

@@ -125,6 +125,8 @@ def test_temporal_logic_names_the_number_that_decides():
         ("tcc > 1.5", "ttc"),
         ("ttc > 1.5 m", "unit 'm' does not fit"),
         ("ttc >", "ttc >"),
+        ('for " ": ttc > 1', "is no pattern of names"),
+        (r'for "\*": ttc > 1', "write it as in JSON"),
         ("", "give a text"),
     ],
 )
@@ -141,3 +143,24 @@ def test_a_requirement_may_be_for_some_files_only():
     assert one.concerns("run-12.xosc")
     assert not one.concerns("other.xosc")
     assert one.entity == "Van 2"
+
+
+@pytest.mark.parametrize(
+    ("given", "text", "file", "kind"),
+    [
+        ('for  "my run: [1] *.xosc":  no collision', 'for "my run: [1] *.xosc": no collision', "my run: [1] 2.xosc", ""),
+        ('for "run-*": no collision', "for run-*: no collision", "run-1", ""),
+        ("for C:run?: no collision", "for C:run?: no collision", "C:run1", ""),
+        ("for kind: no collision", "for kind: no collision", "kind", ""),
+        ('for kind "Ego *, closely": ttc > 1', 'for kind "Ego *, closely": ttc > 1', "x", "Ego yields to C, closely"),
+        ("for kind late*: ttc > 1", 'for kind "late*": ttc > 1', "x", "late"),
+        (r'for kind "Ego yields to \"C: 1\"": ttc > 1', r'for kind "Ego yields to \"C: 1\"": ttc > 1', "x", 'Ego yields to "C: 1"'),
+    ],
+)  # fmt: skip
+def test_a_requirement_may_be_for_a_kind_and_names_may_be_of_several_words(given, text, file, kind):
+    one = Requirement.parse(given)
+    assert one.text == text
+    assert Requirement.parse(one.text) == one
+    assert one.concerns(file, kind)
+    assert not one.concerns(f"no {file}", f"no {kind}")
+    assert one.by_kind == bool(kind)

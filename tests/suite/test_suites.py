@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -110,6 +112,35 @@ def test_its_report_draws_the_road_and_names_the_command(explored, ran, tmp_path
     assert "6 scenarios were run, of a suite" in page
     assert "cornercase test reduced --ego Ego --other C" in page
     assert "The road is not drawn" not in page
+
+
+def test_its_report_tells_the_verdicts_of_each_scenario(explored, ran, tmp_path):
+    page = cc.write_report(ran.study, tmp_path / "report.html").read_text(encoding="utf-8")
+    failed = [one for one in ran.scenarios if one.state == "failed"]
+    assert f"{6 - len(failed)} passed, {len(failed)} failed of 6 scenarios" in page
+    cells = [re.findall("<td class=text>(.*?)</td>", row) for row in re.findall("<tr>(.*?)</tr>", page)]
+    for one in ran.scenarios:
+        row = [str(one.id), one.file, one.kind, one.state, "no collision", one.reason]
+        assert [html.unescape(cell) for cell in next(each for each in cells if one.file in each)] == row
+
+
+def test_requirements_of_a_kind_are_those_of_its_scenarios(explored, ran, tmp_path):
+    kind = next(one.kind for one in ran.scenarios if one.state == "failed")
+    shutil.copy(ran.study, tmp_path / "run.db")
+    found = cc.test(explored / "reduced", tmp_path / "run.db", require=[f"for kind {json.dumps(kind)}: no collision"])
+    assert {len(one.verdicts) for one in found.scenarios} == {0, 1}
+    assert {one.id for one in found.scenarios if one.verdicts} == {one.id for one in ran.scenarios if one.kind == kind}
+    with Study.open(tmp_path / "run.db", readonly=True) as study:
+        assert {key: value for key, value in verdicts_of(study).items() if value} == {
+            one.id: list(one.verdicts) for one in found.scenarios if one.verdicts
+        }
+
+
+def test_a_run_is_compared_with_the_study_that_was_reduced(explored, ran):
+    found = cc.compare(explored / "study.db", ran.study)
+    assert not found
+    assert [one.ids for one in found.pairs] == sorted((one.origin, one.id) for one in ran.scenarios)
+    assert found.count("the same") == 6
 
 
 def test_workers_change_nothing(explored, ran, tmp_path):
@@ -337,8 +368,11 @@ def test_an_origin_that_is_named_has_to_be_one(explored, tmp_path):
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("r.toml", 'require = ["no collision"]\n[for]\n"*-00001.xosc" = ["ttc > 0.1"]\n'),
-        ("r.yaml", 'require: [no collision]\nfor:\n  "*-00001.xosc": ["ttc > 0.1"]\n'),
+        (
+            "r.toml",
+            'require = ["no collision"]\n[for]\n"*-00001.xosc" = ["ttc > 0.1"]\n[kind]\n"Ego *" = ["pet > 1"]\n',
+        ),
+        ("r.yaml", 'require: [no collision]\nkind:\n  "Ego *": [pet > 1]\nfor:\n  "*-00001.xosc": ["ttc > 0.1"]\n'),
     ],
 )
 def test_requirements_come_from_files(name, content, tmp_path):
@@ -347,7 +381,8 @@ def test_requirements_come_from_files(name, content, tmp_path):
     if name.endswith("yaml"):
         pytest.importorskip("yaml")
     (tmp_path / name).write_text(content)
-    assert read_requirements(tmp_path / name) == ["no collision", "for *-00001.xosc: ttc > 0.1"]
+    found = ["no collision", "for *-00001.xosc: ttc > 0.1", 'for kind "Ego *": pet > 1']
+    assert read_requirements(tmp_path / name) == found
 
 
 @pytest.mark.parametrize(
@@ -357,7 +392,10 @@ def test_requirements_come_from_files(name, content, tmp_path):
         ("requires = ['no collision']", "did you mean 'require'"),
         ("require = [", "is no TOML"),
         ("", "holds no requirement"),
-        ("[for]\n'a b' = ['no collision']", "is no pattern"),
+        ("[for]\n'a: b' = ['no collision']", "none of the files of"),
+        ("[for]\n' ' = ['no collision']", "is no pattern of file names"),
+        ("[kind]\n'no such *' = ['no collision']", "is of such a kind; there are "),
+        ("kind = ['no collision']", "'kind' holds no lists by the pattern of names of kinds"),
     ],
 )
 def test_files_of_requirements_that_cannot_be_used_are_refused(content, words, explored, tmp_path):

@@ -36,7 +36,8 @@ def test_(
         ),
     ] = None,
     requirements: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml|yaml", help="More of them, as a list called require.")
+        Path | None,
+        typer.Option(metavar="FILE.toml|yaml", help="More of them: lists called require, and by file or kind."),
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="What is inconclusive has not passed.")] = False,
     junit: Annotated[

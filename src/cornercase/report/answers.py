@@ -23,6 +23,7 @@ from cornercase.report.words import (
     with_unit,
 )
 from cornercase.study import IMPORTED
+from cornercase.suite import worst_state
 
 # So many points are told below an answer; the details have all.
 _MOST_POINTS = 6
@@ -88,6 +89,8 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     """
     summary = data.summary
     known = summary.knowledge
+    if data.verdicts:
+        yield _of_verdicts(data)
     if summary.probability is not None:
         yield _of_probability(summary.probability)
     if known.front is not None:
@@ -358,6 +361,22 @@ def _of_failures(data: ReportData) -> Answer:
     points = [f"{len(ids)}: {why}" for why, ids in list(reasons.items())[:_MOST_POINTS]]
     more = f" The {_MOST_POINTS} most frequent reasons:" if len(reasons) > _MOST_POINTS else ""
     return Answer(name, question, f"{len(failed)} of {total} scenarios could not be run.{more}", tuple(points))
+
+
+def _of_verdicts(data: ReportData) -> Answer:
+    failed = {row.id for row in data.failed}
+    states = {scenario: worst_state(verdicts) for scenario, verdicts in data.verdicts.items()}
+    counts = Counter("not run" if scenario in failed else state for scenario, state in states.items())
+    said = [f"{counts[one]} {one}" for one in ("passed", "failed", "inconclusive", "not run") if counts[one]]
+    broken = [
+        f"Scenario {scenario}: {one.requirement}: {one.reason}."
+        for scenario, verdicts in data.verdicts.items()
+        for one in verdicts
+        if one.state == "failed"
+    ]
+    most = f" The first {_MOST_POINTS} requirements that failed:" if len(broken) > _MOST_POINTS else ""
+    text = f"{', '.join(said)} of {len(states)} scenarios.{most}"
+    return Answer("verdicts", "Did it pass?", text, tuple(broken[:_MOST_POINTS]))
 
 
 def _of_probability(found: Any) -> Answer:

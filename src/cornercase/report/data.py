@@ -19,6 +19,7 @@ from cornercase.report.summary import Summary, summarize_with
 from cornercase.roads import Region
 from cornercase.scenario import Parameter
 from cornercase.study import Row, Study
+from cornercase.suite import Verdict, verdicts_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,8 @@ class ReportData:
         Critical scenarios; none where no threshold says what is critical.
     gaps : mapping of str to Gaps
         By aspect, what the kept scenarios leave out; empty before the study was reduced.
+    verdicts : mapping of int to sequence of Verdict
+        By id of each scenario that ended, one for each requirement that is for it; empty where nothing is required.
     outcomes : mapping of int to str
         How scenarios ended, by id; empty before the study was analysed.
     notes : mapping of int to str
@@ -75,6 +78,7 @@ class ReportData:
     influential: tuple[int, ...]
     critical: BoolArray
     gaps: Mapping[str, Gaps]
+    verdicts: Mapping[int, Sequence[Verdict]]
     outcomes: Mapping[int, str]
     notes: Mapping[int, str]
     missed: tuple[MissedAfter, ...]
@@ -165,6 +169,7 @@ def read_report_data(study: Study) -> ReportData:
         influential=_influential(values, scores[metrics[0].name]),
         critical=Objective.of_study(study.meta).critical_of(study),
         gaps={} if summary.reduced is None else _gaps(study, summary.analyses, summary.reduced.ids),
+        verdicts=verdicts_of(study),
         outcomes=study.outcomes(),
         notes=study.notes(),
         missed=tuple(find_missed(study, summary.knowledge)),

@@ -10,6 +10,7 @@ from cornercase.report.sections.kinds import compare_kinds, show_kinds
 from cornercase.report.sections.knowledge import show_knowledge
 from cornercase.report.sections.overview import tell_failures, tell_scores
 from cornercase.report.sections.part import Part
+from cornercase.report.sections.verdicts import show_verdicts
 
 
 def page_details(data: ReportData) -> Iterator[Part]:
@@ -25,6 +26,7 @@ def page_details(data: ReportData) -> Iterator[Part]:
     Part
         Each with its title.
     """
+    yield from show_verdicts(data)
     yield from tell_scores(data)
     yield from show_knowledge(data)
     yield from show_kinds(data)

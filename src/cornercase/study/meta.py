@@ -33,14 +33,16 @@ _DIFFERENT: Final = {
 
 
 _TYPES: Final[dict[str, Any]] = (
-    dict.fromkeys(("scenario", "fingerprint", "ego", "other", "optimizer", "simulator", "suite", "version"), str)
+    dict.fromkeys(
+        ("scenario", "fingerprint", "ego", "other", "optimizer", "simulator", "suite", "origin", "version"), str
+    )
     | dict.fromkeys(("seed", "budget", "batch", "repeats"), int)
     | dict.fromkeys(("settings", "weights"), dict)
-    | dict.fromkeys(("metrics", "files", "requirements"), list)
+    | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
     | {"critical": (int, float), "audit": (int, float), "pareto": bool}
 )
 # What only later versions write.
-_LATER: Final = ("requirements", "suite")
+_LATER: Final = ("kinds", "origin", "requirements", "suite")
 
 
 MOST_AUDITS: Final = 0.5
@@ -99,10 +101,14 @@ class StudyMeta:
         Share of the scenarios that are drawn at random to judge the search, and that it is never told.
     files : tuple of str
         Imported recordings, or the scenario files of a suite, in the order of the scenarios' ids.
+    kinds : tuple of str
+        What kind each scenario of a suite is of, in words, in the same order; empty where none is known.
     requirements : tuple of str
         What the scenarios of a suite have to fulfil, each as `cornercase.suite.Requirement` reads it.
     suite : str
         SHA-256 of all files of a suite, and of those that they use; empty where one scenario file was explored.
+    origin : str
+        `fingerprint` of the study that a suite was reduced from; empty where there is none.
     version : str
         Version of cornercase that made the study.
     """
@@ -125,8 +131,10 @@ class StudyMeta:
     repeats: int = 1
     audit: float = 0.0
     files: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
     requirements: tuple[str, ...] = ()
     suite: str = ""
+    origin: str = ""
     version: str = __version__
 
     @property
@@ -156,8 +164,10 @@ class StudyMeta:
             "repeats": self.repeats if self.repeats > 1 else None,
             "audit": self.audit or None,
             "files": list(self.files) or None,
+            "kinds": list(self.kinds) or None,
             "requirements": list(self.requirements) or None,
             "suite": self.suite or None,
+            "origin": self.origin or None,
         }
 
     def is_audit(self, scenario: int) -> bool:
@@ -199,7 +209,7 @@ class StudyMeta:
                 not isinstance(value, _TYPES[name]) or isinstance(value, bool) != (name == "pareto")
             ):
                 raise ValueError(f"its {name} is {str(value)[:60]!r}")
-        for name in ("metrics", "files", "requirements"):
+        for name in ("metrics", "files", "kinds", "requirements"):
             if not all(isinstance(one, str) for one in given.get(name, ())):
                 raise ValueError(f"its {name} are no texts")
         if not given["metrics"] or not all(isinstance(one, int | float) for one in given.get("weights", {}).values()):
@@ -211,7 +221,7 @@ class StudyMeta:
             raise ValueError("its audit is no share")
         if not isinstance(given.get("settings", {}).get("drivers", {}), dict):
             raise ValueError("its drivers are no names by entity")
-        given |= {name: tuple(given[name]) for name in ("metrics", "files", "requirements") if name in given}
+        given |= {name: tuple(given[name]) for name in ("metrics", "files", "kinds", "requirements") if name in given}
         return cls(**given | {"space": ParameterSpace.from_json(plain["space"])})
 
     def require_same(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:

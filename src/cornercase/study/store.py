@@ -28,7 +28,7 @@ from cornercase.study.table import Row
 # Tables that hold something of scenarios; those that refer to others come first.
 _CONTENT: Final = tuple(table for table in reversed(TABLES) if table != "meta")
 # What of a study may change while it goes on.
-_CHANGING: Final = ("space", "critical", "budget", "requirements")
+_CHANGING: Final = ("space", "critical", "budget", "kinds", "requirements", "origin")
 
 
 class Study(StudyContents):
@@ -109,9 +109,9 @@ class Study(StudyContents):
     def continue_with(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
         """Refuse to go on with a study of something else, and note what has changed.
 
-        That is the budget, the requirements of a suite, and what an earlier version did not write: the constraints of
-        the space, which follow from the same scenario file, and a threshold. A study in which no scenario has ended yet
-        becomes one of `meta`.
+        That is the budget, the requirements and kinds of a suite, and what an earlier version did not write: the
+        constraints of the space, which follow from the same scenario file, and a threshold. A study in which no
+        scenario has ended yet becomes one of `meta`.
 
         Parameters
         ----------
@@ -138,14 +138,16 @@ class Study(StudyContents):
             # Scenarios that are there already stay, also where the new budget is smaller.
             budget=max(meta.budget, min(self.meta.budget, len(self.rows()))),
             # What ran stays; it is only judged by something else.
+            kinds=meta.kinds,
             requirements=meta.requirements,
+            origin=meta.origin,
         )
         if known == self.meta:
             return
         with self._database.writing() as connection:
             plain = known.to_json()
             connection.executemany(
-                "UPDATE meta SET value = ? WHERE key = ?",
+                "INSERT OR REPLACE INTO meta (value, key) VALUES (?, ?)",
                 [(json.dumps(plain[key], sort_keys=True), key) for key in _CHANGING],
             )
         self.meta, self.space = known, known.space

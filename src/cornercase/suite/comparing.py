@@ -162,6 +162,8 @@ def _score_change(pairs: Sequence[Pair], name: str) -> ScoreChange:
 
 def _differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
     """What the studies were made with, where that differs, in words."""
+    if bool(old.suite) != bool(new.suite):
+        yield f"scenarios: {' → '.join('of a suite' if one.suite else 'explored' for one in (old, new))}"
     for name, words in _NAMED.items():
         if getattr(old, name) != getattr(new, name):
             yield f"{words}: {getattr(old, name)} → {getattr(new, name)}"

@@ -12,9 +12,9 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering import find_outcome
 from cornercase.exploration import Objective, chosen_blindly
 from cornercase.recordings import Recording
-from cornercase.study import IMPORTED, Row, Study
+from cornercase.study import IMPORTED, Row, Study, StudyMeta
 from cornercase.suite.comparing_results import Pair, Run
-from cornercase.suite.difference import ARRAYS
+from cornercase.suite.difference import ARRAYS, same_bytes
 from cornercase.suite.verdict import Verdict
 
 # Of m, s, rad, m/s and m/s²: what another processor or compiler makes of the same motion.
@@ -211,9 +211,9 @@ def compare_recordings(old: Recording, new: Recording) -> Run:
     """
     if old.names != new.names or old.kinds != new.kinds or old.time.shape != new.time.shape:
         return "otherwise"
-    arrays = [(getattr(old, name), getattr(new, name)) for name in ARRAYS]
-    if old.collisions == new.collisions and all(np.array_equal(a, b, equal_nan=True) for a, b in arrays):
+    if same_bytes(old, new):
         return "the same"
+    arrays = [(getattr(old, name), getattr(new, name)) for name in ARRAYS]
     near = all(np.allclose(a, b, rtol=0.0, atol=_ROUNDING, equal_nan=True) for a, b in arrays)
     met = [[one.entities for one in each.collisions] for each in (old, new)]
     return "within rounding" if near and met[0] == met[1] else "otherwise"
@@ -249,7 +249,7 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
     pair = f"{old.path} and {new.path}"
     a, b = old.meta, new.meta
     # Of recordings that were imported it is that of the recordings.
-    if (a.fingerprint, a.suite) != (b.fingerprint, b.suite) and IMPORTED not in (a.simulator, b.simulator):
+    if not _of_the_same(a, b) and IMPORTED not in (a.simulator, b.simulator):
         what = "suites" if a.suite and b.suite else "scenarios"
         versions = f"other versions of the same {what[:-1]}" if a.file_name == b.file_name else f"other {what}"
         raise InputError(f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same.")
@@ -280,6 +280,14 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
             f"{pair}: take other scores for critical ({a.critical:g}, {b.critical:g}); give both the same."
         )
     return chosen
+
+
+def _of_the_same(a: StudyMeta, b: StudyMeta) -> bool:
+    """Whether two studies are of the same files, or one of a suite that was reduced from what the other explored."""
+    if bool(a.suite) == bool(b.suite):
+        return (a.fingerprint, a.suite) == (b.fingerprint, b.suite)
+    suite, explored = (a, b) if a.suite else (b, a)
+    return suite.origin == explored.fingerprint
 
 
 def _criterion(study: Study) -> tuple[object, ...]:

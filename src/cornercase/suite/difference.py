@@ -71,7 +71,7 @@ def find_difference(
     known = np.isfinite(away)
     further = np.flatnonzero(known & (away > NOTICED))
     return Difference(
-        same=_is_same(before, now),
+        same=same_bytes(before, now),
         distance=float(away[known].max()) if known.any() else None,
         time=float(now.time[further[0]]) if len(further) else None,
         duration=(float(before.time[-1] - before.time[0]), float(now.time[-1] - now.time[0])),
@@ -89,7 +89,18 @@ def _distances(before: Recording, now: Recording, ego: str) -> FloatArray:
     return np.asarray(np.hypot(now.x[j] - x, now.y[j] - y))
 
 
-def _is_same(before: Recording, now: Recording) -> bool:
+def same_bytes(before: Recording, now: Recording) -> bool:
+    """Tell whether two recordings are the same, byte for byte.
+
+    Parameters
+    ----------
+    before, now : Recording
+
+    Returns
+    -------
+    bool
+        Of entities, collisions, and all bits of all numbers: 0.0 is not -0.0.
+    """
     facts = [(one.names, one.kinds, one.collisions) for one in (before, now)]
     return facts[0] == facts[1] and all(
         np.asarray(getattr(before, name)).tobytes() == np.asarray(getattr(now, name)).tobytes() for name in ARRAYS

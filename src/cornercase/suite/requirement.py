@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -17,7 +18,9 @@ REACHED: Final = 2.0
 """How near in m the ego has to come to a place, unless the requirement says it."""
 
 _NUMBER: Final = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)"
-_FOR: Final = re.compile(r"for\s+(\S+?)\s*:\s+(.+)", re.DOTALL)
+_FOR: Final = re.compile(r'\s*for\s+(kind\s+)?("(?:[^"\\]|\\.)*"|\S+?)\s*:\s+(.+)', re.DOTALL)
+# A pattern that needs no quotation marks.
+_PLAIN: Final = re.compile(r'[^\s"]+')
 _REACH: Final = re.compile(
     rf"reach\s+{_NUMBER}\s*,\s*{_NUMBER}(?:\s*,\s*{_NUMBER})?\s+within\s+{_NUMBER}\s*(\S*)", re.DOTALL
 )
@@ -46,6 +49,8 @@ class Requirement:
     formula : Formula or None
     pattern : str
         Which files it is for, with ``*`` and ``?``; empty for all.
+    by_kind : bool
+        Whether the pattern is one of the names of kinds, in place of those of files.
     """
 
     text: str
@@ -55,6 +60,7 @@ class Requirement:
     within: float = 0.0
     formula: Formula | None = None
     pattern: str = ""
+    by_kind: bool = False
 
     def __str__(self) -> str:
         return self.text
@@ -68,8 +74,9 @@ class Requirement:
         requirement : str
             ``"no collision"`` with anybody, ``"no collision with NAME"``, ``"no collision at fault"``, ``"reach
             X,Y[,R] within T"`` in m and s, or a formula as `cornercase.metrics.Formula` reads it, such as
-            ``"ttc > 1.5"``. After ``"for PATTERN: "`` it is one of the files of that name only, where ``*`` stands for
-            any characters and ``?`` for one.
+            ``"ttc > 1.5"``. After ``"for PATTERN: "`` it is one of the files of that name only, after
+            ``'for kind "PATTERN": '`` one of the scenarios of that kind; ``*`` stands for any characters and ``?`` for
+            one. A pattern with spaces stands between quotation marks, as JSON has them.
 
         Returns
         -------
@@ -87,25 +94,61 @@ class Requirement:
         'for *-00012.xosc: reach 60,-1.75,2 within 20'
         """
         given = " ".join(text("require", requirement).split())
-        found = _FOR.fullmatch(given)
-        pattern, body = (found[1], found[2]) if found else ("", given)
+        found = _FOR.fullmatch(requirement)
+        by_kind, pattern, body = (bool(found[1]), _unquoted(found[2], given), found[3]) if found else (False, "", given)
+        body = " ".join(body.split())
         one = _collision(body) or _place(body) or _formula(body, given)
-        shown = f"for {pattern}: {one.text}" if pattern else one.text
-        return cls(shown, one.kind, one.entity, one.place, one.within, one.formula, pattern)
+        shown = f"{prefix_for(pattern, by_kind=by_kind)}{one.text}" if pattern else one.text
+        return cls(shown, one.kind, one.entity, one.place, one.within, one.formula, pattern, by_kind)
 
-    def concerns(self, file: str) -> bool:
-        """Tell whether it is one of a file.
+    def concerns(self, file: str, kind: str = "") -> bool:
+        """Tell whether it is one of a scenario.
 
         Parameters
         ----------
         file : str
-            Name of a scenario's file.
+            Name of its file.
+        kind : str, default ""
+            What kind it is of, in words; empty where it is not known.
 
         Returns
         -------
         bool
         """
-        return not self.pattern or fnmatchcase(file, self.pattern)
+        # Brackets mean nothing here, as names of files and kinds may have some.
+        return not self.pattern or fnmatchcase(kind if self.by_kind else file, self.pattern.replace("[", "[[]"))
+
+
+def prefix_for(pattern: str, *, by_kind: bool = False) -> str:
+    """Write what makes a requirement one of some scenarios only.
+
+    Parameters
+    ----------
+    pattern : str
+        Of names, with ``*`` and ``?``.
+    by_kind : bool, default False
+        Whether these are of kinds, in place of files.
+
+    Returns
+    -------
+    str
+        What stands before the requirement.
+    """
+    if by_kind or not _PLAIN.fullmatch(pattern):
+        return f"for {'kind ' if by_kind else ''}{json.dumps(pattern, ensure_ascii=False)}: "
+    return f"for {pattern}: "
+
+
+def _unquoted(pattern: str, given: str) -> str:
+    if not pattern.startswith('"'):
+        return pattern
+    try:
+        found = str(json.loads(pattern))
+    except ValueError:
+        found = ""
+    if not found.strip():
+        raise InputError(f"`require` {given}: {pattern} is no pattern of names; write it as in JSON.")
+    return found
 
 
 def _collision(body: str) -> Requirement | None:

@@ -8,9 +8,11 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import read_file
+from cornercase.suite.requirement import prefix_for
 
 _KEY: Final = "require"
-_KNOWN: Final = (_KEY, "for")
+# Tables of further lists, and what their patterns are of.
+_TABLES: Final = {"for": "file names", "kind": "names of kinds"}
 _LARGEST: Final = 1_000_000
 
 
@@ -20,8 +22,8 @@ def read_requirements(path: Path) -> list[str]:
     Parameters
     ----------
     path : Path
-        TOML, or YAML where the file ends in ``.yaml`` or ``.yml``: a list called ``require``, and a table called
-        ``for`` of further lists by the pattern of file names that they are for.
+        TOML, or YAML where the file ends in ``.yaml`` or ``.yml``: a list called ``require``, and tables called
+        ``for`` and ``kind`` of further lists by the pattern of file names, or of names of kinds, that they are for.
 
     Returns
     -------
@@ -37,16 +39,19 @@ def read_requirements(path: Path) -> list[str]:
     if not isinstance(plain, dict):
         raise InputError(f"{path}: holds no list called '{_KEY}'; write {_KEY} = [\"no collision\"].")
     for name in plain:
-        if name not in _KNOWN:
-            raise InputError(f"{path}: has '{str(name)[:60]}', which is not known; {suggestion(str(name), _KNOWN)}")
+        if name not in (_KEY, *_TABLES):
+            advice = suggestion(str(name), (_KEY, *_TABLES))
+            raise InputError(f"{path}: has '{str(name)[:60]}', which is not known; {advice}")
     found = _texts(path, _KEY, plain.get(_KEY, []))
-    patterns = plain.get("for", {})
-    if not isinstance(patterns, dict):
-        raise InputError(f"{path}: 'for' holds no lists by the pattern of file names.")
-    for pattern, requirements in patterns.items():
-        if not isinstance(pattern, str) or not pattern or any(map(str.isspace, pattern)):
-            raise InputError(f"{path}: '{str(pattern)[:60]}' in 'for' is no pattern of file names.")
-        found += [f"for {pattern}: {one}" for one in _texts(path, pattern, requirements)]
+    for name, of in _TABLES.items():
+        patterns = plain.get(name, {})
+        if not isinstance(patterns, dict):
+            raise InputError(f"{path}: '{name}' holds no lists by the pattern of {of}.")
+        for pattern, requirements in patterns.items():
+            if not isinstance(pattern, str) or not pattern.strip():
+                raise InputError(f"{path}: '{str(pattern)[:60]}' in '{name}' is no pattern of {of}.")
+            prefix = prefix_for(pattern, by_kind=name == "kind")
+            found += [f"{prefix}{one}" for one in _texts(path, pattern, requirements)]
     if not found:
         raise InputError(f'{path}: holds no requirement; write {_KEY} = ["no collision"].')
     return found

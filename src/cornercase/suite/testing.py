@@ -167,9 +167,18 @@ def _entities(
     for required in requirements:
         if required.entity == found[0]:
             raise InputError(f"`require` {required}: is the ego itself; name another entity.")
-        if not any(required.concerns(one.file) for one in suite.scenarios):
-            raise InputError(f"`require` {required}: none of the files of {suite.place} is called so.")
+        if not any(required.concerns(one.file, one.kind) for one in suite.scenarios):
+            raise InputError(f"`require` {required}: {_none_concerned(suite, required)}.")
     return found[0], found[1]
+
+
+def _none_concerned(suite: SuiteContents, required: Requirement) -> str:
+    if not required.by_kind:
+        return f"none of the files of {suite.place} is called so"
+    kinds = dict.fromkeys(one.kind for one in suite.scenarios if one.kind)
+    if not kinds:
+        return f"{suite.place} does not say of what kinds its scenarios are"
+    return f"none of the scenarios of {suite.place} is of such a kind; there are {'; '.join(kinds)}"
 
 
 def _metrics(suite: SuiteContents, given: Sequence[str], requirements: Sequence[Requirement]) -> tuple[str, ...]:
@@ -216,6 +225,7 @@ def _meta(
     simulator: str,
     settings: Mapping[str, object],
 ) -> StudyMeta:
+    kinds = tuple(one.kind for one in suite.scenarios)
     # The threshold is one of the first metric.
     critical = suite.critical if suite.metrics[:1] == metrics[:1] else METRICS.create(metrics[0]).critical
     return StudyMeta(
@@ -232,8 +242,10 @@ def _meta(
         budget=len(suite.scenarios),
         batch=len(suite.scenarios),
         files=tuple(one.file for one in suite.scenarios),
+        kinds=kinds if any(kinds) else (),
         requirements=tuple(one.text for one in requirements),
         suite=suite.digest,
+        origin=suite.fingerprint,
     )
 
 

@@ -50,11 +50,15 @@ def judge_row(study: Study, row: Row, requirements: list[Requirement]) -> list[V
         One for each requirement that is for it.
     """
     meta = study.meta
-    file = meta.files[row.id - 1] if meta.suite and row.id <= len(meta.files) else ""
-    mine = [one for one in requirements if one.concerns(file)]
+    file, kind = (_of(row, names) if meta.suite else "" for names in (meta.files, meta.kinds))
+    mine = [one for one in requirements if one.concerns(file, kind)]
     if row.state == "failed":
         return [Verdict("inconclusive", one.text, f"the simulator failed: {row.error}") for one in mine]
     recording = study.recording(row.id)
     asked = {name for one in mine if one.formula is not None for name in one.formula.metrics}
     courses = {name: study.course(row.id, name) for name in meta.metrics if name in asked}
     return [judge(one, recording, meta.ego, meta.other, courses=courses) for one in mine]
+
+
+def _of(row: Row, names: tuple[str, ...]) -> str:
+    return names[row.id - 1] if row.id <= len(names) else ""
