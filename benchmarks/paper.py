@@ -74,7 +74,7 @@ class Experiment:
             scores = Objective.of_study(meta).oriented(np.stack(list(self.scores.values()), axis=1))
             self.influence = estimate_sensitivity(study.space, self.points, scores, seed)
             recordings = [study.recording(row.id) for row in rows]
-            self.ends = [tell_outcome(one, meta.ego, meta.other) for one in recordings]
+            self.ends = [tell_outcome(one, meta.ego, meta.others[0]) for one in recordings]
             self.crash = np.array([any(meta.ego in hit.entities for hit in one.collisions) for one in recordings])
             self.seconds = study.elapsed()["compare"] / len(self.found)
 
@@ -97,17 +97,19 @@ class Experiment:
         metric = objective.metrics[0]
         assert meta.critical is not None
         limit = objective.flip(meta.critical)
-        runs = [one for one in runs if objective.flip(metric.score(metric.course(one, meta.ego, meta.other))) <= limit]
+        runs = [
+            one for one in runs if objective.flip(metric.score(metric.course(one, meta.ego, meta.others[0]))) <= limit
+        ]
         rows = [row.id for row in study.done()]
         kept = [rows.index(scenario) for scenario in self.reduced.ids]
         shares = {}
         for by, found in self.reduced.critical.items():
             if by in meta.metrics:
                 measured = METRICS.create(by)
-                new = [measured.capped(measured.course(one, meta.ego, meta.other)) for one in runs]
+                new = [measured.capped(measured.course(one, meta.ego, meta.others[0])) for one in runs]
             else:
                 aspect = ASPECTS.create(by)
-                new = [aspect.series(one, meta.ego, meta.other) for one in runs]
+                new = [aspect.series(one, meta.ego, meta.others[0]) for one in runs]
             series = series_of(study, by)
             away = distances_to(new, [series[k] for k in kept]).min(axis=1)
             shares[by] = float((away > found.within).mean())

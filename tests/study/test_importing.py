@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import foreign_recordings as foreign
 from command_line import SPACE, X, cornercase
+from cornercase import InputError
+from cornercase.clustering import analyze
 from cornercase.study import ImportResult, Study, import_recordings
+from two_cars import met
 
 EXPLORED = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc"]
 
@@ -150,3 +155,30 @@ def test_tables_that_cannot_be_used(tmp_path, table, words):
     assert words in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "s.db").exists()
+
+
+def test_recordings_may_lack_some_of_several_others(tmp_path):
+    lines = ["file,gap"]
+    for k, name in enumerate(("A", "B", "A", "B", "A")):
+        drives, gap = np.arange(6) * 1.0, 20.0 - k
+        pair = met((drives, 0.0, 0.0, 10.0), (drives + gap, 0.0, 0.0, 10.0))
+        replace(pair, names=("Ego", name)).to_csv(tmp_path / f"{k}.csv")
+        lines.append(f"{k}.csv,{gap}")
+    (tmp_path / "parameters.csv").write_text("\n".join(lines) + "\n")
+    given: dict[str, Any] = {"ego": "Ego", "metrics": ["clearance"]}
+    with pytest.raises(InputError, match=r"`other` C: none of the recordings has it"):
+        import_recordings(tmp_path, tmp_path / "s.db", other=["A", "C"], **given)
+    assert import_recordings(tmp_path, tmp_path / "s.db", other="*", **given).done == 5
+    with Study.open(tmp_path / "s.db") as study:
+        assert study.meta.others == ("A", "B")
+        assert list(study.against("clearance").values()) == ["A", "B", "A", "B", "A"]
+        np.testing.assert_allclose(study.scores("clearance"), [16.0, 15.0, 14.0, 13.0, 12.0])
+        analyze(study)
+        # Told of the one that most are against.
+        assert list(study.outcomes().values()) == [
+            "A ahead",
+            "A is never there",
+            "A ahead",
+            "A is never there",
+            "A ahead",
+        ]

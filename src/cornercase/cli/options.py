@@ -46,7 +46,13 @@ Critical = Annotated[
 ]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
 Ego = Annotated[str, typer.Option(help="Entity under test.")]
-Other = Annotated[str, typer.Option(help="Entity it is measured against.")]
+Other = Annotated[
+    list[str],
+    typer.Option(
+        metavar="NAME|*",
+        help="Entity it is measured against; several times for several, '*' for all others. The most critical counts.",
+    ),
+]
 Metrics = Annotated[
     list[str],
     typer.Option("--metric", metavar="NAME", help="Criticality metric, all are stored; the first is searched."),

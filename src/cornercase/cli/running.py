@@ -280,7 +280,7 @@ def measure(
     require_other_file(output, recording)
     found = measure_recording(recording, ego, other, metric)
     write_courses(output, found.time, found.courses)
-    table = Table("metric", "score", "unit", "critical is", box=None)
+    table = Table(*found.head(), box=None)
     for row in found.rows():
         table.add_row(*row)
     out.print(table)

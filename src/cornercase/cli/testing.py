@@ -60,7 +60,10 @@ def test_(
     retries: Retries = 1,
     ego: Annotated[str | None, typer.Option(help="Entity under test; default: as in the manifest.")] = None,
     other: Annotated[
-        str | None, typer.Option(help="Entity it is measured against; default: as in the manifest.")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|*", help="Entity it is measured against, also several; default: as in the manifest."
+        ),
     ] = None,
     metric: Annotated[
         list[str] | None,

@@ -102,7 +102,7 @@ def find_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]
         ``"stopped"``, who is ``"first of Ego and C"`` for further entities, and whether the scenario is ``"critical"``,
         where a threshold says so. What is the same in all scenarios is left out.
     """
-    other = study.meta.other
+    other = outcomes[0].encounter.entity
     firsts = [None if other in {hit.entity for hit in one.impacts} else one.first for one in outcomes]
     facts = {
         "outcome": [one.text for one in outcomes],

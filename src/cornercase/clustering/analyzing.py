@@ -127,16 +127,17 @@ def _analyzed(
         raise InputError(f"{study.path}: {ran} run{why}; at least 2 can be clustered.")
     begun = time.monotonic()
     outcomes, traits, times = [], [], []
+    main = study.main_other()
     compared = {one: make_aspect(one) for one in aspects if one not in study.meta.metrics}
     seen: dict[str, list[FloatArray]] = {one: [] for one in compared}
     # Each recording is unpacked once.
     for i in ids.tolist():
-        recording = study.recording(i)
-        outcomes.append(find_outcome(recording, study.meta.ego, study.meta.other))
+        recording = study.recording(i).with_absent(study.meta.others)
+        outcomes.append(find_outcome(recording, study.meta.ego, main))
         traits.append(measure_traits(recording, outcomes[-1]))
         times.append(recording.time)
         for one, aspect in compared.items():
-            seen[one].append(series_in(study, i, recording, aspect))
+            seen[one].append(series_in(study, i, recording, aspect, main))
     for one, series in seen.items():
         require_same_channels(study, one, ids.tolist(), series)
     instants_within(times, window)

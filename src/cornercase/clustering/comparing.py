@@ -115,24 +115,27 @@ def series_of(study: Study, aspect: str) -> list[FloatArray]:
         metric = METRICS.create(aspect)
         return [metric.capped(study.course(row.id, aspect)) for row in rows]
     chosen = make_aspect(aspect)
-    series = [series_in(study, row.id, study.recording(row.id), chosen) for row in rows]
+    other = study.main_other()
+    series = [series_in(study, row.id, study.recording(row.id), chosen, other) for row in rows]
     require_same_channels(study, aspect, [row.id for row in rows], series)
     return series
 
 
-def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect) -> FloatArray:
+def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect, other: str) -> FloatArray:
     """Time series that one scenario is compared by.
 
     Parameters
     ----------
     study : Study
-        Says who is the ego, and who the other.
+        Says who is the ego.
     scenario : int
         Id.
     recording : Recording
         Of the scenario.
     aspect : Aspect
         What is compared.
+    other : str
+        Whom the aspect looks at beside the ego; the same in all scenarios that are compared.
 
     Returns
     -------
@@ -147,7 +150,7 @@ def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect)
     for name in MOTION:
         getattr(recording, name).flags.writeable = False
     try:
-        given = aspect.series(recording, study.meta.ego, study.meta.other)
+        given = aspect.series(recording.with_absent([other]), study.meta.ego, other)
     except Exception as error:
         raise InputError(
             f"The aspect '{aspect.name}' fails for scenario {scenario} of {study.path}: {in_one_line(error)}."

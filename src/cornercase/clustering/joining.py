@@ -63,7 +63,7 @@ def join_kinds(study: Study, analysis: Analysis, other: Study, ids: Sequence[int
     earlier = analysis.fitted.tolist()
     series, times = [], []
     for one, scenarios in ((study, earlier), (other, list(ids))):
-        found, at = _read(one, analysis.by, scenarios)
+        found, at = _read(one, analysis.by, scenarios, study.main_other())
         require_same_channels(one, analysis.by, scenarios, found)
         series += found
         times += at
@@ -75,10 +75,10 @@ def join_kinds(study: Study, analysis: Analysis, other: Study, ids: Sequence[int
     return model.predict(distances[len(earlier) :, : len(earlier)])
 
 
-def _read(study: Study, by: str, ids: Sequence[int]) -> tuple[list[FloatArray], list[FloatArray]]:
+def _read(study: Study, by: str, ids: Sequence[int], main: str) -> tuple[list[FloatArray], list[FloatArray]]:
     times = [study.recording(one).time for one in ids]
     if by in study.meta.metrics:
         metric = METRICS.create(by)
         return [metric.capped(study.course(one, by)) for one in ids], times
     aspect = make_aspect(by)
-    return [series_in(study, one, study.recording(one), aspect) for one in ids], times
+    return [series_in(study, one, study.recording(one), aspect, main) for one in ids], times

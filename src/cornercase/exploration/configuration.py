@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase.drivers import Driver, is_driver
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
-from cornercase.metrics import METRICS, require_another
+from cornercase.metrics import EVERYBODY, METRICS, name_others
 from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import MOST_WORKERS
@@ -28,8 +28,10 @@ class Configuration:
     Attributes
     ----------
     logical : LogicalScenario
-    ego, other : str
-        Names of the entity under test and of the one that it is measured against.
+    ego : str
+        Name of the entity under test.
+    other : str or tuple of str
+        Whom it is measured against. A sequence of several names becomes a tuple, and ``"*"`` the names of all others.
     metrics : tuple of str
         All are stored; the first is searched where there are no weights.
     optimizer : str
@@ -74,7 +76,7 @@ class Configuration:
 
     logical: LogicalScenario
     ego: str
-    other: str
+    other: str | Sequence[str]
     metrics: tuple[str, ...]
     optimizer: str = "bayes"
     critical: float | None = None
@@ -99,9 +101,10 @@ class Configuration:
 
     def __post_init__(self) -> None:
         given = vars(self)
-        taken: dict[str, object] = {
-            name: text(name, given[name]) for name in ("ego", "other", "optimizer", "simulator")
-        }
+        taken: dict[str, object] = {name: text(name, given[name]) for name in ("ego", "optimizer", "simulator")}
+        everybody = self.logical.scenario.entities if EVERYBODY in texts("other", self.other) else ()
+        others = name_others(self.other, text("ego", self.ego), everybody)
+        taken["other"] = others[0] if len(others) == 1 else others
         taken |= {name: texts(name, given[name]) for name in ("metrics", "stop_when")}
         taken |= {
             name: whole_number(name, given[name], least)
@@ -128,6 +131,11 @@ class Configuration:
             object.__setattr__(self, name, value)
         self.criteria()
 
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Names of all entities that the ego is measured against."""
+        return (self.other,) if isinstance(self.other, str) else tuple(self.other)
+
     def require_entities(self) -> None:
         """Refuse an ego, other or driven entity that the scenario does not have.
 
@@ -136,8 +144,8 @@ class Configuration:
         InputError
         """
         self.logical.scenario.require_entity(self.ego, "ego")
-        self.logical.scenario.require_entity(self.other, "other")
-        require_another(self.ego, self.other)
+        for other in self.others:
+            self.logical.scenario.require_entity(other, "other")
         for entity in self.drivers:
             self.logical.scenario.require_entity(entity, "driven entity")
 
@@ -212,7 +220,7 @@ class Configuration:
             fingerprint=self.logical.fingerprint,
             space=self.logical.space,
             ego=self.ego,
-            other=self.other,
+            other=self.others[0] if len(self.others) == 1 else self.others,
             metrics=tuple(metric.name for metric in objective.metrics),
             optimizer=self.optimizer,
             simulator=self.simulator,

@@ -151,13 +151,13 @@ class ProbabilityEstimator:
                 [one.score(self._study.course(row.id, one.name)) for one in self._objective.metrics] for row in done
             ]
             scores[known] = self._objective.oriented(np.array(each))
-        ego, other = self._about.ego, self._about.other
+        ego, others = self._about.ego, self._about.others
         with self._clock("measure"):
             for k, row in zip(np.flatnonzero(known).tolist(), done, strict=True):
                 recording = self._study.recording(row.id)
-                collision[k] = recording.first_collision(ego, other) is not None
-                gap = self._clearance.score(self._clearance.course(recording, ego, other))
-                encounter[k] = gap <= self._within
+                collision[k] = any(recording.first_collision(ego, other) is not None for other in others)
+                gaps = [self._clearance.score(self._clearance.course(recording, ego, other)) for other in others]
+                encounter[k] = min(gaps) <= self._within
         return Outcomes(scores, scores <= self._threshold, collision, encounter)
 
     def _of(self, *stages: str) -> tuple[FloatArray, Outcomes]:

@@ -249,4 +249,4 @@ class ScenarioExplorer:
         """What happened in the scenarios of one round, of the recordings that are stored, shape (m, f)."""
         with self._clock("measure"):
             recordings = [self._study.recording(row.id) if row.id in by_scenario else None for row in rows]
-            return features_of(recordings, self._configuration.ego, self._configuration.other)
+            return features_of(recordings, self._configuration.ego, self._configuration.others)

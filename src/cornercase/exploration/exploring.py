@@ -26,7 +26,7 @@ def explore(
     study: Path | str,
     *,
     ego: str,
-    other: str,
+    other: str | Sequence[str],
     metrics: Sequence[str],
     space: Path | str | None = None,
     ranges: Sequence[str] = (),
@@ -64,8 +64,11 @@ def explore(
         OpenSCENARIO file; None for the one that `space` names.
     study : path
         Study to write or go on with.
-    ego, other : str
-        Names of the entity under test and of the one that it is measured against.
+    ego : str
+        Name of the entity under test.
+    other : str or sequence of str
+        Whom it is measured against; of several the one counts to whom it is most critical. ``"*"`` stands for all
+        others.
     metrics : sequence of str
         Criticality metrics; all are stored, the first is searched where there are no weights.
     space : path, optional

@@ -124,7 +124,7 @@ def critical_set_of(
     happened = None
     if learns_from_features(meta.optimizer):
         recordings = (study.recording(row.id) for row in rows if row.state == "done")
-        happened = known_features(), features_of(recordings, meta.ego, meta.other)
+        happened = known_features(), features_of(recordings, meta.ego, meta.others)
     return CriticalSet(
         study.space,
         points[~audits],

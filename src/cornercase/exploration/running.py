@@ -103,19 +103,19 @@ class ScenarioRunner:
                 outcomes = [next(results) for _ in range(about.repeats)]
             with self._clock("measure"):
                 runs = [
-                    (one, measured(self._objective.metrics, one, about.ego, about.other))
+                    (one, measured(self._objective.metrics, one, about.ego, about.others))
                     for one in outcomes
                     if not isinstance(one, SimulationError)
                 ]
             if not runs:
                 self._study.fail(row.id, next(one for one in outcomes if isinstance(one, SimulationError)))
                 continue
-            scores = self._objective.oriented(np.array([[score for _, score in one.values()] for _, one in runs]))
+            scores = self._objective.oriented(np.array([[each.score for each in one.values()] for _, one in runs]))
             middle = _middle(scores)
             recording, courses = runs[middle]
             repeats = None
             if about.repeats > 1:
-                repeats = {name: [one[name][1] for _, one in runs] for name in courses}
+                repeats = {name: [one[name].score for _, one in runs] for name in courses}
             with self._clock("store"):
                 self._study.finish(row.id, recording, courses, repeats)
             yield row.id, scores[middle]

@@ -29,10 +29,14 @@ from .gap_time import GapTime as GapTime
 from .gap_time import SquaredGapTime as SquaredGapTime
 from .lateral import LateralAcceleration as LateralAcceleration
 from .lateral import Stn as Stn
+from .measuring import Measured as Measured
 from .measuring import Measurement as Measurement
 from .measuring import measure as measure
 from .measuring import measured as measured
-from .measuring import require_another as require_another
+from .others import EVERYBODY as EVERYBODY
+from .others import name_others as name_others
+from .others import nearest_other as nearest_other
+from .others import others_there as others_there
 from .pet import EncroachmentTime as EncroachmentTime
 from .pet import Pet as Pet
 from .registry import METRICS as METRICS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
 from cornercase._common.typing import FloatArray
 from cornercase.metrics._parts.meeting import FAR, Meeting
+from cornercase.metrics.others import nearest_other
 from cornercase.recordings import Recording
 
 _TURNS: Final = 1e-3
@@ -220,15 +221,18 @@ def known_features() -> tuple[Feature, ...]:
     return tuple(feature for group in _groups() for feature in group.features)
 
 
-def features_of(recordings: Iterable[Recording | None], ego: str, other: str) -> FloatArray:
+def features_of(recordings: Iterable[Recording | None], ego: str, other: str | Sequence[str]) -> FloatArray:
     """Compute what happened in recordings.
 
     Parameters
     ----------
     recordings : iterable of Recording or None
         None for a scenario that failed.
-    ego, other : str
-        Names of two entities.
+    ego : str
+        Name of an entity.
+    other : str or sequence of str
+        Names of one or several others. Of several, the features are of the one that the ego collides with first in a
+        recording, else of the one whose box comes nearest to the ego's.
 
     Returns
     -------
@@ -242,7 +246,7 @@ def features_of(recordings: Iterable[Recording | None], ego: str, other: str) ->
     """
     groups = _groups()
     count = sum(len(group.features) for group in groups)
-    rows = [np.full(count, np.nan) if one is None else _row(groups, Meeting(one, ego, other)) for one in recordings]
+    rows = [np.full(count, np.nan) if one is None else _row(groups, one, ego, other) for one in recordings]
     return np.array(rows).reshape(len(rows), count)
 
 
@@ -250,7 +254,8 @@ def _groups() -> list[FeatureGroup]:
     return [FEATURES.create(name) for name in FEATURES.names()]
 
 
-def _row(groups: list[FeatureGroup], meeting: Meeting) -> FloatArray:
+def _row(groups: list[FeatureGroup], recording: Recording, ego: str, other: str | Sequence[str]) -> FloatArray:
+    meeting = Meeting(recording, ego, nearest_other(recording, ego, other))
     return np.concatenate([_checked(group, meeting) for group in groups])
 
 

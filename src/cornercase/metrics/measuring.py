@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from cornercase._common.arguments import path, texts
-from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
+from cornercase.metrics.others import name_others, others_there
 from cornercase.metrics.registry import METRICS
 from cornercase.metrics.severity import velocity_change
 from cornercase.recordings import Recording, read_recording
@@ -33,6 +35,8 @@ class Measurement:
     units : mapping of str to str
         Of courses and scores; ``"1"`` for none.
     lower_is_critical : mapping of str to bool
+    against : mapping of str to (str or None)
+        Of several others the one that each score is against, as in `Measured`; empty where there is one.
     """
 
     time: FloatArray
@@ -40,18 +44,30 @@ class Measurement:
     scores: Mapping[str, float]
     units: Mapping[str, str]
     lower_is_critical: Mapping[str, bool]
+    against: Mapping[str, str | None] = field(default_factory=dict)
 
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """Say the score of each metric: its name, the score, the unit, and whether low or high is critical.
+    def head(self) -> tuple[str, ...]:
+        """Say what `rows` has in its columns.
 
         Returns
         -------
-        list of tuple of four str
+        tuple of str
         """
-        return [
+        return ("metric", "score", "unit", "critical is", *(["against"] if self.against else []))
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Say the score of each metric, with its unit, whether low or high is critical, and of several others whom.
+
+        Returns
+        -------
+        list of tuple of str
+            As `head` says.
+        """
+        plain = [
             (name, f"{score:.4g}", self.units[name], "low" if self.lower_is_critical[name] else "high")
             for name, score in self.scores.items()
         ]
+        return [(*row, self.against[row[0]] or "–") for row in plain] if self.against else list(plain)
 
     def table(self) -> pd.DataFrame:
         """Courses as a table.
@@ -66,13 +82,13 @@ class Measurement:
         return pd.DataFrame(dict(self.courses), index=pd.Index(self.time, name="time"))
 
     def __repr__(self) -> str:
-        rows = [("metric", "score", "unit", "critical is"), *self.rows()]
+        rows = [self.head(), *self.rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
 def measure(
-    recording: Recording | Path | str, ego: str, other: str, metrics: Sequence[str] | None = None
+    recording: Recording | Path | str, ego: str, other: str | Sequence[str], metrics: Sequence[str] | None = None
 ) -> Measurement:
     """Measure how critical a recording is.
 
@@ -80,8 +96,11 @@ def measure(
     ----------
     recording : Recording or path
         A path of whatever `read_recording` reads.
-    ego, other : str
-        Names of the entity under test and of the one that it is measured against.
+    ego : str
+        Name of the entity under test.
+    other : str or sequence of str
+        Whom it is measured against; of several the one counts to whom it is most critical, metric by metric. ``"*"``
+        stands for all others.
     metrics : sequence of str, optional
         Options stand behind a colon, as in ``"ttc:accelerating=true"``; by default all metrics.
 
@@ -111,51 +130,62 @@ def measure(
     ttc     1.4    s     low
     drac    3.571  m/s²  high
     """
-    require_another(ego, other)
     read = recording if isinstance(recording, Recording) else read_recording(path("recording", recording))
+    read.index(ego)
+    others = name_others(other, ego, read.names)
+    for one in others:
+        read.index(one)
     names = METRICS.names() if metrics is None else texts("metrics", metrics)
     made = [METRICS.create(name) for name in dict.fromkeys(names)]
-    found = measured(made, read, ego, other)
+    found = measured(made, read, ego, others)
     return Measurement(
         time=read.time,
-        courses={name: course for name, (course, _) in found.items()},
-        scores={name: score for name, (_, score) in found.items()},
+        courses={name: one.course for name, one in found.items()},
+        scores={name: one.score for name, one in found.items()},
         units={metric.name: metric.unit for metric in made},
         lower_is_critical={metric.name: metric.lower_is_critical for metric in made},
+        against={name: one.against for name, one in found.items()} if len(others) > 1 else {},
     )
 
 
-def require_another(ego: str, other: str) -> None:
-    """Refuse to measure an entity against itself.
+class Measured(NamedTuple):
+    """What a metric says of a recording.
 
-    Parameters
+    Attributes
     ----------
-    ego, other : str
-
-    Raises
-    ------
-    InputError
-        They are the same.
+    course : ndarray of float64, shape (T,)
+        With several others, at each instant the most critical of the values against each; NaN where it is defined
+        against none of them.
+    score : float
+        With several others the most critical of the scores against each.
+    against : str or None
+        Of several others the one whose score that is, of equal ones the first. None where there is one other only,
+        where the score is the metric's cap, and where course and score are the same against all, as of a metric that
+        does not look at the other.
     """
-    if ego == other:
-        raise InputError(f"`other` {other}: is the ego itself; name the entity that it meets.")
+
+    course: FloatArray
+    score: float
+    against: str | None = None
 
 
 def measured(
-    metrics: Iterable[Metric], recording: Recording, ego: str, other: str
-) -> dict[str, tuple[FloatArray, float]]:
+    metrics: Iterable[Metric], recording: Recording, ego: str, other: str | Sequence[str]
+) -> dict[str, Measured]:
     """Measure a recording.
 
     Parameters
     ----------
     metrics : iterable of Metric
     recording : Recording
-    ego, other : str
-        Names of two entities.
+    ego : str
+        Name of an entity.
+    other : str or sequence of str
+        Names of one or several others. Of several, one that is never there counts as nothing.
 
     Returns
     -------
-    dict of str to (ndarray of float64, shape (T,), float)
+    dict of str to Measured
         Course and score by the metric's name; the score of a recording in which both touch as of
         `Metric.score_of_contact`.
 
@@ -164,14 +194,38 @@ def measured(
     InputError
         There is no entity of that name.
     """
-    courses = {}
-    asked: list[float | None] = []
+    named = (other,) if isinstance(other, str) else tuple(other)
+    others = others_there(recording, named)
+    # Once for all metrics.
+    changes: dict[str, float | None] = {}
+    found = {}
     for metric in metrics:
-        course = metric.course(recording, ego, other)
-        score = metric.score(course)
-        if metric.contact is not None:
-            # Once for all metrics.
-            asked = asked or [velocity_change(recording, ego, other)]
-            score = score if asked[0] is None else metric.score_of_contact(score, asked[0])
-        courses[metric.name] = (course, score)
-    return courses
+        each = [_measured_against(metric, recording, ego, one, changes) for one in others]
+        found[metric.name] = each[0] if len(named) == 1 else _worst(metric, others, each)
+    return found
+
+
+def _measured_against(
+    metric: Metric, recording: Recording, ego: str, other: str, changes: dict[str, float | None]
+) -> Measured:
+    course = metric.course(recording, ego, other)
+    score = metric.score(course)
+    if metric.contact is not None:
+        if other not in changes:
+            changes[other] = velocity_change(recording, ego, other)
+        change = changes[other]
+        score = score if change is None else metric.score_of_contact(score, change)
+    return Measured(course, score)
+
+
+def _worst(metric: Metric, others: Sequence[str], each: Sequence[Measured]) -> Measured:
+    """Put together what a metric says against each of several others, of which one is there at least."""
+    courses = metric.oriented(np.stack([np.asarray(one.course, dtype=np.float64) for one in each]))
+    scores = [metric.oriented(one.score) for one in each]
+    k = scores.index(min(scores))
+    alike = len(each) > 1 and all(
+        score == scores[0] and np.array_equal(course, courses[0], equal_nan=True)
+        for score, course in zip(scores, courses, strict=True)
+    )
+    decides = scores[k] < metric.oriented(metric.cap) and not alike
+    return Measured(metric.oriented(np.fmin.reduce(courses)), each[k].score, others[k] if decides else None)

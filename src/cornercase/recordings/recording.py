@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from html import escape
 from operator import attrgetter
 from pathlib import Path
@@ -180,6 +181,31 @@ class Recording:
         """
         found = (each for each in self.collisions if set(each.entities) == {one, other})
         return min(found, key=attrgetter("time"), default=None)
+
+    def with_absent(self, names: Iterable[str]) -> Recording:
+        """Add entities that are never there.
+
+        Parameters
+        ----------
+        names : iterable of str
+            Those that the recording has already stay as they are.
+
+        Returns
+        -------
+        Recording
+            The same one where it has them all.
+        """
+        missing = tuple(dict.fromkeys(name for name in names if name not in self.names))
+        if not missing:
+            return self
+        nowhere = np.full((len(missing), len(self.time)), np.nan)
+        return replace(
+            self,
+            names=self.names + missing,
+            kinds=self.kinds + ("misc",) * len(missing),
+            **{name: np.concatenate((getattr(self, name), nowhere)) for name in MOTION},
+            **{name: np.concatenate((getattr(self, name), np.zeros(len(missing)))) for name in BOX},
+        )
 
     def table(self) -> pandas.DataFrame:
         """Return the recording as a table.

@@ -61,7 +61,7 @@ def make_manifest(
         "simulator": meta.simulator,
         "settings": dict(meta.settings),
         "ego": meta.ego,
-        "other": meta.other,
+        "other": meta.other if isinstance(meta.other, str) else list(meta.other),
         "metrics": list(meta.metrics),
         "critical threshold": meta.critical,
         "space": meta.space.to_json(),

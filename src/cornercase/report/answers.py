@@ -15,9 +15,11 @@ from cornercase.report.knowledge import CriticalKnowledge
 from cornercase.report.words import (
     find_reasons,
     percent,
+    tell_beside,
     tell_compared,
     tell_criterion,
     tell_front,
+    tell_roles,
     tell_unforetold,
     with_signs,
     with_unit,
@@ -119,7 +121,7 @@ def tell_about(data: ReportData) -> str:
         Sentences.
     """
     summary, meta = data.summary, data.summary.meta
-    said = [f"{meta.ego} is the ego, {meta.other} the other."]
+    said = [tell_roles(meta)]
     if meta.simulator == IMPORTED:
         said.append(f"{_scenarios(summary.run)} imported, measured by {', '.join(meta.metrics)}.")
     elif meta.suite:
@@ -127,6 +129,8 @@ def tell_about(data: ReportData) -> str:
     else:
         searched = f"{'the ' if meta.pareto else ''}{summary.searched}"
         said.append(f"{_scenarios(summary.run)} run, searched by {meta.optimizer} for {searched}.")
+    if beside := tell_beside(summary):
+        said.append(beside)
     if summary.pending:
         said.append(f"{_scenarios(summary.pending)} not run yet.")
     return plain_text(" ".join(said))

@@ -72,6 +72,7 @@ def scenario_part(data: ReportData) -> dict[str, Any]:
     kept = set() if data.summary.reduced is None else set(data.summary.reduced.ids)
     outcomes = data.outcomes
     named = sorted(set(outcomes.values()))
+    against = [[data.against[one.name].get(row.id) for one in data.metrics] for row in data.rows if data.against]
     return {
         "outcomes": named,
         "scenarios": {
@@ -81,14 +82,36 @@ def scenario_part(data: ReportData) -> dict[str, Any]:
             "values": plain_values(data.parameters, rows),
             "scores": {name: of_done([plain_score(one) for one in scores]) for name, scores in data.scores.items()},
             "critical": of_done(data.critical.astype(int).tolist(), 0),
-            "collides": of_done([int(row.id in data.collided) for row in data.rows], 0),
+            "collides": of_done([int(not data.touched[row.id].isdisjoint(meta.others)) for row in data.rows], 0),
             "outcome": [named.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
             "kept": [int(row.id in kept) for row in rows],
             "audit": [int(meta.is_audit(row.id)) for row in rows],
-        },
+        }
+        | tell_against(meta, of_done(against) if against else []),
         "errors": {str(row.id): row.error or "" for row in data.failed},
         "courses": {name: _courses(data, name, rows) for name in data.scores},
     }
+
+
+def tell_against(meta: StudyMeta, whom: Sequence[Sequence[str | None] | None]) -> dict[str, Any]:
+    """Give the column that says whom scores are against, where there are several others.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        What the study is about.
+    whom : sequence of (sequence of (str or None) or None)
+        Of each scenario, by metric; None of one that failed.
+
+    Returns
+    -------
+    dict of str to list
+        ``against``, with the number of the other in ``other``; empty where there is one.
+    """
+    if len(meta.others) == 1:
+        return {}
+    place = {name: k for k, name in enumerate(meta.others)}
+    return {"against": [None if one is None else [place.get(name or "") for name in one] for one in whom]}
 
 
 def knowledge_part(data: ReportData) -> dict[str, Any]:
@@ -148,7 +171,7 @@ def tell_subject(meta: StudyMeta, study: str) -> dict[str, Any]:
         "title": meta.title,
         "study": study,
         "ego": meta.ego,
-        "other": meta.other,
+        "other": meta.other if isinstance(meta.other, str) else list(meta.other),
         "searched": Objective.of_study(meta).text,
         "parameters": [
             {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}

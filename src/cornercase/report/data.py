@@ -15,7 +15,7 @@ from cornercase.recordings import Recording
 from cornercase.reduction import Gaps, measure_gaps
 from cornercase.report.knowledge import MissedAfter, find_missed
 from cornercase.report.roads import recorded_region
-from cornercase.report.summary import Summary, summarize_with
+from cornercase.report.summary import Summary, summarize_with, touched_by_ego
 from cornercase.roads import Region
 from cornercase.scenario import Parameter
 from cornercase.study import Row, Study
@@ -36,12 +36,16 @@ class ReportData:
     metrics : tuple of Metric
     scores : mapping of str to ndarray of float64, shape (n,)
         By metric.
+    other : str
+        Of several others the one that kinds are told of.
+    against : mapping of str to mapping of int to (str or None)
+        By metric and id, whom of several others a score is against; empty where there is one.
     times : mapping of int to ndarray of float64, shape (T,)
         Instants of each recording by id, in s.
     courses : mapping of str to mapping of int to ndarray of float32, shape (T,)
         Capped courses by metric and id.
-    collided : frozenset of int
-        Ids of the scenarios in which the ego and the other collide.
+    touched : mapping of int to frozenset of str
+        By id, whom the ego collides with.
     examples : mapping of int to Recording
         Of the examples of the kinds, by id.
     values : ndarray of float64, shape (n, d)
@@ -70,9 +74,11 @@ class ReportData:
     failed: tuple[Row, ...]
     metrics: tuple[Metric, ...]
     scores: Mapping[str, FloatArray]
+    other: str
+    against: Mapping[str, Mapping[int, str | None]]
     times: Mapping[int, FloatArray]
     courses: Mapping[str, Mapping[int, Float32Array]]
-    collided: frozenset[int]
+    touched: Mapping[int, frozenset[str]]
     examples: Mapping[int, Recording]
     values: FloatArray
     influential: tuple[int, ...]
@@ -142,7 +148,7 @@ def read_report_data(study: Study) -> ReportData:
     times: dict[int, FloatArray] = {}
     known: dict[bytes, FloatArray] = {}
     courses: dict[str, dict[int, Float32Array]] = {one.name: {} for one in metrics}
-    collided: list[int] = []
+    touched: dict[int, frozenset[str]] = {}
     region: Region | None = None
     # One recording after the other: all of a large study would not fit into memory.
     for scenario, recording, each in study.recorded():
@@ -150,10 +156,9 @@ def read_report_data(study: Study) -> ReportData:
         times[scenario] = known.setdefault(recording.time.tobytes(), recording.time)
         for one in metrics:
             courses[one.name][scenario] = one.capped(each[one.name]).astype(np.float32)
-        if recording.first_collision(study.meta.ego, study.meta.other) is not None:
-            collided.append(scenario)
+        touched[scenario] = touched_by_ego(study.meta, recording)
         region = _joined(region, recorded_region([recording]))
-    summary = summarize_with(study, len(collided))
+    summary = summarize_with(study, list(touched.values()))
     return ReportData(
         study=study.path.name,
         summary=summary,
@@ -161,9 +166,11 @@ def read_report_data(study: Study) -> ReportData:
         failed=tuple(study.failed()),
         metrics=metrics,
         scores=scores,
+        other=study.main_other(),
+        against={name: study.against(name) for name in scores if len(study.meta.others) > 1},
         times=times,
         courses=courses,
-        collided=frozenset(collided),
+        touched=touched,
         examples=_examples(study, summary.analyses),
         values=values,
         influential=_influential(values, scores[metrics[0].name]),
@@ -185,7 +192,11 @@ def _joined(one: Region | None, two: Region | None) -> Region | None:
 
 def _examples(study: Study, analyses: Mapping[str, Analysis]) -> dict[int, Recording]:
     ids = {profile.example for one in analyses.values() for profile in one.profiles}
-    return {scenario: study.recording(scenario) for scenario in sorted(one for one in ids if one is not None)}
+    other = study.main_other()
+    return {
+        scenario: study.recording(scenario).with_absent([other])
+        for scenario in sorted(one for one in ids if one is not None)
+    }
 
 
 def _influential(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:

@@ -77,11 +77,12 @@ def _draw_kinds(data: ReportData, analysis: Analysis) -> Iterator[Drawing]:
     names = {one.cluster: name_kind(one) for one in analysis.profiles if one.name}
     drawn = [one for one in analysis.profiles if one.name and one.example is not None][:MOST_EXAMPLES]
     if drawn:
-        meta = data.summary.meta
         recordings = {name_kind(one): data.examples[one.example] for one in drawn if one.example is not None}
         left_out = sum(bool(one.name) for one in analysis.profiles) - len(drawn)
         yield Drawing(
-            f"examples-{name}", draw_examples(recordings, meta.ego, meta.other), captions.of_examples(left_out)
+            f"examples-{name}",
+            draw_examples(recordings, data.summary.meta.ego, data.other),
+            captions.of_examples(left_out),
         )
     yield Drawing(
         f"clusters-{name}",

@@ -18,6 +18,7 @@ from cornercase.report.words import (
     name_criterion,
     name_joining,
     name_range,
+    tell_beside,
     tell_unforetold,
 )
 
@@ -68,7 +69,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
     plain: dict[str, Any] = {
         "scenario": meta.scenario,
         "ego": meta.ego,
-        "other": meta.other,
+        "other": meta.other if isinstance(meta.other, str) else list(meta.other),
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
@@ -77,6 +78,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "failed": summary.failed,
         "pending": summary.pending,
         "collisions": summary.collisions,
+        **_beside(summary),
         "metrics": {name: _metric(one, meta.repeats) for name, one in summary.metrics.items()},
         "clusters": {name: _clusters(one, summary.run) for name, one in summary.analyses.items()},
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
@@ -96,6 +98,12 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
     return plain | (_reduced(summary.reduced) if summary.reduced is not None else {})
 
 
+def _beside(summary: Summary) -> dict[str, Any]:
+    if not summary.beside:
+        return {}
+    return {"collisions not measured against": dict(summary.beside), "note": tell_beside(summary)}
+
+
 def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
     plain: dict[str, Any] = {
         "unit": one.unit,
@@ -104,6 +112,8 @@ def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
         "median": one.median,
         "at": dict(one.at),
     }
+    if one.counts:
+        plain |= {"against": one.against, "scenarios against": dict(one.counts)}
     if one.spread is not None:
         plain |= {
             "runs of each": repeats,

@@ -82,7 +82,9 @@ def _ranges(meta: StudyMeta) -> Iterator[str]:
 
 
 def _measured(meta: StudyMeta) -> Iterator[str]:
-    yield from ("--ego", meta.ego, "--other", meta.other)
+    yield from ("--ego", meta.ego)
+    for other in meta.others:
+        yield from ("--other", other)
     for name in meta.metrics:
         yield from ("--metric", name)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
 from cornercase.exploration import Objective, tell_alike
 from cornercase.metrics import METRICS
+from cornercase.recordings import Recording
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.report.knowledge import Knowledge, find_knowledge
 from cornercase.scenario import Value
@@ -38,6 +40,11 @@ class MetricSummary:
         was run once.
     alike : str
         What there is to say where the scores of all scenarios are the same, else empty.
+    against : str or None
+        Of several others the one that the most critical score is against; None where there is one, or where the score
+        is not of one rather than of another.
+    counts : mapping of str to int
+        Of several others, how many scores are against each; empty where there is one.
     """
 
     name: str
@@ -49,6 +56,8 @@ class MetricSummary:
     at: Mapping[str, Value]
     spread: tuple[float, float] | None
     alike: str = ""
+    against: str | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,7 +73,9 @@ class Summary:
     run, failed, pending : int
         Number of scenarios.
     collisions : int
-        Number of scenarios in which the ego and the other entity collide.
+        Number of scenarios in which the ego collides with whom it is measured against.
+    beside : mapping of str to int
+        By entity that the ego is not measured against, the number of scenarios in which both collide.
     metrics : mapping of str to MetricSummary
         Empty before a scenario was run.
     analyses : mapping of str to Analysis
@@ -87,6 +98,7 @@ class Summary:
     failed: int
     pending: int
     collisions: int
+    beside: Mapping[str, int]
     metrics: Mapping[str, MetricSummary]
     analyses: Mapping[str, Analysis]
     agreements: Mapping[tuple[str, str], Agreement]
@@ -131,21 +143,38 @@ def summarize(study: Study | Path | str) -> Summary:
     cornercase.write_report : The same with figures, for a person.
     """
     with open_study(study, readonly=True) as opened:
-        meta = opened.meta
-        recordings = (opened.recording(row.id) for row in opened.done())
-        hits = [one.first_collision(meta.ego, meta.other) for one in recordings]
-        return summarize_with(opened, sum(hit is not None for hit in hits))
+        touched = [touched_by_ego(opened.meta, opened.recording(row.id)) for row in opened.done()]
+        return summarize_with(opened, touched)
 
 
-def summarize_with(study: Study, collisions: int) -> Summary:
+def touched_by_ego(meta: StudyMeta, recording: Recording) -> frozenset[str]:
+    """Find everybody whom the ego collides with in a recording.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        Says who the ego is.
+    recording : Recording
+        Of a scenario.
+
+    Returns
+    -------
+    frozenset of str
+        Their names.
+    """
+    hits = (one.entities for one in recording.collisions if meta.ego in one.entities)
+    return frozenset(name for pair in hits for name in pair if name != meta.ego)
+
+
+def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
     """Say what was run in a study whose recordings have been read; as `summarize`.
 
     Parameters
     ----------
     study : Study
         Open.
-    collisions : int
-        Number of scenarios in which the ego and the other collide.
+    touched : sequence of frozenset of str
+        Of each scenario that was run whom the ego collides with.
 
     Returns
     -------
@@ -153,6 +182,7 @@ def summarize_with(study: Study, collisions: int) -> Summary:
         Typed values.
     """
     states = [row.state for row in study.rows()]
+    others = frozenset(study.meta.others)
     names, alike = study.meta.metrics, tell_alike(study)
     return Summary(
         meta=study.meta,
@@ -160,7 +190,8 @@ def summarize_with(study: Study, collisions: int) -> Summary:
         run=states.count("done"),
         failed=states.count("failed"),
         pending=states.count("pending"),
-        collisions=collisions,
+        collisions=sum(not one.isdisjoint(others) for one in touched),
+        beside={name: sum(name in one for one in touched) for name in sorted(frozenset().union(*touched) - others)},
         metrics={name: _of_metric(study, name, alike.get(name, "")) for name in names} if "done" in states else {},
         analyses=read_analyses(study),
         agreements=compare_clusterings(study),
@@ -188,6 +219,8 @@ def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
     worst = int(metric.oriented(scores).argmin())
     row = study.done()[worst]
     between = study.spread(name)
+    against = study.against(name)
+    counts = Counter(one for one in against.values() if one is not None)
     width = None if between is None else between[:, 1] - between[:, 0]
     return MetricSummary(
         name=name,
@@ -199,4 +232,6 @@ def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
         at=row.values,
         spread=None if width is None else (float(np.median(width)), float(width.max())),
         alike=alike,
+        against=against.get(row.id),
+        counts={one: counts[one] for one in study.meta.others} if against else {},
     )

@@ -10,8 +10,9 @@ from cornercase._common.texts import first_line
 from cornercase.clustering import ASPECTS, Analysis, Profile
 from cornercase.metrics import METRICS
 from cornercase.report.knowledge import CriticalKnowledge
+from cornercase.report.summary import Summary
 from cornercase.scenario import Parameter, Value
-from cornercase.study import Row
+from cornercase.study import Row, StudyMeta
 
 NOISE_NAME: Final = "noise"
 _MOST_NAMED: Final = 12
@@ -53,6 +54,50 @@ def name_kind(profile: Profile) -> str:
         ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``; without a name as `name_cluster`.
     """
     return ": ".join(filter(None, (name_cluster(profile.cluster), profile.label)))
+
+
+def tell_roles(meta: StudyMeta) -> str:
+    """Say who is the ego, and whom it is measured against.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        What the study is about.
+
+    Returns
+    -------
+    str
+        A sentence.
+    """
+    others = meta.others
+    if len(others) == 1:
+        return f"{meta.ego} is the ego, {others[0]} the other."
+    return (
+        f"{meta.ego} is the ego, measured against {', '.join(others[:-1])} and {others[-1]}: the most critical counts."
+    )
+
+
+def tell_beside(summary: Summary) -> str:
+    """Say in how many scenarios the ego touches somebody whom it is not measured against.
+
+    Parameters
+    ----------
+    summary : Summary
+        Of the study.
+
+    Returns
+    -------
+    str
+        A sentence; empty where there is none.
+    """
+    counts = [f"{name} in {count}" for name, count in summary.beside.items()]
+    if not counts:
+        return ""
+    whom = " and ".join(filter(None, (", ".join(counts[:-1]), counts[-1])))
+    return (
+        f"{summary.meta.ego} touches {whom} of {summary.run} scenarios, and is not measured against"
+        f" {'it' if len(counts) == 1 else 'them'}: --other can be given several times."
+    )
 
 
 def tell_compared(by: str) -> str:

@@ -58,7 +58,7 @@ class StudyContents(ScenarioContents):
     def __repr__(self) -> str:
         meta, counts = self.meta, self._counts()
         return (
-            f"<Study {str(self.path)!r}: {meta.title}, {meta.ego} and {meta.other}, by"
+            f"<Study {str(self.path)!r}: {meta.title}, {meta.ego} and {', '.join(meta.others)}, by"
             f" {', '.join(meta.metrics)}; {counts.get('done', 0)} scenarios run, {counts.get('failed', 0)} failed,"
             f" {counts.get('pending', 0)} pending>"
         )
@@ -172,7 +172,8 @@ class StudyContents(ScenarioContents):
             A row for each scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
             ``audit`` where there are audits; a column for each parameter; for each metric one of the score, and
             ``lowest …`` and ``highest …`` of its runs where each scenario was run several times, and ``critical runs``
-            as in `critical_runs`; ``cluster by …`` for each aspect that the study was analysed by, -1 for noise;
+            as in `critical_runs`; of several others ``other by …`` for each metric, whom the score is against;
+            ``cluster by …`` for each aspect that the study was analysed by, -1 for noise;
             ``outcome`` once it was analysed; ``note`` where there are notes; ``error``. Empty where there is no value.
             A parameter that is called like another column is found as ``parameter …``.
         """
@@ -196,7 +197,10 @@ class StudyContents(ScenarioContents):
                     whole = all(one.ndim == 1 and one.dtype.kind == "i" and len(one) == len(each[0]) for one in each)
                     require(whole and set(each[0].tolist()) <= ids, f"its clusters by {name} are of other scenarios")
                 audits = [self.meta.is_audit(row.id) for row in rows] if self.meta.audit else None
-                return scenario_table(rows, self.space, scores, clusters, self.outcomes(), audits, self.notes())
+                against = {name: self.against(name) for name in self.meta.metrics if len(self.meta.others) > 1}
+                return scenario_table(
+                    rows, self.space, scores, clusters, self.outcomes(), audits, self.notes(), against
+                )
 
     def export(self, folder: Path | str, parquet: bool = False) -> None:
         """Write everything as CSV: one table of scenarios, and recording and courses of each.

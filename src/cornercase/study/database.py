@@ -50,7 +50,7 @@ class Database:
         self._forced = -math.inf
 
     @classmethod
-    def create(cls, path: Path, meta: Iterable[tuple[str, str]]) -> Database:
+    def create(cls, path: Path, meta: Iterable[tuple[str, str]], *more: str) -> Database:
         """Make a file, and open it for writing.
 
         Parameters
@@ -58,6 +58,8 @@ class Database:
         path : Path
         meta : iterable of (str, str)
             Keys and values of the table ``meta``.
+        *more : str
+            Statements that make further tables.
 
         Returns
         -------
@@ -77,6 +79,8 @@ class Database:
             # The file appears under its name only when it is whole.
             with written_whole(path) as temporary, _sentences(path), closing(sqlite3.connect(temporary)) as connection:
                 connection.executescript(SCHEMA)
+                for statement in more:
+                    connection.execute(statement)
                 connection.execute(f"PRAGMA application_id = {_APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
                 connection.executemany("INSERT INTO meta VALUES (?, ?)", meta)

@@ -8,6 +8,7 @@ import io
 import math
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -16,10 +17,10 @@ from rich.console import Console
 from rich.progress import track
 
 from cornercase._common import arguments
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError, SimulationError, suggestion
 from cornercase._common.files import read_file
 from cornercase._common.texts import text_of_cell
-from cornercase.metrics import METRICS, Metric, measured, require_another
+from cornercase.metrics import EVERYBODY, METRICS, Metric, measured, name_others
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study.meta import StudyMeta
@@ -65,7 +66,7 @@ def import_recordings(
     study: Path | str,
     *,
     ego: str,
-    other: str,
+    other: str | Sequence[str],
     metrics: Sequence[str],
     table: Path | str | None = None,
     critical: float | None = None,
@@ -79,8 +80,11 @@ def import_recordings(
         With the recordings, of any kind that `cornercase.recordings.read_recording` reads.
     study : path
         Study to write.
-    ego, other : str
-        Names in the recordings.
+    ego : str
+        Name of the entity under test.
+    other : str or sequence of str
+        Whom it is measured against; of several the one counts to whom it is most critical. ``"*"`` stands for all
+        others. Of several, one that a recording does not have counts as nothing in it.
     metrics : sequence of str
         The first is the one that counts.
     table : path, optional
@@ -103,7 +107,7 @@ def import_recordings(
     folder, path = arguments.path("folder", folder), arguments.path("study", study)
     table = folder / TABLE if table is None else arguments.path("table", table)
     files, values = _read_table(folder, table)
-    require_another(ego, other)
+    others = _others(other, ego, [folder / file for file in files])
     built = [METRICS.create(name) for name in dict.fromkeys(arguments.texts("metrics", metrics))]
     if not built:
         raise InputError("`metrics`: there is none; name one at least.")
@@ -113,7 +117,7 @@ def import_recordings(
         fingerprint=_fingerprint(table, folder, files),
         space=_space(values),
         ego=ego,
-        other=other,
+        other=others[0] if len(others) == 1 else others,
         metrics=tuple(metric.name for metric in built),
         optimizer="none",
         simulator=IMPORTED,
@@ -125,7 +129,7 @@ def import_recordings(
     )
     if not path.exists():
         # A study of a name that is misspelt would have to be removed before the right one can be made.
-        _require_measurable([folder / file for file in files], built, ego, other)
+        _require_measurable([folder / file for file in files], built, ego, others)
     with Study.open(path) if path.exists() else Study.create(path, meta) as opened:
         # The table may lie elsewhere now; the fingerprint tells whether it is the same.
         opened.continue_with(replace(meta, settings=opened.meta.settings))
@@ -140,12 +144,31 @@ def import_recordings(
         return ImportResult(path, len(opened.done()), len(failed), failed[0].error or "" if failed else "")
 
 
-def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: str, other: str) -> None:
+def _others(other: object, ego: str, files: Sequence[Path]) -> tuple[str, ...]:
+    """Names of the others; the recordings are read where all are meant."""
+    given = name_others(other, ego, (EVERYBODY,))
+    if len(given) == 1 and EVERYBODY not in given:
+        return given
+    known: dict[str, None] = {}
+    for file in files:
+        # A recording that cannot be read is told of as a scenario that failed.
+        with suppress(InputError):
+            known |= dict.fromkeys(read_recording(file).names)
+        if set(given) <= set(known):
+            break
+    # One that is in none of them is misspelt; one that is only in some is never there in the others.
+    for name in given:
+        if name != EVERYBODY and name not in known:
+            raise InputError(f"`other` {name}: none of the recordings has it; {suggestion(name, list(known))}")
+    return name_others(other, ego, list(known))
+
+
+def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: str, others: Sequence[str]) -> None:
     """Refuse recordings none of which can be read and measured; one that can ends the search."""
     reasons = []
     for file in files:
         try:
-            measured(metrics, read_recording(file), ego, other)
+            measured(metrics, read_recording(file), ego, others)
         except InputError as error:
             reasons.append(_said_of(file, error))
         else:
@@ -161,7 +184,7 @@ def _said_of(file: Path, error: InputError) -> str:
 def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> None:
     try:
         recording = read_recording(file)
-        courses = measured(metrics, recording, study.meta.ego, study.meta.other)
+        courses = measured(metrics, recording, study.meta.ego, study.meta.others)
     except InputError as error:
         study.fail(row.id, SimulationError(_said_of(file, error)))
         return

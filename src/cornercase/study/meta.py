@@ -33,13 +33,11 @@ _DIFFERENT: Final = {
 
 
 _TYPES: Final[dict[str, Any]] = (
-    dict.fromkeys(
-        ("scenario", "fingerprint", "ego", "other", "optimizer", "simulator", "suite", "origin", "version"), str
-    )
+    dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
     | dict.fromkeys(("seed", "budget", "batch", "repeats"), int)
     | dict.fromkeys(("settings", "weights"), dict)
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
-    | {"critical": (int, float), "audit": (int, float), "pareto": bool}
+    | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool}
 )
 # What only later versions write.
 _LATER: Final = ("kinds", "origin", "requirements", "suite")
@@ -77,8 +75,10 @@ class StudyMeta:
         SHA-256 of the scenario and the files that it uses, or of the imported files; of a suite that of its first one.
     space : ParameterSpace
         What is varied.
-    ego, other : str
-        Names of the two entities that the metrics look at.
+    ego : str
+        Name of the entity under test.
+    other : str or tuple of str
+        Whom the metrics look at beside it; several names where there are several.
     metrics : tuple of str
         The first is the one that is searched.
     optimizer : str
@@ -117,7 +117,7 @@ class StudyMeta:
     fingerprint: str
     space: ParameterSpace
     ego: str
-    other: str
+    other: str | tuple[str, ...]
     metrics: tuple[str, ...]
     optimizer: str
     simulator: str
@@ -136,6 +136,11 @@ class StudyMeta:
     suite: str = ""
     origin: str = ""
     version: str = __version__
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Names of all entities that the ego is measured against."""
+        return (self.other,) if isinstance(self.other, str) else self.other
 
     @property
     def file_name(self) -> str:
@@ -157,6 +162,7 @@ class StudyMeta:
         """
         return {one.name: getattr(self, one.name) for one in fields(self)} | {
             "space": self.space.to_json(),
+            "other": self.other if isinstance(self.other, str) else list(self.other),
             "metrics": list(self.metrics),
             "settings": dict(self.settings),
             "weights": dict(self.weights) or None,
@@ -209,6 +215,8 @@ class StudyMeta:
                 not isinstance(value, _TYPES[name]) or isinstance(value, bool) != (name == "pareto")
             ):
                 raise ValueError(f"its {name} is {str(value)[:60]!r}")
+        if isinstance(given["other"], list):
+            given["other"] = _several(given["other"])
         for name in ("metrics", "files", "kinds", "requirements"):
             if not all(isinstance(one, str) for one in given.get(name, ())):
                 raise ValueError(f"its {name} are no texts")
@@ -269,6 +277,12 @@ class StudyMeta:
             raise InputError(
                 f"{path}: its optimizer chose for a budget of {self.budget} scenarios; give the same `budget`."
             )
+
+
+def _several(names: list[Any]) -> tuple[str, ...]:
+    if len(names) < 2 or not all(isinstance(one, str) for one in names) or len(set(names)) < len(names):
+        raise ValueError(f"its other is {str(names)[:60]}")
+    return tuple(names)
 
 
 def _last_part(path: str) -> str:

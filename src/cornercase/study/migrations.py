@@ -43,7 +43,14 @@ CREATE TABLE arrays (
 CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROWID;
 """
 
-TABLES: Final = ("meta", "scenarios", "courses", "repeats", "outcomes", "notes", "analyses", "arrays", "elapsed")
+AGAINST: Final = """CREATE TABLE IF NOT EXISTS against (
+    scenario INTEGER NOT NULL REFERENCES scenarios, metric TEXT NOT NULL, other TEXT,
+    PRIMARY KEY (scenario, metric)) WITHOUT ROWID"""
+"""Makes the table that only a study of several others has."""
+
+TABLES: Final = (
+    "meta", "scenarios", "courses", "repeats", "outcomes", "notes", "analyses", "arrays", "elapsed", "against",
+)  # fmt: skip
 """Tables of a study, of any version; those that refer to others come after them."""
 
 _ARRAYS_OF_2: Final = """CREATE TABLE arrays (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Final
 
 import numpy as np
@@ -224,6 +225,76 @@ class ScenarioContents:
         found = dict(self._database.found("SELECT metric, score FROM courses WHERE scenario = ?", scenario))
         with damage_told(self.path):
             return {name: float(found[name]) for name in self.meta.metrics if name in found}
+
+    def against(self, metric: str) -> dict[int, str | None]:
+        """Tell whom the scores of the scenarios that were run are against, in a study of several others.
+
+        Parameters
+        ----------
+        metric : str
+
+        Returns
+        -------
+        dict of int to (str or None)
+            By id the one of the others, or None where the score is not of one rather than of another, as of
+            `cornercase.metrics.Measured`. Empty in a study of one other.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric.
+        """
+        self._require_metric(metric)
+        others = self.meta.others
+        if len(others) == 1:
+            return {}
+        found = self._database.found(
+            "SELECT id, other FROM scenarios LEFT JOIN against ON id = scenario AND metric = ?"
+            " WHERE state = 'done' ORDER BY id",
+            metric,
+        )
+        with damage_told(self.path):
+            require(all(one is None or one in others for _, one in found), f"{metric} is against somebody else")
+            return dict(found)
+
+    def against_of(self, scenario: int) -> dict[str, str | None]:
+        """Tell whom the scores of one scenario are against, in a study of several others.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        dict of str to (str or None)
+            By metric, as `against`; empty in a study of one other, and where the scenario was not run.
+        """
+        if len(self.meta.others) == 1:
+            return {}
+        found = dict(self._database.found("SELECT metric, other FROM against WHERE scenario = ?", scenario))
+        with damage_told(self.path):
+            require(all(one is None or one in self.meta.others for one in found.values()), "a score against somebody")
+            return {name: found[name] for name in self.meta.metrics if name in found}
+
+    def main_other(self) -> str:
+        """Find the one of several others that the study is told of: how scenarios end, and what aspects compare.
+
+        Returns
+        -------
+        str
+            The one that most scores of the first round are against, by the first metric: a search does not choose that
+            round by scores, and the study may grow. Of equal ones, and where there is none, the first of the others.
+        """
+        others = self.meta.others
+        if len(others) == 1:
+            return others[0]
+        found = self._database.found(
+            "SELECT other FROM against JOIN scenarios ON id = scenario WHERE metric = ? AND round = 1",
+            self.meta.metrics[0],
+        )
+        counts = Counter(whom for (whom,) in found)
+        return max(others, key=counts.__getitem__)
 
     def spread(self, metric: str) -> FloatArray | None:
         """Lowest and highest score of the runs of each scenario that was run.

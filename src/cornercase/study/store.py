@@ -14,6 +14,7 @@ import numpy.typing as npt
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
+from cornercase.metrics import Measured
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
 from cornercase.study.arrays import write_arrays
@@ -22,7 +23,7 @@ from cornercase.study.contents import StudyContents
 from cornercase.study.damage import damage_told
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
-from cornercase.study.migrations import TABLES
+from cornercase.study.migrations import AGAINST, TABLES
 from cornercase.study.table import Row
 
 # Tables that hold something of scenarios; those that refer to others come first.
@@ -70,7 +71,8 @@ class Study(StudyContents):
             The file exists already, or cannot be written.
         """
         plain = sorted(meta.to_json().items())
-        return cls(Database.create(Path(path), [(key, json.dumps(value, sort_keys=True)) for key, value in plain]))
+        rows = [(key, json.dumps(value, sort_keys=True)) for key, value in plain]
+        return cls(Database.create(Path(path), rows, *_more_tables(meta)))
 
     @classmethod
     def open(cls, path: Path | str, readonly: bool = False) -> Study:
@@ -161,6 +163,8 @@ class Study(StudyContents):
         """Make an empty study of something else of this one."""
         with self._database.writing() as connection:
             _remove_content(connection)
+            for statement in _more_tables(meta):
+                connection.execute(statement)
             connection.executemany(
                 "INSERT OR REPLACE INTO meta (value, key) VALUES (?, ?)",
                 [(json.dumps(value, sort_keys=True), key) for key, value in meta.to_json().items()],
@@ -197,7 +201,7 @@ class Study(StudyContents):
         self,
         scenario: int,
         recording: Recording,
-        courses: Mapping[str, tuple[FloatArray, float]],
+        courses: Mapping[str, tuple[FloatArray, float] | Measured],
         repeats: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         """Store what came out of a scenario: its recording, and course and score of each metric.
@@ -207,8 +211,8 @@ class Study(StudyContents):
         scenario : int
             Its id.
         recording : Recording
-        courses : mapping of str to (ndarray of float64, shape (T,), float)
-            Course and score by metric.
+        courses : mapping of str to (ndarray of float64, shape (T,), float) or Measured
+            Course and score by metric, and in a study of several others whom the score is against.
         repeats : mapping of str to sequence of float, optional
             Where the scenario was run several times, the scores of all runs by metric.
         """
@@ -219,8 +223,13 @@ class Study(StudyContents):
             )
             connection.executemany(
                 "INSERT INTO courses VALUES (?, ?, ?, ?)",
-                [(scenario, name, score, pack_arrays({"course": course})) for name, (course, score) in courses.items()],
+                [(scenario, name, one[1], pack_arrays({"course": one[0]})) for name, one in courses.items()],
             )
+            if len(self.meta.others) > 1:
+                connection.executemany(
+                    "INSERT INTO against VALUES (?, ?, ?)",
+                    [(scenario, name, one.against) for name, one in courses.items() if isinstance(one, Measured)],
+                )
             connection.execute(
                 "UPDATE scenarios SET state = 'done', recording = ? WHERE id = ?",
                 (pack_recording(recording), scenario),
@@ -292,6 +301,13 @@ class Study(StudyContents):
             )
 
 
+def _more_tables(meta: StudyMeta) -> tuple[str, ...]:
+    """Make the tables that not every study has."""
+    return (AGAINST,) if len(meta.others) > 1 else ()
+
+
 def _remove_content(connection: Connection) -> None:
+    there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     for table in _CONTENT:
-        connection.execute(f"DELETE FROM {table}")
+        if table in there:
+            connection.execute(f"DELETE FROM {table}")

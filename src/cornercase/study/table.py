@@ -49,6 +49,7 @@ def scenario_table(
     outcomes: Mapping[int, str],
     audits: Sequence[bool] | None = None,
     notes: Mapping[int, str] | None = None,
+    against: Mapping[str, Mapping[int, str | None]] | None = None,
 ) -> pd.DataFrame:
     """Put together what is known of each scenario, a row for each.
 
@@ -66,6 +67,8 @@ def scenario_table(
         Which scenarios are audits, where there are any.
     notes : mapping of int to str, optional
         By id.
+    against : mapping of str to mapping of int to (str or None), optional
+        By metric and id, whom of several others a score is against.
 
     Returns
     -------
@@ -81,6 +84,8 @@ def scenario_table(
     for name, values in scores.items():
         found[name] = np.full(len(rows), np.nan)
         found[name][done] = values
+    for name, whom in (against or {}).items():
+        found[f"other by {name}"] = pd.Series([whom.get(row.id) for row in rows], dtype=object)
     for name, (members, labels) in clusters.items():
         column = pd.Series(pd.NA, index=ids, dtype="Int64")
         column.loc[members] = labels

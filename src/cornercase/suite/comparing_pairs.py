@@ -162,16 +162,17 @@ def read_pairs(old: Side, new: Side) -> tuple[Pair, ...]:
     InputError
         A recording lacks an entity.
     """
+    main = old.study.main_other()
     partners = {key_of(new.study, row): row for row in new.rows}
     found = []
     for row in old.rows:
         partner = partners.get(key_of(old.study, row))
         if partner is not None:
-            found.append(_pair(old, new, row, partner))
+            found.append(_pair(old, new, row, partner, main))
     return tuple(found)
 
 
-def _pair(old: Side, new: Side, before: Row, after: Row) -> Pair:
+def _pair(old: Side, new: Side, before: Row, after: Row, other: str) -> Pair:
     ids = before.id, after.id
     unselected = old.unselected(before.id) and new.unselected(after.id)
     point = tuple(before.point.tolist())
@@ -179,10 +180,11 @@ def _pair(old: Side, new: Side, before: Row, after: Row) -> Pair:
     if not all(ran):
         run: Run = "not in one" if any(ran) else "in neither"
         return Pair(ids, before.values, point, run, unselected, (before.error, after.error))
-    recordings = old.study.recording(before.id), new.study.recording(after.id)
+    recordings = [old.study.recording(before.id), new.study.recording(after.id)]
     run = compare_recordings(*recordings)
-    first = find_outcome(recordings[0], old.study.meta.ego, old.study.meta.other)
-    last = first if run == "the same" else find_outcome(recordings[1], new.study.meta.ego, new.study.meta.other)
+    ego, others = old.study.meta.ego, old.study.meta.others
+    first = find_outcome(recordings[0].with_absent(others), ego, other)
+    last = first if run == "the same" else find_outcome(recordings[1].with_absent(others), ego, other)
     return Pair(
         ids,
         before.values,
@@ -258,10 +260,10 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
             f"{pair}: are of other parameter spaces ({', '.join(a.space.names) or 'none'};"
             f" {', '.join(b.space.names) or 'none'}); compare studies of the same parameters and ranges."
         )
-    if (a.ego, a.other) != (b.ego, b.other):
-        raise InputError(
-            f"{pair}: measure others ({a.ego} and {a.other}; {b.ego} and {b.other}); compare studies of the same two."
-        )
+    if (a.ego, set(a.others)) != (b.ego, set(b.others)):
+        whom = "; ".join(f"{one.ego} and {', '.join(one.others)}" for one in (a, b))
+        same = "the same two" if len(a.others) == len(b.others) == 1 else "the same entities"
+        raise InputError(f"{pair}: measure others ({whom}); compare studies of {same}.")
     both = tuple(name for name in a.metrics if name in b.metrics)
     if metrics is None:
         if set(a.metrics) != set(b.metrics):

@@ -59,8 +59,10 @@ class SuiteContents:
         At least one.
     space : ParameterSpace
         What differs between them.
-    ego, other : str
-        Names of the entities that were measured; empty where nothing says it.
+    ego : str
+        Name of the entity that was measured; empty where nothing says it.
+    other : str or tuple of str
+        Whom it was measured against; empty where nothing says it.
     metrics : tuple of str
         Those that were measured.
     critical : float or None
@@ -80,7 +82,7 @@ class SuiteContents:
     scenarios: tuple[SuiteScenario, ...]
     space: ParameterSpace
     ego: str = ""
-    other: str = ""
+    other: str | tuple[str, ...] = ""
     metrics: tuple[str, ...] = ()
     critical: float | None = None
     simulator: str = ""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from cornercase._common.texts import quoted_name
 from cornercase._common.typing import FloatArray
-from cornercase.metrics import Comparison, Formula, Signals, signals_of
+from cornercase.metrics import Comparison, Formula, Signals, others_there, signals_of
 from cornercase.recordings import Collision, Recording
 from cornercase.suite.fault import is_at_fault
 from cornercase.suite.requirement import Kind, Requirement
@@ -17,13 +18,15 @@ from cornercase.suite.verdict import Verdict
 
 # Instants of a simulator's clock that differ by less are the same.
 _CLOCK: Final = 1e-6
+# Of verdicts against several others the first of these counts.
+_WORST_FIRST: Final = ("failed", "passed", "inconclusive")
 
 
 def judge(
     requirement: Requirement,
     recording: Recording,
     ego: str,
-    other: str,
+    other: str | Sequence[str],
     *,
     courses: Mapping[str, FloatArray] | None = None,
 ) -> Verdict:
@@ -33,10 +36,14 @@ def judge(
     ----------
     requirement : Requirement
     recording : Recording
-    ego, other : str
-        Names of the entity under test and of the one that formulas speak of.
+    ego : str
+        Name of the entity under test.
+    other : str or sequence of str
+        Whom formulas and bounds speak of. With several they are judged against each: failed where they are against any,
+        passed where they are against one at least and fail against none. The verdict is the one with the smallest
+        robustness, and names whom it is against.
     courses : mapping of str to ndarray of float64, shape (T,), optional
-        Courses of metrics that are known already, by name.
+        Courses of metrics that are known already, by name; not used with several others.
 
     Returns
     -------
@@ -65,7 +72,10 @@ def judge(
     'Ego reaches (2, 0) at 0.2 s'
     """
     if requirement.formula is not None:
-        return _judge_formula(requirement, requirement.formula, recording, (ego, other), courses)
+        others = others_there(recording, (other,) if isinstance(other, str) else other)
+        if isinstance(other, str) or len(other) == 1:
+            return _judge_formula(requirement, requirement.formula, signals_of(recording, ego, others[0], courses))
+        return _judge_each(requirement, requirement.formula, recording, ego, others)
     return _JUDGES[requirement.kind](requirement, recording, ego)
 
 
@@ -126,14 +136,22 @@ def _judge_place(requirement: Requirement, recording: Recording, ego: str) -> Ve
     return Verdict("failed", requirement.text, f"{said}, within {requirement.within:.6g} s", at, value)
 
 
-def _judge_formula(
-    requirement: Requirement,
-    formula: Formula,
-    recording: Recording,
-    who: tuple[str, str],
-    courses: Mapping[str, FloatArray] | None,
+def _judge_each(
+    requirement: Requirement, formula: Formula, recording: Recording, ego: str, others: Sequence[str]
 ) -> Verdict:
-    signals = signals_of(recording, *who, courses)
+    """Judge a formula against each of several others."""
+    signals = [signals_of(recording, ego, other) for other in others]
+    verdicts = [_judge_formula(requirement, formula, one) for one in signals]
+    if all(one == verdicts[0] for one in verdicts):
+        # It does not depend on the other, or speaks of what never arose with any.
+        return verdicts[0]
+    margins = [np.nan_to_num(float(formula.robustness(one)[0]), nan=np.inf) for one in signals]
+    worst = min(range(len(others)), key=lambda k: (_WORST_FIRST.index(verdicts[k].state), margins[k]))
+    chosen = verdicts[worst]
+    return replace(chosen, reason=f"against {quoted_name(others[worst])}: {chosen.reason}")
+
+
+def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals) -> Verdict:
     robustness = float(formula.robustness(signals)[0])
     failed = not formula.holds(signals)[0]
     if not failed and not formula.observed(signals):

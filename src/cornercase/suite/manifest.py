@@ -109,7 +109,7 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
         scenarios=tuple(scenarios),
         space=space,
         ego=_text(plain["ego"]),
-        other=_text(plain["other"]),
+        other=tuple(map(_text, plain["other"])) if isinstance(plain["other"], list) else _text(plain["other"]),
         metrics=tuple(map(_text, plain["metrics"])),
         critical=None if critical is None else _finite(critical),
         simulator=_text(plain["simulator"]),

@@ -101,7 +101,7 @@ def _run(
             if isinstance(outcome, SimulationError):
                 study.fail(row.id, outcome)
             else:
-                study.finish(row.id, outcome, measured(metrics, outcome, study.meta.ego, study.meta.other))
+                study.finish(row.id, outcome, measured(metrics, outcome, study.meta.ego, study.meta.others))
             study.add_all_elapsed({"simulate": ended - begun, "store": time.monotonic() - ended})
             done += 1
             yield done

@@ -11,7 +11,7 @@ from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file
 from cornercase.drivers import Driver, is_driver, told_driver
-from cornercase.metrics import METRICS, require_another
+from cornercase.metrics import EVERYBODY, METRICS, name_others
 from cornercase.simulators import MOST_WORKERS, start_simulator
 from cornercase.study import Study, StudyMeta
 from cornercase.suite.contents import SuiteContents
@@ -38,7 +38,7 @@ def test(
     require: Sequence[str] = (),
     requirements: Path | str | None = None,
     ego: str | None = None,
-    other: str | None = None,
+    other: str | Sequence[str] | None = None,
     metrics: Sequence[str] = (),
     simulator: str | None = None,
     workers: int = 1,
@@ -67,8 +67,11 @@ def test(
         What each scenario has to fulfil, as `cornercase.suite.Requirement.parse` reads it.
     requirements : path, optional
         TOML or YAML file with more of them.
-    ego, other : str, optional
-        Names of the entity under test and of the one that it is measured against; by default those of the manifest.
+    ego : str, optional
+        Name of the entity under test; by default that of the manifest.
+    other : str or sequence of str, optional
+        Whom it is measured against; of several the one counts to whom it is most critical, and ``"*"`` stands for all
+        others in the files. By default as in the manifest.
     metrics : sequence of str
         Criticality metrics that are stored; by default those of the manifest, without one those that the requirements
         speak of, or else the clearance.
@@ -147,29 +150,32 @@ def _required(require: Sequence[str], requirements: Path | str | None) -> list[s
 def _entities(
     suite: SuiteContents,
     ego: str | None,
-    other: str | None,
+    other: str | Sequence[str] | None,
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
-) -> tuple[str, str]:
-    """Names of ego and other, once each file was found to have them and all others that are named."""
-    found = []
+) -> tuple[str, tuple[str, ...]]:
+    """Names of the ego and of the others, once each file was found to have them and all others that are named."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
             raise InputError(f"`{role}`: {suite.place} does not say it; name an entity.")
-        found.append(own if given is None else text(role, given))
-    require_another(*found)
-    asked = {found[0]: "ego", found[1]: "other"}
+    tested = suite.ego if ego is None else text("ego", ego)
+    known = dict.fromkeys(name for one in suite.scenarios for name in one.scenario.entities)
+    others = name_others(suite.other if other is None else other, tested, list(known))
+    asked = {tested: "ego"} | dict.fromkeys(others, "other")
+    if other is not None and EVERYBODY in texts("other", other):
+        # They need not all be in each file.
+        asked = {tested: "ego"}
     asked |= {one.entity: "one that must not be touched" for one in requirements if one.entity}
     asked |= dict.fromkeys(by_name("drivers", drivers), "driven entity")
     for one in suite.scenarios:
         for name, role in asked.items():
             one.scenario.require_entity(name, role)
     for required in requirements:
-        if required.entity == found[0]:
+        if required.entity == tested:
             raise InputError(f"`require` {required}: is the ego itself; name another entity.")
         if not any(required.concerns(one.file, one.kind) for one in suite.scenarios):
             raise InputError(f"`require` {required}: {_none_concerned(suite, required)}.")
-    return found[0], found[1]
+    return tested, others
 
 
 def _none_concerned(suite: SuiteContents, required: Requirement) -> str:
@@ -219,7 +225,7 @@ def _drivers(suite: SuiteContents, given: Mapping[str, str | Driver] | None) -> 
 
 def _meta(
     suite: SuiteContents,
-    who: tuple[str, str],
+    who: tuple[str, tuple[str, ...]],
     metrics: tuple[str, ...],
     requirements: Sequence[Requirement],
     simulator: str,
@@ -233,7 +239,7 @@ def _meta(
         fingerprint=suite.scenarios[0].scenario.fingerprint(),
         space=suite.space,
         ego=who[0],
-        other=who[1],
+        other=who[1][0] if len(who[1]) == 1 else who[1],
         metrics=metrics,
         optimizer="none",
         simulator=simulator,

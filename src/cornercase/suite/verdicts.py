@@ -56,8 +56,10 @@ def judge_row(study: Study, row: Row, requirements: list[Requirement]) -> list[V
         return [Verdict("inconclusive", one.text, f"the simulator failed: {row.error}") for one in mine]
     recording = study.recording(row.id)
     asked = {name for one in mine if one.formula is not None for name in one.formula.metrics}
+    # Of several others it is not known which of them a course is against at an instant.
+    asked = asked if len(meta.others) == 1 else set()
     courses = {name: study.course(row.id, name) for name in meta.metrics if name in asked}
-    return [judge(one, recording, meta.ego, meta.other, courses=courses) for one in mine]
+    return [judge(one, recording, meta.ego, meta.others, courses=courses) for one in mine]
 
 
 def _of(row: Row, names: tuple[str, ...]) -> str:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.exploration import Objective
-from cornercase.report.contents import draw_course, pack_courses, plain_score, plain_values
+from cornercase.report.contents import draw_course, pack_courses, plain_score, plain_values, tell_against
+from cornercase.report.summary import touched_by_ego
 from cornercase.study import Row, Study, StudyMeta
 
 
@@ -24,10 +25,13 @@ class Digest:
     scores : mapping of str to float
         By metric; empty where it failed.
     critical, collides : bool
+        Whether it is critical, and whether the ego collides with whom it is measured against.
     span : tuple of float
         When its recording begins and ends, in s.
     courses : mapping of str to ndarray of float64, shape (P,)
         Capped courses by metric, at evenly spread times.
+    against : mapping of str to (str or None)
+        By metric, whom of several others the score is against; empty where there is one.
     """
 
     row: Row
@@ -36,6 +40,7 @@ class Digest:
     collides: bool
     span: tuple[float, float]
     courses: dict[str, FloatArray]
+    against: dict[str, str | None] = field(default_factory=dict)
 
 
 class Digester:
@@ -78,9 +83,10 @@ class Digester:
             row,
             scores,
             self._is_critical(scores),
-            recording.first_collision(meta.ego, meta.other) is not None,
+            not touched_by_ego(meta, recording).isdisjoint(meta.others),
             (float(time[0]), float(time[-1])),
             courses,
+            study.against_of(row.id),
         )
 
     def _is_critical(self, scores: dict[str, float]) -> bool:
@@ -120,7 +126,10 @@ def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]
             "outcome": [None] * len(rows),
             "kept": [0] * len(rows),
             "audit": [int(meta.is_audit(row.id)) for row in rows],
-        },
+        }
+        | tell_against(
+            meta, [[one.against.get(name) for name in meta.metrics] if one.scores else None for one in digests]
+        ),
         "errors": {str(row.id): row.error or "" for row in rows if row.state == "failed"},
     }
 

@@ -13,6 +13,7 @@ from cornercase.report.contents import tell_subject
 from cornercase.report.live.digests import tell_courses, tell_scenarios
 from cornercase.report.live.follower import Follower
 from cornercase.report.live.knowing import Finder, Knowledge
+from cornercase.report.words import tell_roles
 from cornercase.study import StudyMeta
 
 # What is not told with the rest of what is known: it comes with all contents, or by itself.
@@ -185,7 +186,7 @@ def _plain(meta: StudyMeta, path: Path) -> dict[str, Any]:
         lower = objective.lower_is_critical
         critical = {"threshold": meta.critical, "lower_is_critical": lower, "unit": objective.unit}
     return tell_subject(meta, path.name) | {
-        "about": f"{meta.ego} is the ego, {meta.other} the other.",
+        "about": tell_roles(meta),
         "critical": critical,
         "default_aspect": None,
         "influential": list(range(len(meta.space.parameters))),

@@ -88,7 +88,7 @@ class Film:
         about = [f"scenario {take.row.id}", take.outcome, *(("critical",) if take.critical else ())]
         title = plain_text(" · ".join(filter(None, about)))
         axes.set_title(shorten(title, _LONGEST_TITLE // count), loc="left", fontsize=11, pad=5)
-        return Scene(axes, take.recording, self._footage)
+        return Scene(axes, take.recording, self._footage, self._footage.other_of(take))
 
     def _draw_course(self, metric: Metric) -> tuple[Axes, list[Artist]]:
         footage = self._footage
@@ -116,7 +116,8 @@ class Film:
     def _places(self, take: Take) -> FloatArray:
         """Where the ego and the other are while they are in view, in m, shape (P, 2)."""
         recording, meta = take.recording, self._footage.meta
-        both = [recording.center(name) for name in (meta.ego, meta.other) if name in recording.names]
+        shown = (meta.ego, self._footage.other_of(take))
+        both = [recording.center(name) for name in shown if name in recording.names]
         places = np.stack(both or [recording.center(name) for name in recording.names])
         middle = take.critical_time(self._footage.metrics[0])
         found = np.zeros((1, 2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +37,8 @@ class Take:
         How it ended; empty where that is not known.
     critical : bool
         Whether it is critical.
+    against : mapping of str to (str or None)
+        By metric, whom of several others the score is against; empty where there is one.
     """
 
     row: Row
@@ -45,6 +47,7 @@ class Take:
     scores: Mapping[str, float]
     outcome: str
     critical: bool
+    against: Mapping[str, str | None] = field(default_factory=dict)
 
     def critical_time(self, metric: Metric) -> float:
         """Find when a metric is most critical.
@@ -101,6 +104,21 @@ class Footage:
         """Parameters of the space."""
         return self.meta.space.parameters
 
+    def other_of(self, take: Take) -> str:
+        """Choose the other that is looked at in a scenario.
+
+        Parameters
+        ----------
+        take : Take
+            Of the scenario.
+
+        Returns
+        -------
+        str
+            Of several others the one that the score by the first metric is against, or else the first of them.
+        """
+        return take.against.get(self.metrics[0].name) or self.meta.others[0]
+
     @property
     def begin(self) -> float:
         """When the first recording begins, in s."""
@@ -148,7 +166,8 @@ def read_footage(study: Study, ids: Sequence[int], scenario: Path | str | Scenar
         courses = {metric.name: metric.capped(study.course(one, metric.name)) for metric in metrics}
         every = np.array([[scores[metric.name] for metric in metrics]])
         critical = bool(objective.critical(every, meta.critical)[0])
-        takes.append(Take(row, study.recording(one), courses, scores, outcomes.get(one, ""), critical))
+        against = study.against_of(one)
+        takes.append(Take(row, study.recording(one), courses, scores, outcomes.get(one, ""), critical, against))
     region = recorded_region(take.recording for take in takes)
     road, missing = find_roads(study, region, scenario, takes[0].row.values)
     return Footage(study.path.name, meta, metrics, threshold, tuple(takes), road, missing)

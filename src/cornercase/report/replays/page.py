@@ -6,11 +6,12 @@ import base64
 from typing import Any, Final
 
 from cornercase.report.blocks import pack_block, pack_record
-from cornercase.report.contents import plain_score, plain_values, tell_subject
+from cornercase.report.contents import plain_score, plain_values, tell_against, tell_subject
 from cornercase.report.page import REPLAY_SCRIPTS
 from cornercase.report.replays.footage import Footage
 from cornercase.report.roads import pack_roads
 from cornercase.report.templates import fill_template
+from cornercase.report.words import tell_roles
 
 _STYLES: Final = ("style.css", "replay.css")
 _SCRIPTS: Final = ("store.js", "recordings.js", *REPLAY_SCRIPTS, "replay/alone.js")
@@ -43,7 +44,7 @@ def fill_replay(footage: Footage) -> str:
         _SCRIPTS,
         policy=_POLICY,
         title=f"{meta.title}, scenario {which}",
-        about=f"From {footage.study}. {meta.ego} is the ego, {meta.other} the other.",
+        about=f"From {footage.study}. {tell_roles(meta)}",
         contents=_contents(footage) | {"recordings": index},
         blocks=[base64.b64encode(block).decode()],
     )
@@ -75,7 +76,8 @@ def _contents(footage: Footage) -> dict[str, Any]:
             "critical": [int(take.critical) for take in takes],
             "outcome": [outcomes.index(take.outcome) if take.outcome else None for take in takes],
             "kept": [0] * len(takes),
-        },
+        }
+        | tell_against(meta, [[take.against.get(one.name) for one in metrics] for take in takes]),
         "kept": {},
         "errors": {},
         "kinds": {},

@@ -44,14 +44,17 @@ class Scene:
     recording : Recording
         What is shown.
     footage : Footage
-        Says who is the ego and who the other, and where the road is.
+        Says who is the ego and who the others are, and where the road is.
+    other : str
+        The one that the ego is shown to see or not.
     """
 
-    def __init__(self, axes: Axes, recording: Recording, footage: Footage) -> None:
+    def __init__(self, axes: Axes, recording: Recording, footage: Footage, other: str) -> None:
         self._axes, self._recording = axes, recording
         names = recording.names
         self._ego = names.index(footage.meta.ego) if footage.meta.ego in names else -1
-        self._other = names.index(footage.meta.other) if footage.meta.other in names else -1
+        self._other = names.index(other) if other in names else -1
+        self._others = {names.index(one) for one in footage.meta.others if one in names}
         self._high = float(np.ptp(axes.get_ylim()))
         if footage.road is not None:
             self._draw_road(footage)
@@ -83,7 +86,7 @@ class Scene:
             self._axes.add_line(Line2D(*points.T, color="white", linewidth=1.0, linestyle=dashes, zorder=3.0))
 
     def _colour(self, entity: int) -> str:
-        return EGO if entity == self._ego else OTHER if entity == self._other else _THIRD
+        return EGO if entity == self._ego else OTHER if entity in self._others else _THIRD
 
     def draw(self, motion: Motion, k: int, time: float) -> None:
         """Draw what moves, as it is at one time.
@@ -105,7 +108,7 @@ class Scene:
                     self._show(Polygon(dark, facecolor=_SHADOW, edgecolor="none"))
         for entity in there:
             past = self._ways[entity][self._recording.time <= time + 1e-6]
-            line: Any = "--" if entity == self._other else "-"
+            line: Any = "--" if entity in self._others else "-"
             self._show(Line2D(*past.T, color=self._colour(entity), linewidth=1.6, linestyle=line))
         if self._ego in there and self._other in there:
             seen = sees(motion, self._ego, self._other, k)
@@ -143,9 +146,9 @@ class Scene:
     def _draw_label(self, motion: Motion, entity: int, k: int) -> None:
         speed = motion.speed[entity, k]
         name = shorten(plain_text(self._recording.names[entity]), _LONGEST_NAME)
-        third = entity not in (self._ego, self._other)
+        third = entity != self._ego and entity not in self._others
         text = name if third and not abs(speed) > 0.05 else f"{name} {speed:.1f} m/s"
-        # Of the ego and the other, whoever is further up has its label above.
+        # Of the ego and that other, whoever is further up has its label above.
         up = {one: motion.y[one, k] if one in motion.there(k) else -np.inf for one in (self._ego, self._other)}
         lower = self._other if up[self._ego] >= up[self._other] else self._ego
         reach = float(np.ptp(motion.corners(entity, k)[:, 1])) / 2.0 + 0.02 * self._high

@@ -121,7 +121,7 @@ def _tell_cluster(data: ReportData, label: int, members: IntArray) -> list[str]:
     return [
         name_cluster(label),
         str(len(ids)),
-        str(sum(one in data.collided for one in ids)),
+        str(sum(bool(data.touched[one]) for one in ids)),
         *(f"{np.median(data.scores[metric.name][members]):.3g}" for metric in data.metrics),
         f"{min(longest):.2f}",
         f"{max(longest):.2f}",

@@ -20,6 +20,8 @@ from cornercase.report.tables import make_table
 from cornercase.report.words import find_reasons, format_value, list_scenarios, name_range
 from cornercase.study import StudyMeta
 
+# Columns of the table of scores that hold no number.
+_WORDS: Final = ("metric", "unit", "critical is", "against", "in", "scenarios against")
 # What figures depend on besides cornercase itself.
 _LIBRARIES: Final = {"NumPy": "numpy", "SciPy": "scipy", "scikit-learn": "scikit-learn"}
 
@@ -41,15 +43,20 @@ def tell_scores(data: ReportData) -> Iterator[Part]:
     for one in data.summary.metrics.values():
         between = "" if one.spread is None else f"{one.spread[0]:.3g}, at most {one.spread[1]:.3g}"
         at = ", ".join(f"{each.name} = {format_value(each.read(one.at))}" for each in data.parameters)
+        whom = ", ".join(f"{other} in {count}" for other, count in one.counts.items() if count)
         rows.append(
             [
                 one.name, one.unit, "low" if one.lower_is_critical else "high", f"{one.most_critical:.4g}",
-                f"scenario {one.scenario} ({at})", f"{one.median:.4g}", between, one.alike,
+                one.against or "", f"scenario {one.scenario} ({at})", f"{one.median:.4g}", whom, between, one.alike,
             ]
         )  # fmt: skip
-    head = ["metric", "unit", "critical is", "most critical", "in", "median", "between runs of one scenario", "note"]
+    head = [
+        "metric", "unit", "critical is", "most critical", "against", "in", "median", "scenarios against",
+        "between runs of one scenario", "note",
+    ]  # fmt: skip
     shown = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    lines = [make_table([head[k] for k in shown], [[row[k] for k in shown] for row in rows], text=(0, 1, 2, 4))]
+    words = [at for at, k in enumerate(shown) if head[k] in _WORDS]
+    lines = [make_table([head[k] for k in shown], [[row[k] for k in shown] for row in rows], text=tuple(words))]
     yield make_part("scores", "Scores by each metric", lines)
 
 

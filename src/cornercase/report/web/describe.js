@@ -39,7 +39,8 @@ function describeScenario(store, row, most = 10) {
   if (scenarios.failed[row]) lines.push(["failed", shortened(errors[id] ?? "", 90)]);
   for (const { name, unit } of metrics) {
     const score = scenarios.scores[name][row];
-    if (score !== null) lines.push([name, withUnit(score, unit)]);
+    const whom = store.against(name, row);
+    if (score !== null) lines.push([name, withUnit(score, unit) + (whom === null ? "" : ` against ${whom}`)]);
   }
   parameters.slice(0, most).forEach((one, k) => lines.push([one.name, parameterText(store, k, row)]));
   if (parameters.length > most) lines.push(["more parameters", String(parameters.length - most)]);

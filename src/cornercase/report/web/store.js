@@ -31,6 +31,14 @@ class Store {
     this.setContents(contents, false);
   }
 
+  // Of several others the one that a score is against; null where there is one other, or where it is against none more
+  // than another.
+  against(metric, row) {
+    const { metrics, other, scenarios } = this.contents;
+    const place = scenarios.against?.[row]?.[metrics.findIndex((one) => one.name === metric)] ?? null;
+    return place === null ? null : other[place];
+  }
+
   static firstAspect(contents) {
     const names = Object.keys(contents.kinds);
     if (names.includes(contents.default_aspect)) return contents.default_aspect;

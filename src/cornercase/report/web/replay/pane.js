@@ -61,8 +61,15 @@ class ReplayPane {
   prepare(recording) {
     const { ego, other } = this.panel.store.contents;
     this.ego = recording.names.indexOf(ego);
-    this.other = recording.names.indexOf(other);
+    this.others = [other].flat().map((name) => recording.names.indexOf(name)).filter((entity) => entity >= 0);
     this.fillValues();
+  }
+
+  // The one to look at: of several others the one that the score is against.
+  get other() {
+    const { store } = this.panel;
+    const whom = store.against(this.panel.metric().name, store.rows.get(this.id));
+    return whom === null ? this.others[0] ?? -1 : this.recording.names.indexOf(whom);
   }
 
   describe() {
@@ -113,7 +120,7 @@ class ReplayPane {
     head.append(row);
     const body = newElement("tbody");
     const order = recording.names.map((_, entity) => entity);
-    const isThird = (entity) => entity !== this.ego && entity !== this.other;
+    const isThird = (entity) => entity !== this.ego && !this.others.includes(entity);
     order.sort((one, other) => isThird(one) - isThird(other));
     this.cells = new Map();
     for (const entity of order.slice(0, MOST_VALUES)) {
@@ -121,7 +128,7 @@ class ReplayPane {
       const line = newElement("tr");
       const first = newElement("th", "", name);
       first.scope = "row";
-      first.dataset.role = entity === this.ego ? "ego" : entity === this.other ? "other" : "third";
+      first.dataset.role = entity === this.ego ? "ego" : isThird(entity) ? "third" : "other";
       const cells = [newElement("td"), newElement("td")];
       line.append(first, ...cells);
       body.append(line);
@@ -193,9 +200,9 @@ class ReplayPane {
     const context = this.canvas.getContext("2d");
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     const view = this.panel.camera.view(this.boxOfEgo(time));
-    const { ego, other, recording } = this;
+    const { ego, other, others, recording } = this;
     const { road, sight } = this.panel;
-    drawScene(context, { width, height, view, recording, time: own, ego, other, road, colours, sight });
+    drawScene(context, { width, height, view, recording, time: own, ego, other, others, road, colours, sight });
     this.box.dataset.time = String(Number(own.toFixed(4)));
     this.tell(own);
   }

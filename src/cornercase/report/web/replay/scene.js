@@ -19,8 +19,8 @@ function sceneColours(element) {
   return Object.fromEntries(SCENE_COLOURS.map((name) => [name, style.getPropertyValue(`--scene-${name}`).trim()]));
 }
 
-// What a scene is drawn from: { width, height, view, recording, time, ego, other, road, colours, sight }, where `ego`
-// and `other` are numbers of entities, or -1.
+// What a scene is drawn from: { width, height, view, recording, time, ego, other, others, road, colours, sight }, where
+// `ego` and `other` are numbers of entities, or -1, and `others` those of all that the ego is measured against.
 function drawScene(context, scene) {
   const { width, height, view, recording, time, colours } = scene;
   const place = (x, y) => [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
@@ -29,7 +29,7 @@ function drawScene(context, scene) {
   context.fillRect(0, 0, width, height);
   if (scene.road) scene.road.draw(context, place, view.scale, colours);
   else drawGrid(context, place, view, width, height, colours.edge);
-  const lookOf = (entity) => (entity === scene.ego ? "ego" : entity === scene.other ? "other" : "third");
+  const lookOf = (entity) => (entity === scene.ego ? "ego" : scene.others.includes(entity) ? "other" : "third");
   if (scene.sight) drawShadows(context, scene, boxes, place);
   recording.names.forEach((_, entity) => drawTrail(context, scene, entity, lookOf(entity), place));
   boxes.forEach((box, entity) => {

@@ -60,6 +60,13 @@ class ScenarioTable {
       const text = (row) => formatNumber(scenarios.scores[name][row]);
       columns.push({ key, title: store.axis(key).title, number: true, text });
     }
+    if (scenarios.against) {
+      for (const { name } of contents.metrics) {
+        const text = (row) => unturned(store.against(name, row) ?? "");
+        const value = (row) => contents.other.indexOf(store.against(name, row));
+        columns.push({ key: `other ${name}`, title: `other by ${name}`, text, value });
+      }
+    }
     columns.push(...this.markColumns());
     contents.parameters.forEach((one, k) => {
       const key = `parameter ${one.name}`;
