@@ -14,6 +14,7 @@ from cornercase.cli import app
 from cornercase.evidence import ImportanceSampling
 from cornercase.exploration import Configuration, ProbabilityEstimator, ScenarioExplorer
 from cornercase.optimizers import OPTIMIZERS
+from cornercase.recordings import Collision, Recording
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import Study
 from fake_simulators import NoisySimulator
@@ -66,6 +67,27 @@ def test_the_probability_is_the_true_one_and_failures_are_told(tmp_path):
     assert found.collision.met == 0
     assert any(warning.startswith("No collision was met") for warning in found.warnings)
     assert found.criterion == "distance <= 0.05 m"
+
+
+class Touching(Synthetic):
+    """Ego and B collide where they are less than 1 m apart."""
+
+    def run(self, concretes):
+        for one in super().run(concretes):
+            near = isinstance(one, Recording) and one.x[1, 0] < 1.0
+            yield replace(one, collisions=(Collision(1.0, ("Ego", "B")),)) if near else one
+
+
+def test_a_collision_is_critical_also_by_a_metric_that_is_not_defined_in_one(tmp_path):
+    metrics = ("pet",)
+    configuration = Configuration(LOGICAL, "Ego", ["B"], metrics, optimizer="random", critical=1.0, budget=300, seed=3)
+    meta = about(LOGICAL.space, *metrics, budget=300)
+    with Study.create(tmp_path / "e.db", meta) as study:
+        sampling = ImportanceSampling(LOGICAL.space, 2, 120, 3)
+        found = ProbabilityEstimator(configuration, Touching(), sampling, study, 1.0).run()
+        assert sum(study.scores("pet") <= 1.0) > found.critical.met
+    assert found.critical.met == found.collision.met > 10
+    assert found.critical.value == found.collision.value
 
 
 def test_interrupted_it_goes_on_as_if_undisturbed(tmp_path):

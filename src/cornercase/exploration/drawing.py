@@ -147,10 +147,10 @@ class ProbabilityEstimator:
         scores = np.full(len(rows), np.nan)
         collision, encounter = np.zeros(len(rows), dtype=np.bool_), np.zeros(len(rows), dtype=np.bool_)
         if done:
-            each = [
-                [one.score(self._study.course(row.id, one.name)) for one in self._objective.metrics] for row in done
-            ]
-            scores[known] = self._objective.oriented(np.array(each))
+            # A course alone does not say that both touch.
+            each = [self._study.scores_of(row.id) for row in done]
+            found = [[one[metric.name] for metric in self._objective.metrics] for one in each]
+            scores[known] = self._objective.oriented(np.array(found))
         ego, others = self._about.ego, self._about.others
         with self._clock("measure"):
             for k, row in zip(np.flatnonzero(known).tolist(), done, strict=True):
