@@ -66,8 +66,8 @@ class Synthetic(Simulator):
 
 def about(space, *metrics, **more):
     """What a study of a synthetic scenario is about."""
-    given = {"ego": "Ego", "other": "B", "optimizer": "none", "simulator": "synthetic"} | more
-    return StudyMeta(scenario="synthetic.xosc", fingerprint="0", space=space, metrics=metrics, **given)
+    given = {"ego": "Ego", "other": "B", "optimizer": "none", "simulator": "synthetic", "fingerprint": "0"} | more
+    return StudyMeta(scenario="synthetic.xosc", space=space, metrics=metrics, **given)
 
 
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, **options):

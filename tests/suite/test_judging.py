@@ -6,11 +6,24 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cornercase import InputError
+from cornercase.metrics import Formula, Signals
 from cornercase.suite import Requirement, judge
 from two_cars import met
 
+FORMULAS = (
+    "ego.speed > 0",
+    "always(clearance > 1)",
+    "not (eventually[0.2:](ego.speed < 1))",
+    "eventually[0.1:0.3](clearance > 0 and ego.speed <= 1)",
+    "(ego.speed >= 0) until[0:0.3] (clearance < 0)",
+    "always(ego.speed > 1) or eventually(clearance < -1)",
+    "always[0:0.2](eventually[0:0.2](ego.speed > 0))",
+    "ego.speed > 1 -> eventually[0.3:](clearance > 2)",
+)
 FAR = (np.full(6, 100.0), 0.0, 0.0, 0.0)
 
 
@@ -89,12 +102,18 @@ def test_a_bound_names_the_worst_instant_and_the_value_there():
     # 20 m behind one that stands, 4 m long each: the gap closes from 16 m at 10 m/s.
     recording = met(along(DRIVES), along(np.full(6, 20.0), 0.0))
     found = judged("ttc > 1.45", recording)
-    assert found.reason == "ttc falls to 1.1 s at 0.5 s, below 1.45, first at 0.2 s"
+    assert found.reason == "ttc falls to 1.1 s at 0.5 s, below 1.45 s, first at 0.2 s"
     assert (found.time, found.value) == (0.5, pytest.approx(1.1))
     assert judged("ttc > 1", recording).reason == "ttc is 1.1 s at least, at 0.5 s"
     assert judged("ego.speed < 36 km/h", recording).state == "failed"
     assert judged("ego.speed <= 36 km/h", recording).state == "passed"
-    assert judged("ego.speed < 36 km/h", recording).reason == "ego.speed rises to 10 m/s at 0 s, not below 36 km/h"
+    assert (
+        judged("ego.speed < 36 km/h", recording).reason
+        == "ego.speed rises to 10 m/s at 0 s, not below 10 m/s (36 km/h)"
+    )
+    said = "ego.speed rises to 10 m/s at 0 s, above other.speed, which is 0 m/s"
+    assert judged("ego.speed < other.speed", recording).reason == said
+    assert judged("No Collision", recording).requirement == "no collision"
 
 
 def test_a_bound_on_what_never_arose_is_open():
@@ -110,8 +129,38 @@ def test_temporal_logic_names_the_number_that_decides():
     recording = met(along(DRIVES), along(np.full(6, 20.0), 0.0))
     found = judged("always[0:0.3] (clearance > 14)", recording)
     assert (found.state, found.time, found.value) == ("failed", pytest.approx(0.3), pytest.approx(13.0))
-    assert found.reason.endswith("does not hold: clearance is 13 m at 0.3 s")
+    assert found.reason.endswith("does not hold: clearance is 13 m at 0.3 s, compared with 14 m")
     assert judged("eventually (clearance < 12)", recording).state == "passed"
+    # At 0 s the clearance is as far above 15 m as it is below at 0.2 s: what decides is in the interval.
+    found = judged("not (eventually[0.2:] (clearance <= 14))", recording)
+    assert (found.state, found.time, found.value) == ("failed", pytest.approx(0.5), pytest.approx(11.0))
+    found = judged("always[0:0.1] (clearance > 3) or eventually[9:10] (clearance > 3)", recording)
+    assert (found.state, found.time, found.value) == ("passed", pytest.approx(0.1), pytest.approx(15.0))
+    assert judged("eventually[9:10] (clearance > 3)", recording).reason.endswith("an interval that holds no instant")
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(-3, 3), min_size=12, max_size=12), st.sampled_from(FORMULAS))
+def test_what_decides_is_the_robustness_and_changes_it(values, text):
+    pytest.importorskip("rtamt")
+    formula = Formula.parse(text)
+    time = np.arange(6) * 0.1
+    signals = Signals(time, {"ego.speed": np.array(values[:6], float), "clearance": np.array(values[6:], float)})
+    robustness = formula.robustness(signals)[0]
+    found = formula.decisive(signals)
+    assert (found is None) == bool(np.isinf(robustness))
+    if found is not None:
+        one, k = found
+        assert abs(one.margin(signals)[k]) == abs(robustness)
+        # Another number there and at the earlier ones that are alike, and it is another robustness.
+        name = one.left.name
+        alike = np.flatnonzero(signals.values[name][: k + 1] == signals.values[name][k])
+        changed = []
+        for step in (0.25, -0.25):
+            other = signals.values[name].copy()
+            other[alike] += step
+            changed.append(formula.robustness(Signals(time, {**signals.values, name: other}))[0] != robustness)
+        assert any(changed)
 
 
 @pytest.mark.parametrize(
@@ -127,6 +176,7 @@ def test_temporal_logic_names_the_number_that_decides():
         ("ttc >", "ttc >"),
         ('for " ": ttc > 1', "is no pattern of names"),
         (r'for "\*": ttc > 1', "write it as in JSON"),
+        ("for *:no collision", "with a space after the colon"),
         ("", "give a text"),
     ],
 )

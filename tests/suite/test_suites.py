@@ -302,6 +302,16 @@ def spoilt(folder, **changes):
     path.write_text(json.dumps(manifest))
 
 
+def spoilt_value(folder, values):
+    scenarios = json.loads((folder / "manifest.json").read_text())["scenarios"]
+    spoilt(folder, scenarios=[{**scenarios[0], "values": values}, *scenarios[1:]])
+
+
+def spoilt_twice(folder):
+    scenarios = json.loads((folder / "manifest.json").read_text())["scenarios"]
+    spoilt(folder, scenarios=[*scenarios, scenarios[0]])
+
+
 BAD = {
     "a file is gone": (lambda f: next(f.glob("*.xosc")).unlink(), "is not there; restore it"),
     "a file has changed": (lambda f: next(f.glob("*.xosc")).write_bytes(b"<OpenSCENARIO/>"), "has changed since"),
@@ -318,6 +328,13 @@ BAD = {
     "a driver of somebody's own": (
         lambda f: spoilt(f, settings={"drivers": {"Ego": {"class": "Mine"}}}), "say who drives",
     ),
+    "values of nothing": (lambda f: spoilt_value(f, {}), "do not fit the parameters of its space"),
+    "values that are too large": (lambda f: spoilt_value(f, {"ego_speed_mps": 10**400}), "manifest.json: "),
+    "an unknown metric": (lambda f: spoilt(f, metrics=["tcc"]), "manifest.json: There is no metric 'tcc'"),
+    "no time step": (lambda f: spoilt(f, settings={"time_step": 0}), "manifest.json: time_step 0: choose"),
+    "no duration at all": (lambda f: spoilt(f, settings={"duration": 10**400}), "manifest.json: duration"),
+    "a name without end": (lambda f: spoilt(f, files={"x" * 300: "0"}), "names a file that cannot be read"),
+    "a scenario twice": (lambda f: spoilt_twice(f), "names a file twice"),
     "no scenarios": (lambda f: [one.unlink() for one in f.iterdir()], "holds no scenario"),
 }  # fmt: skip
 
@@ -356,6 +373,48 @@ def test_options_that_cannot_be_used_are_refused_in_a_sentence(options, words, e
     assert not (tmp_path / "run.db").exists()
 
 
+def test_junit_is_written_over_nothing_that_is_read_or_written(reduced, tmp_path):
+    rules = tmp_path / "rules.toml"
+    rules.write_text('require = ["no collision"]')
+    taken = [rules, tmp_path / "study.db", reduced / "manifest.json", *reduced.glob("*.xo*")]
+    before = [one.read_bytes() for one in taken]
+    for junit in [*taken, tmp_path / "run.db", tmp_path / "run.db.lock", tmp_path, tmp_path / "rules.toml" / "x.xml"]:
+        with pytest.raises(cc.InputError, match="`junit`"):
+            cc.test(reduced, tmp_path / "run.db", requirements=rules, junit=junit)
+    assert [one.read_bytes() for one in taken] == before
+    # Not after an hour of simulations.
+    assert not (tmp_path / "run.db").exists()
+
+
+def test_a_file_of_requirements_is_named_where_one_of_it_is_none(explored, tmp_path):
+    (tmp_path / "rules.toml").write_text('require = ["tcc > 1"]')
+    with pytest.raises(cc.InputError, match=r"rules\.toml: .*ttc"):
+        cc.test(explored / "reduced", tmp_path / "run.db", requirements=tmp_path / "rules.toml")
+
+
+def test_long_names_leave_room_for_verdicts(reduced, tmp_path):
+    (reduced / "manifest.json").unlink()
+    for one in list(reduced.glob("*.xosc"))[2:]:
+        one.unlink()
+    for one in list(reduced.glob("*.xosc")):
+        one.rename(one.with_name(f"{'a-name-' * 14}{one.name}"))
+    given = ["--ego", "Ego", "--other", "C", "--metric", "ttc", "--require", "no collision"]
+    # Into a pipe, so that the table has the 80 columns of one.
+    said = cornercase("test", reduced, *given, "-o", tmp_path / "run.db").stdout
+    assert "passed" in said or "failed" in said
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are text there")
+def test_a_name_that_is_no_text_is_refused(reduced, tmp_path):
+    (reduced / "manifest.json").unlink()
+    source = next(reduced.glob("*.xosc"))
+    shutil.copy(source, os.fsencode(reduced) + b"/bad\xff.xosc")
+    with pytest.raises(cc.InputError, match="is no plain text; rename"):
+        cc.test(reduced, tmp_path / "run.db", ego="Ego", other="C")
+    with pytest.raises(cc.InputError, match="name the folder that it lies in"):
+        cc.test(source, tmp_path / "run.db", ego="Ego", other="C")
+
+
 def test_an_origin_that_is_named_has_to_be_one(explored, tmp_path):
     other = tmp_path / "other.db"
     explore_configuration(demonstration("x-intersection", budget=2), other)
@@ -382,7 +441,7 @@ def test_requirements_come_from_files(name, content, tmp_path):
         pytest.importorskip("yaml")
     (tmp_path / name).write_text(content)
     found = ["no collision", "for *-00001.xosc: ttc > 0.1", 'for kind "Ego *": pet > 1']
-    assert read_requirements(tmp_path / name) == found
+    assert [one.text for one in read_requirements(tmp_path / name)] == found
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from math import isfinite
+from math import inf, isfinite
 from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
@@ -69,7 +69,10 @@ def number(name: str, value: object, *, above: float | None = None, least: float
         It is none, not finite, or out of bounds.
     """
     if isinstance(value, Real) and not isinstance(value, bool):
-        found = float(value)
+        try:
+            found = float(value)
+        except OverflowError:
+            found = inf
         if isfinite(found) and (above is None or found > above) and (least is None or found >= least):
             return found
     bound = f" above {above:g}" if above is not None else f" of {least:g} or more" if least is not None else ""

@@ -132,13 +132,15 @@ def written_whole(path: Path | str) -> Iterator[Path]:
 _BESIDE: Final = ("-wal", "-shm", "-journal", ".lock")
 
 
-def require_other_file(output: Path | str, source: Path | str) -> None:
+def require_other_file(output: Path | str, source: Path | str, name: str = "output") -> None:
     """Refuse to write a file over the one that it is made from.
 
     Parameters
     ----------
     output, source : path
         What will be written, and what it is made from.
+    name : str, default "output"
+        Parameter that the former was given for.
 
     Raises
     ------
@@ -147,11 +149,56 @@ def require_other_file(output: Path | str, source: Path | str) -> None:
     """
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
-        raise InputError(f"`output` {output}: is the file that is read; choose another name.")
+        raise InputError(f"`{name}` {output}: is the file that is read; choose another name.")
+    if _is_beside(output, source):
+        raise InputError(f"`{name}` {output}: belongs to the file that is read; choose another name.")
+
+
+def require_apart(output: Path, study: Path, name: str) -> None:
+    """Refuse to write a file over a study that is written too.
+
+    Parameters
+    ----------
+    output, study : Path
+        What will be written, and the study.
+    name : str
+        Parameter that the former was given for.
+
+    Raises
+    ------
+    InputError
+        Both are the same file, or the output is one that a database keeps beside itself.
+    """
+    if os.path.realpath(output) == os.path.realpath(study) or _is_beside(output, study):
+        raise InputError(f"`{name}` {output}: is the study, or belongs to it; choose another name.")
+
+
+def _is_beside(output: Path, database: Path) -> bool:
     # A link that leads to itself is left as it is, and refused when it is written.
-    whole, written = os.path.realpath(source), os.path.realpath(output)
-    if written in {whole + ending for ending in _BESIDE}:
-        raise InputError(f"`output` {output}: belongs to the file that is read; choose another name.")
+    whole, written = os.path.realpath(database), os.path.realpath(output)
+    return written in {whole + ending for ending in _BESIDE}
+
+
+def require_place(name: str, path: Path) -> None:
+    """Refuse a file that could not be written, before what takes time.
+
+    Parameters
+    ----------
+    name : str
+        Parameter that it was given for.
+    path : Path
+        What will be written.
+
+    Raises
+    ------
+    InputError
+        Something that is no file has its name, or its folder is none or not writable.
+    """
+    if path.exists() and not path.is_file():
+        raise InputError(f"`{name}` {path}: is not a file; choose another name.")
+    folder = next(one for one in (path.parent, *path.parent.parents) if one.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"`{name}` {path}: cannot be written into {folder}; choose another place.")
 
 
 def require_folder(name: str, folder: Path | str) -> Path:

@@ -124,7 +124,13 @@ def test_(
 def _print(result: SuiteResult) -> None:
     compared = result.against is not None
     last = ["recording"] if compared else []
-    table = Table(Column("scenario", no_wrap=True), "verdict", Column("why", overflow="fold"), *last, box=None)
+    table = Table(
+        Column("scenario", overflow="fold"),
+        Column("verdict", no_wrap=True),
+        Column("why", overflow="fold"),
+        *last,
+        box=None,
+    )
     for one in result.scenarios:
         words = [_against(one)] if compared else []
         state = "not run" if one.state == "error" else one.state

@@ -347,6 +347,16 @@ class Scenario:
             self._fingerprint = self._digest()
         return self._fingerprint
 
+    def files(self) -> tuple[Path, ...]:
+        """Return the paths of all files that the fingerprint counts.
+
+        Returns
+        -------
+        tuple of Path
+            The scenario file is the first; some may not be there.
+        """
+        return (self.path, *self._catalog_files, *self.road_files())
+
     def is_same(self, other: Scenario) -> bool:
         """Tell whether another scenario has the same path, and its files the same content.
 
@@ -362,7 +372,7 @@ class Scenario:
 
     def _digest(self) -> str:
         digest = hashlib.sha256()
-        for file in (self.path, *self._catalog_files, *self.road_files()):
+        for file in self.files():
             if file.is_file():
                 digest.update(self._files.digest(file))
         return digest.hexdigest()

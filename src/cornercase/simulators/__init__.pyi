@@ -1,5 +1,6 @@
 from .base import Availability as Availability
 from .base import Simulator as Simulator
+from .base import checked_settings as checked_settings
 from .builtin.checking import Check as Check
 from .builtin.checking import check as check
 from .builtin.simulating import simulate as simulate

@@ -260,6 +260,9 @@ class StudyMeta:
                 # Its constraints follow from the file, and earlier versions did not write them.
                 mine, given = mine.parameters, given.parameters
             if mine != given:
+                if name == "settings":
+                    names = sorted({*mine, *given})
+                    words += f" ({', '.join(one for one in names if mine.get(one) != given.get(one))})"
                 raise InputError(
                     f"{path}: belongs to {words}; name another study with `study`, or give the same options."
                 )

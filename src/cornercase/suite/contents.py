@@ -97,6 +97,12 @@ class SuiteContents:
         return self.place if self.place.is_dir() else self.place.parent
 
     @property
+    def files(self) -> list[Path]:
+        """The manifest, where there is one, and all files of the scenarios."""
+        own = [file for one in self.scenarios for file in one.scenario.files()]
+        return own if self.place.is_dir() else [self.place, *own]
+
+    @property
     def digest(self) -> str:
         """SHA-256 of all files, and of those that they use."""
         digest = hashlib.sha256()

@@ -14,7 +14,7 @@ from cornercase.metrics import Comparison, Formula, Signals, others_there, signa
 from cornercase.recordings import Collision, Recording
 from cornercase.suite.fault import is_at_fault
 from cornercase.suite.requirement import Kind, Requirement
-from cornercase.suite.verdict import Verdict
+from cornercase.suite.verdict import State, Verdict
 
 # Instants of a simulator's clock that differ by less are the same.
 _CLOCK: Final = 1e-6
@@ -152,7 +152,6 @@ def _judge_each(
 
 
 def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals) -> Verdict:
-    robustness = float(formula.robustness(signals)[0])
     failed = not formula.holds(signals)[0]
     if not failed and not formula.observed(signals):
         never = [one.text for one in formula.comparisons if np.isnan(one.margin(signals)).all()]
@@ -160,16 +159,17 @@ def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals)
         return Verdict("inconclusive", requirement.text, reason)
     if formula.bound is not None:
         return _judge_bound(requirement, formula.bound, signals, failed)
-    state = "does not hold" if failed else "holds"
-    # Robustness is how far one of the comparisons is from its bound at some instant; its sign turns behind a 'not'.
-    for sign, one in ((sign, one) for sign in (1.0, -1.0) for one in formula.comparisons):
-        decisive = np.flatnonzero(sign * one.margin(signals) == robustness)
-        if len(decisive) and np.isfinite(robustness):
-            at, value = float(signals.time[decisive[0]]), float(one.left.values(signals)[decisive[0]])
-            reason = f"'{formula.text}' {state}: {one.left.text} is {value:.4g}{_unit(one)} at {at:.6g} s"
-            return Verdict("failed" if failed else "passed", requirement.text, reason, at, value)
-    reason = f"'{formula.text}' {state}, and no change of a number would alter that"
-    return Verdict("failed" if failed else "passed", requirement.text, reason)
+    state: State = "failed" if failed else "passed"
+    said = f"'{formula.text}' {'does not hold' if failed else 'holds'}"
+    decisive = formula.decisive(signals)
+    if decisive is None:
+        reason = f"{said}; what decides is infinite, or an interval that holds no instant"
+        return Verdict(state, requirement.text, reason)
+    one, k = decisive
+    at, value = float(signals.time[k]), float(one.left.values(signals)[k])
+    found = f"{one.left.text} is {one.left.tell_value(value)} at {at:.6g} s"
+    reason = f"{said}: {found}, compared with {one.tell_right(signals, k)}"
+    return Verdict(state, requirement.text, reason, at, value)
 
 
 def _judge_bound(requirement: Requirement, bound: Comparison, signals: Signals, failed: bool) -> Verdict:
@@ -181,20 +181,17 @@ def _judge_bound(requirement: Requirement, bound: Comparison, signals: Signals, 
         reason = f"{bound.left.text} is infinite all the time"
         return Verdict("passed", requirement.text, reason)
     if not failed:
-        reason = f"{bound.left.text} is {value:.4g}{_unit(bound)} at {'least' if lower else 'most'}, at {at:.6g} s"
+        reason = f"{bound.left.text} is {bound.left.tell_value(value)} at {'least' if lower else 'most'}, at {at:.6g} s"
         return Verdict("passed", requirement.text, reason, at, value)
     goes, where = ("falls", "below") if lower else ("rises", "above")
     if margin[worst] == 0.0:
         where = f"not {'above' if lower else 'below'}"
-    reason = f"{bound.left.text} {goes} to {value:.4g}{_unit(bound)} at {at:.6g} s, {where} {bound.right.text}"
+    said = f"{goes} to {bound.left.tell_value(value)} at {at:.6g} s"
+    reason = f"{bound.left.text} {said}, {where} {bound.tell_right(signals, worst)}"
     first = float(signals.time[np.flatnonzero(bound.holds(signals) < 0.0)[0]])
     return Verdict(
         "failed", requirement.text, f"{reason}{f', first at {first:.6g} s' if first < at else ''}", at, value
     )
-
-
-def _unit(one: Comparison) -> str:
-    return "" if one.left.unit == "1" else f" {one.left.unit}"
 
 
 def _collided(requirement: Requirement, recording: Recording, ego: str, one: Collision, more: str = "") -> Verdict:

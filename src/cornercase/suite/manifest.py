@@ -6,20 +6,24 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
+from cornercase.metrics import METRICS
 from cornercase.reduction import MANIFEST_FORMAT
 from cornercase.scenario import ParameterSpace, Scenario
+from cornercase.simulators import checked_settings
 from cornercase.study import IMPORTED
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 
 # What reading damaged values raises.
 _BROKEN: Final = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
-_SETTINGS: Final = ("time_step", "duration", "on_collision")
+_SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
 
 
 def read_manifest(path: Path) -> SuiteContents:
@@ -42,8 +46,13 @@ def read_manifest(path: Path) -> SuiteContents:
     plain = _loaded(path)
     try:
         return _contents(path, plain)
-    except InputError:
-        raise
+    except InputError as error:
+        if str(path.parent) in str(error):
+            raise
+        # What it holds was not given by who reads the message.
+        raise InputError(f"{path}: {str(error).replace('`', '').removesuffix('.')}; run `reduce` again.") from error
+    except OSError as error:
+        raise InputError(f"{path}: names a file that cannot be read ({error.strerror}); run `reduce` again.") from error
     except _BROKEN as error:
         raise InputError(
             f"{path}: cannot be used as a manifest ({type(error).__name__}: {str(error)[:200]}); run `reduce` again."
@@ -82,6 +91,8 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
     for place, digest in digests.items():
         _require_file(path, place, digest)
     space = ParameterSpace.from_json(plain["space"])
+    if len({str(one["file"]) for one in plain["scenarios"]}) < len(plain["scenarios"]):
+        raise InputError(f"{path}: names a file twice; run `reduce` again.")
     scenarios = []
     for one in plain["scenarios"]:
         if one["file"] not in digests:
@@ -100,9 +111,11 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
         )
     if not scenarios:
         raise InputError(f"{path}: names no scenario; run `reduce` again.")
-    if len({one.file for one in scenarios}) < len(scenarios):
-        raise InputError(f"{path}: names a file twice; run `reduce` again.")
+    _require_values(path, space, scenarios)
     settings = dict(plain["settings"])
+    metrics = tuple(METRICS.create(_text(name)).name for name in plain["metrics"])
+    time_step, duration, on_collision = (settings.get(name, usual) for name, usual in _SETTINGS.items())
+    checked_settings(time_step, duration, on_collision, None)
     critical = plain["critical threshold"]
     return SuiteContents(
         place=path,
@@ -110,7 +123,7 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
         space=space,
         ego=_text(plain["ego"]),
         other=tuple(map(_text, plain["other"])) if isinstance(plain["other"], list) else _text(plain["other"]),
-        metrics=tuple(map(_text, plain["metrics"])),
+        metrics=metrics,
         critical=None if critical is None else _finite(critical),
         simulator=_text(plain["simulator"]),
         settings={name: settings[name] for name in _SETTINGS if name in settings},
@@ -136,6 +149,19 @@ def _require_file(path: Path, place: str, digest: str) -> None:
             f"{file}: has changed since {path.name} was written; restore it, run `reduce` again, or take {path.name}"
             " away to run the files as they are."
         )
+
+
+def _require_values(path: Path, space: ParameterSpace, scenarios: Sequence[SuiteScenario]) -> None:
+    """Refuse values that are none of the parameters that the manifest holds."""
+    for one in scenarios:
+        try:
+            found = space.points([one.values])
+            if set(one.values) != {parameter.name for parameter in space.parameters} or not np.isfinite(found).all():
+                raise ValueError("not those of the space")
+        except _BROKEN as error:
+            raise InputError(
+                f"{path}: the values of {one.file[:100]} do not fit the parameters of its space; run `reduce` again."
+            ) from error
 
 
 def _text(value: object) -> str:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase.study import Row, Study, damage_told
 from cornercase.suite.contents import SuiteContents
 from cornercase.suite.difference import Difference, find_difference
+
+# Bytes of a name; no system takes more.
+_LONGEST: Final = 255
 
 
 def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
@@ -43,7 +47,7 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
     name = Path(suite.study.replace("\\", "/")).name
     for folder in (suite.folder, suite.folder.resolve().parent):
         path = folder / name
-        if name and path.is_file():
+        if name and len(name.encode(errors="replace")) <= _LONGEST and path.is_file():
             try:
                 with Study.open(path, readonly=True) as study:
                     _sources(suite, study)

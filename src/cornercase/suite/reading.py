@@ -9,6 +9,7 @@ from typing import Final
 
 from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.texts import plain_text
 from cornercase.reduction import MANIFEST
 from cornercase.scenario import (
     Declaration,
@@ -54,11 +55,18 @@ def read_suite(place: Path | str) -> SuiteContents:
         return read_manifest(manifest) if manifest.is_file() else _of_folder(path)
     if not path.exists():
         raise InputError(f"{path}: is not there; name a folder of scenarios, or the manifest.json that `reduce` wrote.")
+    if path.suffix.lower() == ".xosc":
+        raise InputError(f"{path}: is one scenario; name the folder that it lies in.")
     return read_manifest(path)
 
 
 def _of_folder(folder: Path) -> SuiteContents:
-    read = [Scenario(file) for file in sorted(folder.glob("*.xosc"))]
+    files = sorted(folder.glob("*.xosc"))
+    for file in files:
+        # Databases and other files hold names as text in UTF-8.
+        if (odd := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
+            raise InputError(f"{folder}: the name of its file '{odd}' is no plain text; rename the file.")
+    read = [Scenario(file) for file in files]
     others = [one.path.name for one in read if _is_of_something_else(one)]
     if others:
         warnings.warn(f"not run, as they are no scenarios: {', '.join(others)}", NoticeWarning, stacklevel=3)

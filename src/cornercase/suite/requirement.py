@@ -97,6 +97,10 @@ class Requirement:
         found = _FOR.fullmatch(requirement)
         by_kind, pattern, body = (bool(found[1]), _unquoted(found[2], given), found[3]) if found else (False, "", given)
         body = " ".join(body.split())
+        if not found and given.startswith("for "):
+            raise InputError(
+                f"`require` {given}: is for no pattern; write 'for PATTERN: REQUIREMENT', with a space after the colon."
+            )
         one = _collision(body) or _place(body) or _formula(body, given)
         shown = f"{prefix_for(pattern, by_kind=by_kind)}{one.text}" if pattern else one.text
         return cls(shown, one.kind, one.entity, one.place, one.within, one.formula, pattern, by_kind)
@@ -153,14 +157,15 @@ def _unquoted(pattern: str, given: str) -> str:
 
 def _collision(body: str) -> Requirement | None:
     words = body.split(" ", 3)
-    if words[0] != "no":
+    if words[0].lower() != "no":
         return None
-    if body == "no collision":
-        return Requirement(body, "no collision")
-    if body == "no collision at fault":
-        return Requirement(body, "no collision at fault")
-    if words[:3] == ["no", "collision", "with"] and len(words) == 4:
-        return Requirement(body, "no collision with", entity=words[3])
+    plain = body.lower()
+    if plain == "no collision":
+        return Requirement(plain, "no collision")
+    if plain == "no collision at fault":
+        return Requirement(plain, "no collision at fault")
+    if plain.startswith("no collision with ") and len(words) == 4:
+        return Requirement(f"no collision with {words[3]}", "no collision with", entity=words[3])
     raise InputError(f"`require` {body}: is no requirement; write {_FORMS}.")
 
 

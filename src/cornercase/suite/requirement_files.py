@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import read_file
-from cornercase.suite.requirement import prefix_for
+from cornercase.suite.requirement import Requirement, prefix_for
 
 _KEY: Final = "require"
 # Tables of further lists, and what their patterns are of.
@@ -16,7 +16,7 @@ _TABLES: Final = {"for": "file names", "kind": "names of kinds"}
 _LARGEST: Final = 1_000_000
 
 
-def read_requirements(path: Path) -> list[str]:
+def read_requirements(path: Path) -> list[Requirement]:
     """Read requirements from a file.
 
     Parameters
@@ -27,13 +27,12 @@ def read_requirements(path: Path) -> list[str]:
 
     Returns
     -------
-    list of str
-        As `cornercase.suite.Requirement.parse` reads them; not parsed yet.
+    list of Requirement
 
     Raises
     ------
     InputError
-        The file cannot be used, or PyYAML is not there to read YAML.
+        The file cannot be used, one of its texts is no requirement, or PyYAML is not there to read YAML.
     """
     plain = _loaded(path)
     if not isinstance(plain, dict):
@@ -54,7 +53,14 @@ def read_requirements(path: Path) -> list[str]:
             found += [f"{prefix}{one}" for one in _texts(path, pattern, requirements)]
     if not found:
         raise InputError(f'{path}: holds no requirement; write {_KEY} = ["no collision"].')
-    return found
+    return [_parsed(path, one) for one in found]
+
+
+def _parsed(path: Path, text: str) -> Requirement:
+    try:
+        return Requirement.parse(text)
+    except InputError as error:
+        raise InputError(f"{path}: {str(error).removeprefix('`require` ')}") from error
 
 
 def _texts(path: Path, name: str, value: object) -> list[str]:

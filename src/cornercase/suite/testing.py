@@ -9,7 +9,7 @@ from typing import Any, Final
 from cornercase._common.arguments import by_name, flag, shown, text, texts, whole_number
 from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
-from cornercase._common.files import require_other_file
+from cornercase._common.files import require_apart, require_other_file, require_place
 from cornercase.drivers import Driver, is_driver, told_driver
 from cornercase.metrics import EVERYBODY, METRICS, name_others
 from cornercase.simulators import MOST_WORKERS, start_simulator
@@ -113,15 +113,20 @@ def test(
         Something in the files has no effect in the simulator.
     """
     path = path_argument("study", study)
-    known = [Requirement.parse(one) for one in _required(require, requirements)]
+    known = _required(require, requirements)
     contents = read_suite(suite)
-    origin = None if against is None else path_argument("against", against)
-    for one in (contents.place, origin):
-        if one is not None and not one.is_dir():
-            require_other_file(path, one)
-    found, why_not = find_origin(contents, origin)
-    if found is not None:
-        require_other_file(path, found)
+    found, why_not = find_origin(contents, None if against is None else path_argument("against", against))
+    given_file = None if requirements is None else path_argument("requirements", requirements)
+    read = [*contents.files, *(one for one in (found, given_file) if one is not None)]
+    verdicts = None if junit is None else path_argument("junit", junit)
+    for one in read:
+        require_other_file(path, one)
+        if verdicts is not None:
+            require_other_file(verdicts, one, "junit")
+    if verdicts is not None:
+        # Not after an hour of simulations.
+        require_place("junit", verdicts)
+        require_apart(verdicts, path, "junit")
     who = _entities(contents, ego, other, known, drivers or {})
     workers = whole_number("workers", workers, 1, MOST_WORKERS)
     options = {name: contents.settings.get(name, plain) for name, plain in _PLAIN.items()}
@@ -134,17 +139,17 @@ def test(
         run_suite(contents, meta, started, path, workers, flag("progress", progress))
     with Study.open(path, readonly=True) as opened:
         result = _result(contents, opened, known, found, why_not)
-    if junit is not None:
-        write_junit(result, path_argument("junit", junit))
+    if verdicts is not None:
+        write_junit(result, verdicts)
     return result
 
 
-def _required(require: Sequence[str], requirements: Path | str | None) -> list[str]:
-    given = list(texts("require", require))
+def _required(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
+    known = [Requirement.parse(one) for one in texts("require", require)]
     if requirements is not None:
-        given += read_requirements(path_argument("requirements", requirements))
+        known += read_requirements(path_argument("requirements", requirements))
     # What stands twice counts once.
-    return list(dict.fromkeys(given))
+    return list({one.text: one for one in known}.values())
 
 
 def _entities(

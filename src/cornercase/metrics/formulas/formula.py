@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.metrics.formulas.deciding import find_decisive
 from cornercase.metrics.formulas.parser import parse
 from cornercase.metrics.formulas.robustness import follow
 from cornercase.metrics.formulas.signals import Signals, is_metric
@@ -158,6 +159,25 @@ class Formula:
         """
         held = {one: one.holds(signals) for one in self.comparisons}
         return follow(self.root, held, signals.time, for_good=False) > 0.0
+
+    def decisive(self, signals: Signals) -> tuple[Comparison, int] | None:
+        """Find which comparison, at which instant, decides whether it holds from the first instant on.
+
+        Parameters
+        ----------
+        signals : Signals
+
+        Returns
+        -------
+        tuple of Comparison and int, or None
+            The margin there is the robustness, or behind a ``not`` its negative. None where the robustness is infinite.
+
+        Raises
+        ------
+        InputError
+            It has a temporal operator, and the extra ``stl`` is not installed.
+        """
+        return find_decisive(self.root, {one: one.margin(signals) for one in self.comparisons}, signals.time)
 
     def observed(self, signals: Signals) -> bool:
         """Whether each of its comparisons was defined at some instant.

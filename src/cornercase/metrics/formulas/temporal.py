@@ -114,7 +114,8 @@ def _steps(interval: tuple[float, float], time: FloatArray) -> tuple[IntArray, I
     """Which instant each place shows, the place of each instant, and the interval in steps from place to place."""
     count = len(time)
     span = float(time[-1] - time[0])
-    step = span / (count - 1) if count > 1 else 1.0
+    # Of one instant, whatever is later is beyond the end.
+    step = span / (count - 1) if count > 1 else float(np.finfo(np.float64).tiny)
     source = place = np.arange(count)
     # Even enough that each instant is the one nearest to where it would be.
     if count > 1 and np.abs(time - time[0] - place * step).max() >= 0.5 * step:

@@ -54,6 +54,19 @@ class Signal:
         found = signals.values[self.name]
         return np.abs(found) if self.absolute else found
 
+    def tell_value(self, value: float) -> str:
+        """Write a value of it with its unit.
+
+        Parameters
+        ----------
+        value : float
+
+        Returns
+        -------
+        str
+        """
+        return f"{value:.4g}" if self.unit == "1" else f"{value:.4g} {self.unit}"
+
 
 @dataclass(frozen=True)
 class Bound:
@@ -95,6 +108,25 @@ class Comparison:
     def signals(self) -> tuple[Signal, ...]:
         """Signals that are compared."""
         return (self.left, self.right) if isinstance(self.right, Signal) else (self.left,)
+
+    def tell_right(self, signals: Signals, k: int) -> str:
+        """Say what the signal is compared with at an instant, in its unit.
+
+        Parameters
+        ----------
+        signals : Signals
+        k : int
+            Which instant.
+
+        Returns
+        -------
+        str
+            ``"1.389 m/s (5 km/h)"``, or ``"other.speed, which is 3 m/s"``.
+        """
+        if isinstance(self.right, Signal):
+            return f"{self.right.text}, which is {self.left.tell_value(float(self.right.values(signals)[k]))}"
+        told, written = self.left.tell_value(self.right.value), self.right.text
+        return told if told.startswith(written) else f"{told} ({written})"
 
     def margin(self, signals: Signals) -> FloatArray:
         """How far it holds at each instant.
