@@ -176,6 +176,7 @@ def test_what_decides_is_the_robustness_and_changes_it(values, text):
         ("ttc >", "ttc >"),
         ('for " ": ttc > 1', "is no pattern of names"),
         (r'for "\*": ttc > 1', "write it as in JSON"),
+        ("not " * 30 + "(ttc > 1)", "nested more than"),
         ("for *:no collision", "with a space after the colon"),
         ("", "give a text"),
     ],

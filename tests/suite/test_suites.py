@@ -175,9 +175,32 @@ def test_a_killed_run_goes_on_as_if_undisturbed(reduced, tmp_path, monkeypatch):
     assert killed.returncode == -9
     with Study.open(tmp_path / "killed.db", readonly=True) as study:
         assert 0 < len(study.done()) < 6
+    with pytest.raises(cc.InputError, match=r"killed\.db: \d of its 6 scenarios have not been run yet"):
+        cc.compare(reduced.parent / "study.db", tmp_path / "killed.db")
     for name in ("killed.db", "whole.db"):
         assert CliRunner().invoke(app, [*arguments, name]).exit_code == 0
     assert stored(tmp_path / "killed.db") == stored(tmp_path / "whole.db")
+    again = CliRunner().invoke(app, [*arguments, "whole.db"])
+    assert "6 of them were in whole.db before and were not run again" in again.output
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_new_version_of_a_driver_is_not_judged_by_what_the_old_one_did(reduced, tmp_path):
+    (tmp_path / "mine.py").write_text(KILLING.replace("Killing", "Mine"))
+    command = ["test", reduced, "--driver", "Ego=mine:Mine", "-o", "run.db"]
+    assert cornercase(*command, cwd=tmp_path).returncode == 0
+    (tmp_path / "mine.py").write_text(KILLING.replace("Killing", "Mine") + "\n# mended")
+    said = cornercase(*command, cwd=tmp_path)
+    assert (said.returncode, "belongs to other simulator settings (drivers)" in said.stderr) == (2, True)
+
+
+def test_no_verdicts_of_another_run_are_left_where_nothing_can_be_run(reduced, tmp_path):
+    (tmp_path / "out.xml").write_text("<testsuites/>")
+    with pytest.raises(cc.InputError):
+        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", drivers={"Ego": "gone:Driver"})
+    with pytest.raises(cc.InputError):
+        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", simulator="carla:port=1")
+    assert not (tmp_path / "out.xml").exists()
 
 
 def test_what_has_run_is_judged_anew_by_other_requirements(explored, tmp_path):
@@ -194,7 +217,7 @@ def test_what_has_run_is_judged_anew_by_other_requirements(explored, tmp_path):
     with Study.open(path, readonly=True) as study:
         assert study.elapsed()["simulate"] == spent
         assert study.meta.requirements == result.requirements
-    with pytest.raises(cc.InputError, match="other simulator settings"):
+    with pytest.raises(cc.InputError, match=r"other simulator settings \(drivers\)"):
         cc.test(explored / "reduced", path, drivers={"Ego": "cautious"})
 
 

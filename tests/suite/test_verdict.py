@@ -10,7 +10,7 @@ from cornercase.suite import Verdict, worst_state
 @pytest.mark.parametrize(
     ("states", "worst"),
     [
-        ([], "passed"),
+        ([], "inconclusive"),
         (["passed", "passed"], "passed"),
         (["passed", "inconclusive"], "inconclusive"),
         (["failed", "inconclusive", "passed"], "failed"),

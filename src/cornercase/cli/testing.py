@@ -138,6 +138,11 @@ def _print(result: SuiteResult) -> None:
     out.print(table)
     out.print(f"{result.text}, in {result.study}.")
     out.print(f"{result.comparison}.")
+    if result.ran_before:
+        out.print(
+            f"{result.ran_before} of them were in {result.study} before and were not run again; to run a new version of"
+            " what drives, name another study with -o."
+        )
 
 
 def _against(one: ScenarioResult) -> str:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import inspect
 import sys
+from contextlib import suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Protocol, TypeGuard, runtime_checkable
 
 from cornercase._common.errors import InputError
@@ -60,7 +64,8 @@ def decides_compiled(name: str) -> bool:
 def load_driver(name: str) -> Driver:
     """Build a user's own driver.
 
-    This runs the module, so the name must come from the person at the command line, never from a file.
+    This runs the module, so the name must come from the person at the command line, never from a file. Its settings
+    get a digest of the module's file as ``source``; what that file imports is not looked at.
 
     Parameters
     ----------
@@ -108,7 +113,15 @@ def load_driver(name: str) -> Driver:
             f"The class '{name}' is no driver: it neither derives from cornercase.drivers.Driver nor has start(),"
             " acceleration() and a dict called settings."
         )
+    _note_source(driver, module)
     return driver
+
+
+def _note_source(driver: Driver, module: ModuleType) -> None:
+    """Add what the driver's file holds to its settings, so that no study goes on with another version of it."""
+    with suppress(OSError, TypeError, AttributeError):
+        source = inspect.getsource(module)
+        driver.settings = {**driver.settings, "source": hashlib.sha256(source.encode()).hexdigest()[:16]}
 
 
 def named_driver(name: str) -> Driver:

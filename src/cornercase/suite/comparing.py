@@ -12,6 +12,7 @@ import numpy as np
 from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase.clustering import join_kinds, read_analyses
+from cornercase.drivers import DRIVERS
 from cornercase.metrics import METRICS
 from cornercase.simulators import SIMULATORS
 from cornercase.study import Study, StudyMeta, open_study
@@ -53,10 +54,13 @@ def compare(
     ------
     InputError
         The studies are of other scenarios, parameters, entities, metrics or thresholds; or they have nothing in common:
-        no scenario, and fewer than 20 each that were chosen whatever the scores are.
+        no scenario, and fewer than 20 each that were chosen whatever the scores are; or one is of a suite that has not
+        been run to its end.
     """
     with open_study(old, readonly=True) as before, open_study(new, readonly=True) as after:
         chosen = require_comparable(before, after, None if metrics is None else texts("metrics", metrics))
+        for study in (before, after):
+            _require_finished(study)
         sides = [Side.of(study, chosen, verdicts_of(study)) for study in (before, after)]
         pairs = read_pairs(*sides)
         certain = all(_repeats_itself(study.meta.simulator) for study in (before, after))
@@ -79,8 +83,23 @@ def compare(
             ),
             kinds=_kinds(before, after, pairs),
             space=find_space_change(sides[0], sides[1], pairs),
-            telling=choose_telling(pairs, chosen),
+            telling=choose_telling(pairs, chosen, _searched(before.meta, chosen)),
         )
+
+
+def _require_finished(study: Study) -> None:
+    """Refuse the run of a suite that was interrupted, as few scenarios without a change would look like all."""
+    waiting = sum(row.state == "pending" for row in study.rows())
+    if study.meta.suite and waiting:
+        raise InputError(
+            f"{study.path}: {waiting} of its {study.meta.budget} scenarios have not been run yet; run `test` again,"
+            " which goes on with it."
+        )
+
+
+def _searched(meta: StudyMeta, metrics: Sequence[str]) -> str:
+    """The metric whose score says what is critical; empty for a weighted sum, a front, and one that is left out."""
+    return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
 
 def _repeats_itself(simulator: str) -> bool:
@@ -173,11 +192,18 @@ def _differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
 def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
     if old == new:
         return
-    if isinstance(old, Mapping) and isinstance(new, Mapping):
+    if isinstance(old, str) != isinstance(new, str):
+        old, new = _spelt(old), _spelt(new)
+    if isinstance(old, Mapping) and isinstance(new, Mapping) and old.get("driver") == new.get("driver"):
         for key in [*old, *(one for one in new if one not in old)]:
             yield from _unlike(f"{name} {key}".lstrip(), old.get(key), new.get(key))
     else:
         yield f"{name.replace('_', ' ')}: {_plain(old)} → {_plain(new)}"
+
+
+def _spelt(driver: Any) -> Any:
+    """Parameters of a driver that stands there by its name."""
+    return DRIVERS.create(driver).settings if isinstance(driver, str) and driver in DRIVERS else driver
 
 
 def _plain(value: Any) -> str:

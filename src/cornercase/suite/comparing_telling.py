@@ -22,7 +22,7 @@ _CLOSE: Final = 0.5
 _NEAR: Final = 0.05
 
 
-def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str]) -> tuple[Telling, ...]:
+def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str = "") -> tuple[Telling, ...]:
     """Choose scenarios that show what changed, spread over the space.
 
     First those with another verdict, or that ran with one version only; then those of which one collides; then another
@@ -34,6 +34,8 @@ def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str]) -> tuple[Telli
     ----------
     pairs : sequence of Pair
     metrics : sequence of str
+    searched : str, default ""
+        The one of them whose score says what is critical; empty where several do.
 
     Returns
     -------
@@ -43,7 +45,7 @@ def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str]) -> tuple[Telli
     spreads = _spreads(pairs, metrics)
     tiers: dict[int, list[tuple[float, Pair, str]]] = {}
     for pair in pairs:
-        tier, size, why = _change(pair, spreads)
+        tier, size, why = _change(pair, spreads, searched)
         if why:
             tiers.setdefault(tier, []).append((size, pair, why))
     chosen: list[Telling] = []
@@ -86,7 +88,7 @@ def _spreads(pairs: Sequence[Pair], metrics: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def _change(pair: Pair, spreads: Mapping[str, float]) -> tuple[int, float, str]:
+def _change(pair: Pair, spreads: Mapping[str, float], searched: str) -> tuple[int, float, str]:
     """How important a change is (0 is most), how large, and what it is in words; no words where nothing changed."""
     if pair.run == "not in one":
         which = "old" if pair.errors[0] is not None else "new"
@@ -103,7 +105,8 @@ def _change(pair: Pair, spreads: Mapping[str, float]) -> tuple[int, float, str]:
     if pair.outcomes[0] != pair.outcomes[1]:
         return 2, size, tell
     if pair.critical is not None and pair.critical[0] != pair.critical[1]:
-        return 3, size, f"{'critical now' if pair.critical[1] else 'critical no more'}, {moved}"
+        why = _moved(searched, *pair.scores[searched]) if searched else moved
+        return 3, size, f"{'critical now' if pair.critical[1] else 'critical no more'}, {why}"
     return 4, size, moved
 
 
@@ -114,6 +117,10 @@ def _largest(pair: Pair, spreads: Mapping[str, float]) -> tuple[float, str]:
         old, new = pair.scores[name]
         (change,) = np.abs(moved_by(np.array([old]), np.array([new]))).tolist()
         if change / spread > found:
-            unit = METRICS.create(name).unit
-            found, words = change / spread, f"{name} {old:.4g} → {new:.4g} {'' if unit == '1' else unit}".rstrip()
+            found, words = change / spread, _moved(name, old, new)
     return found, words
+
+
+def _moved(name: str, old: float, new: float) -> str:
+    unit = METRICS.create(name).unit
+    return f"{name} {old:.4g} → {new:.4g} {'' if unit == '1' else unit}".rstrip()

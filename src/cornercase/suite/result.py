@@ -78,6 +78,8 @@ class SuiteResult:
         Study whose recordings they were compared with.
     why_not_compared : str
         Why there is none, as a sentence without a full stop.
+    ran_before : int
+        Scenarios that the study held already, and that were judged without being run again.
     """
 
     study: Path
@@ -87,6 +89,7 @@ class SuiteResult:
     scenarios: tuple[ScenarioResult, ...]
     against: Path | None = None
     why_not_compared: str = ""
+    ran_before: int = 0
 
     def count(self, state: str) -> int:
         """Count the scenarios in a state.
@@ -159,6 +162,7 @@ class SuiteResult:
             "failed": self.count("failed"),
             "inconclusive": self.count("inconclusive"),
             "errors": self.count("error"),
+            "ran before": self.ran_before,
             "against": None if self.against is None else str(self.against),
             "scenarios": [asdict(one) | {"reason": one.reason} for one in self.scenarios],
         }

@@ -18,7 +18,7 @@ from cornercase.suite.contents import SuiteContents, SuiteScenario
 
 def run_suite(
     suite: SuiteContents, meta: StudyMeta, simulator: Simulator, path: Path, workers: int, progress: bool
-) -> None:
+) -> int:
     """Run what a study does not hold yet; each scenario is stored the moment it has ended.
 
     Parameters
@@ -35,6 +35,11 @@ def run_suite(
     progress : bool
         Whether to show a bar.
 
+    Returns
+    -------
+    int
+        Scenarios that had ended before, and that were not run again.
+
     Raises
     ------
     InputError
@@ -49,6 +54,7 @@ def run_suite(
         study.continue_with(meta)
         values = [dict(one.values) for one in suite.scenarios]
         rows = study.rows() or study.propose(1, meta.space.points(values), values)
+        before = sum(row.state != "pending" for row in rows)
         bar = ProgressBar(len(rows), "testing", "scenarios") if progress else None
         try:
             with noted_interrupts() as check:
@@ -65,6 +71,7 @@ def run_suite(
             reason = failed[0].error if failed else "there is none"
             study.clear()
             raise InputError(f"None of the {len(rows)} scenarios of {suite.place} could be run; the first: {reason}.")
+        return before
 
 
 def _warn(suite: SuiteContents, simulator: Simulator) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -93,7 +94,7 @@ def test(
         Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former,
         where it lies beside the manifest or in the folder above.
     junit : path, optional
-        JUnit file to write.
+        JUnit file to write. One that is there is removed before anything is run.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -127,6 +128,8 @@ def test(
         # Not after an hour of simulations.
         require_place("junit", verdicts)
         require_apart(verdicts, path, "junit")
+        # What is there is of another run, and would be taken for one of this where nothing can be run.
+        verdicts.unlink(missing_ok=True)
     who = _entities(contents, ego, other, known, drivers or {})
     workers = whole_number("workers", workers, 1, MOST_WORKERS)
     options = {name: contents.settings.get(name, plain) for name, plain in _PLAIN.items()}
@@ -136,9 +139,9 @@ def test(
     options["drivers"] = _drivers(contents, drivers)
     with start_simulator(name, options, ego=who[0], workers=workers, timeout=timeout, retries=retries) as started:
         meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings)
-        run_suite(contents, meta, started, path, workers, flag("progress", progress))
+        before = run_suite(contents, meta, started, path, workers, flag("progress", progress))
     with Study.open(path, readonly=True) as opened:
-        result = _result(contents, opened, known, found, why_not)
+        result = replace(_result(contents, opened, known, found, why_not), ran_before=before)
     if verdicts is not None:
         write_junit(result, verdicts)
     return result

@@ -48,7 +48,7 @@ def worst_state(verdicts: Iterable[Verdict]) -> State:
     Returns
     -------
     {"passed", "failed", "inconclusive"}
-        Failed where one failed, else inconclusive where one is, else passed.
+        Failed where one failed, else inconclusive where one is or there is none, else passed.
 
     Examples
     --------
@@ -57,4 +57,4 @@ def worst_state(verdicts: Iterable[Verdict]) -> State:
     >>> worst_state([far, Verdict("failed", "no collision", "Ego and Van collide at 3.2 s", 3.2)])
     'failed'
     """
-    return max((one.state for one in verdicts), key=_ORDER.index, default="passed")
+    return max((one.state for one in verdicts), key=_ORDER.index, default="inconclusive")

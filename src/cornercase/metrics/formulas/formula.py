@@ -65,7 +65,10 @@ class Formula:
         InputError
             It is none; the message names the place and what helps.
         """
-        return cls(parse(text))
+        root = parse(text)
+        # What is stored is the other way of writing, which has all brackets.
+        parse(root.text)
+        return cls(root)
 
     def __str__(self) -> str:
         return self.text

@@ -125,8 +125,8 @@ class Comparison:
         """
         if isinstance(self.right, Signal):
             return f"{self.right.text}, which is {self.left.tell_value(float(self.right.values(signals)[k]))}"
-        told, written = self.left.tell_value(self.right.value), self.right.text
-        return told if told.startswith(written) else f"{told} ({written})"
+        value, written = self.left.tell_value(self.right.value), self.right.text
+        return value if value.startswith(written) else f"{value} ({written})"
 
     def margin(self, signals: Signals) -> FloatArray:
         """How far it holds at each instant.
