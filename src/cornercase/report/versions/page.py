@@ -13,7 +13,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.report.blocks import pack_block, pack_record
-from cornercase.report.contents import plain_score, plain_values, tell_subject
+from cornercase.report.contents import plain_score, plain_values, tell_against, tell_subject
 from cornercase.report.page import REPLAY_SCRIPTS
 from cornercase.report.roads import find_roads, pack_roads, recorded_region
 from cornercase.report.templates import fill_template
@@ -126,8 +126,10 @@ def _contents(found: Comparison, old: Study, new: Study) -> dict[str, Any]:
     if meta.critical is not None and not meta.weights and not meta.pareto:
         first = METRICS.create(meta.metrics[0])
         critical = {"threshold": meta.critical, "lower_is_critical": first.lower_is_critical, "unit": first.unit}
+    shown = [one for one in subject["metrics"] if one["name"] in metrics] or subject["metrics"]
+    known = [(old, new)[side].against_of(row.id) for _, side, row in each]
     return subject | {
-        "metrics": [one for one in subject["metrics"] if one["name"] in metrics] or subject["metrics"],
+        "metrics": shown,
         "searched": meta.metrics[0] if critical is not None else "",
         "critical": critical,
         "outcomes": outcomes,
@@ -144,7 +146,8 @@ def _contents(found: Comparison, old: Study, new: Study) -> dict[str, Any]:
             "critical": [int(bool(pair.critical and pair.critical[side])) for pair, side, _ in each],
             "outcome": [outcomes.index(pair.outcomes[side]) if pair.outcomes[side] else None for pair, side, _ in each],
             "kept": [0] * len(each),
-        },
+        }
+        | tell_against(meta, [[one.get(metric["name"]) for metric in shown] for one in known]),
         "kept": {},
         "errors": errors,
         "kinds": {},
