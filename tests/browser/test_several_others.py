@@ -1,0 +1,59 @@
+"""The page of a study of several others: whom each score is against."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import cornercase as cc
+from cornercase.metrics import METRICS, measured
+from cornercase.recordings import Recording
+from cornercase.scenario import ParameterSpace
+from cornercase.study import Study
+from synthetic import about
+
+# Where the ego looks: the name of the one that counts, and the looks of all entities.
+LOOK = """() => {
+  const pane = cornercase.replay.panel.panes.selected;
+  const roles = [...document.querySelectorAll('th[data-role]')].map((one) => [one.textContent, one.dataset.role]);
+  return [pane.recording.names[pane.other], Object.fromEntries(roles)];
+}"""
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """A stands 4 m from the ego, B nearer or farther, C is not measured against."""
+    folder = tmp_path_factory.mktemp("several")
+    space = ParameterSpace.from_ranges(["b=0:10"])
+    meta = about(space, "distance", "clearance", other=("A", "B"), simulator="builtin")
+    points, still, one = np.array([[0.3], [0.7]]), np.zeros((4, 5)), np.full(4, 0.1)
+    with Study.create(folder / "study.db", meta) as study:
+        for row in study.propose(1, points, space.values(points)):
+            places = np.array([0.0, 4.0, -float(row.values["b"]), 1.0])
+            recording = Recording(
+                time=np.arange(5.0), names=("Ego", "A", "B", "C"), kinds=("car",) * 4,
+                x=np.tile(places[:, None], 5), y=still, heading=still, speed=still, acceleration=still,
+                length=one, width=one, center_x=0.0 * one,
+            )  # fmt: skip
+            metrics = [METRICS.create(name) for name in meta.metrics]
+            study.finish(row.id, recording, measured(metrics, recording, "Ego", meta.others))
+    return cc.write_report(folder / "study.db", folder / "report.html").as_uri()
+
+
+def test_the_page_says_whom_scores_are_against(tab, report):
+    page = tab.open(report)
+    assert "measured against A and B" in page.locator("#about").inner_text()
+    titles = page.locator(".grid .head > *").all_inner_texts()
+    column = next(k for k, title in enumerate(titles) if title.startswith("other by clearance"))
+    rows = page.locator(".grid .body .row")
+    cells = {}
+    for k in range(rows.count()):
+        texts = rows.nth(k).locator(":scope > *").all_inner_texts()
+        cells[texts[0]] = texts[column]
+    assert cells == {"1": "B", "2": "A"}
+    for row, whom in ((0, "B"), (1, "A")):
+        rows.nth(row).click()
+        tab.settle()
+        name, roles = page.evaluate(LOOK)
+        assert name == whom
+        assert roles == {"Ego": "ego", "A": "other", "B": "other", "C": "third"}
