@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 import cornercase as cc
 from command_line import cornercase
 from conftest import moving, private, same_recording, scenario_file, speed_action, teleport
+from cornercase._common.errors import InputError
 from cornercase.cli import app
 from cornercase.exploration import demonstration, explore_configuration
 from cornercase.study import Study
@@ -497,3 +498,55 @@ def test_it_runs_on_other_simulators_and_says_where_they_differ(simulator, explo
     assert result.count("passed") == 6
     # Both go by the storyboard until the ego is left to its driver, which esmini does not have.
     assert all((one.time or 0.0) > 1.0 and (one.distance or 0.0) > 0.1 for one in differences(result))
+
+
+def test_a_collision_that_a_reference_prevents_fails_and_any_other_does_not(explored, tmp_path):
+    path = tmp_path / "run.db"
+    asked = ["no collision unless cautious collides", "no collision unless aggressive collides"]
+    result = cc.test(explored / "reduced", path, require=["no collision"])
+    collide = {one.id for one in result.scenarios if one.state == "failed"}
+    with sqlite3.connect(path) as connection:
+        begun = connection.execute("SELECT * FROM scenarios").fetchall()
+    result = cc.test(explored / "reduced", path, require=[*asked, "no collision unless cc-human collides"])
+    with sqlite3.connect(path) as connection:
+        assert connection.execute("SELECT * FROM scenarios").fetchall() == begun
+    for one in result.scenarios:
+        by_cautious, by_aggressive, by_human = one.verdicts
+        if one.id not in collide:
+            assert [verdict.state for verdict in one.verdicts] == ["passed"] * 3
+            assert "does not touch anybody" in by_cautious.reason
+            continue
+        # The driver of the files is the aggressive one, which collides a second time as it did the first.
+        assert (by_cautious.state, by_aggressive.state) == ("failed", "passed")
+        assert by_cautious.reason.endswith("; cautious prevents it")
+        assert (
+            f"; aggressive does not prevent it either, and collides at {by_cautious.time:.6g} s" in by_aggressive.reason
+        )
+        # Who turns into a road at a junction is nobody that the regulation knows.
+        assert (by_human.state == "inconclusive") == ("cc-human says nothing of it" in by_human.reason)
+    told = cc.summarize(path).references["cautious"]
+    assert (told.prevents, told.collides, told.says_nothing) == (len(collide), 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("requirement", "words"),
+    [
+        ("no collision unless cautios collides", "did you mean 'cautious'"),
+        ("no collision unless cautious", "is no requirement"),
+        ("no collision unless collides", "is no requirement"),
+    ],
+)
+def test_a_reference_that_is_not_there_is_named_before_anything_is_run(explored, tmp_path, requirement, words):
+    with pytest.raises(InputError) as refused:
+        cc.test(explored / "reduced", tmp_path / "run.db", require=[requirement])
+    assert words in str(refused.value)
+    assert not (tmp_path / "run.db").exists()
+
+
+def test_without_what_a_formula_needs_no_run_is_begun(explored, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rtamt", None)
+    asked: tuple[dict[str, Any], ...] = ({"require": ["always[0:5] (clearance > 0.5)"]},)
+    for options in (*asked, {"metrics": ["stl:always(clearance > 0.5)"]}):
+        with pytest.raises(InputError, match="RTAMT"):
+            cc.test(explored / "reduced", tmp_path / "run.db", **options)
+        assert not (tmp_path / "run.db").exists()

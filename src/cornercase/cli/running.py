@@ -67,6 +67,15 @@ def explore(
         ),
     ] = "bayes",
     critical: Critical = None,
+    critical_if: Annotated[
+        str | None,
+        typer.Option(
+            "--critical-if",
+            metavar="CONDITION",
+            help="What is critical instead, and searched: 'collision and not reference:cc-human' is what this driver"
+            " would have prevented; with bounds on scores ('ttc < 1'), and, or, not, brackets.",
+        ),
+    ] = None,
     weight: Annotated[
         list[str] | None,
         typer.Option("--weight", metavar="METRIC=W", help="Search the weighted sum of these metrics."),
@@ -117,6 +126,10 @@ def explore(
       cornercase explore examples/x_intersection/x_intersection.xosc \\
           --space examples/x_intersection/x_intersection.space.xosc \\
           --ego Ego --other Pedestrian --metric wttc --budget 100 -o study.db
+      cornercase explore examples/t_intersection/t_intersection.xosc \\
+          --space examples/t_intersection/t_intersection.space.xosc \\
+          --ego Ego --other C --metric wttc --driver Ego=normal --optimizer committee \\
+          --critical-if "collision and not reference:cautious" -o preventable.db
     """
     from cornercase import exploration
     from cornercase.scenario import LogicalScenario
@@ -130,6 +143,7 @@ def explore(
         metrics=metric,
         optimizer=optimizer,
         critical=critical,
+        critical_if=critical_if,
         weights=parsing.weights(weight or ()),
         pareto=pareto,
         stop_when=stop_when or (),
@@ -265,7 +279,8 @@ def measure(
     other: Other,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.csv", help="Courses to write.")],
     metric: Annotated[
-        list[str] | None, typer.Option("--metric", metavar="NAME", help="Criticality metric; default: all.")
+        list[str] | None,
+        typer.Option("--metric", metavar="NAME", help="Criticality metric; default: all that take no formula."),
     ] = None,
 ) -> None:
     """Measure a recording, of this or any other simulator, and print the scores.

@@ -32,7 +32,8 @@ def test_(
             "--require",
             metavar="EXPRESSION",
             help="What each scenario has to fulfil: 'no collision', 'no collision with NAME', 'no collision at fault',"
-            " 'reach X,Y[,R] within T', or a formula such as 'ttc > 1.5' and 'ego.acceleration > -4'.",
+            " 'no collision unless cc-human collides' with this driver at the wheel, 'reach X,Y[,R] within T', or a"
+            " formula such as 'ttc > 1.5' and 'ego.acceleration > -4'.",
         ),
     ] = None,
     requirements: Annotated[

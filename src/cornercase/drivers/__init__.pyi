@@ -22,6 +22,8 @@ from .references.encounters import drive_cut_in as drive_cut_in
 from .references.encounters import drive_cut_out as drive_cut_out
 from .references.encounters import drive_deceleration as drive_deceleration
 from .references.models import REFERENCES as REFERENCES
+from .references.outcomes import ReferenceOutcome as ReferenceOutcome
+from .references.outcomes import judge_reference as judge_reference
 from .registry import DRIVERS as DRIVERS
 from .simple import SimpleDriver as SimpleDriver
 from .traffic import BEHAVIOUR as BEHAVIOUR

@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase.drivers import Driver, is_driver
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
-from cornercase.metrics import EVERYBODY, METRICS, name_others
+from cornercase.metrics import EVERYBODY, METRICS, CriticalIf, name_others
 from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import MOST_WORKERS
@@ -37,6 +37,8 @@ class Configuration:
     optimizer : str
     critical : float or None
         Threshold: score from which a scenario is critical; None for the metric's own.
+    critical_if : str or None
+        Condition on collisions, scores and references that says instead what is critical; it is searched.
     weights : mapping of str to float
         By metric, for their weighted sum to be searched instead of the first.
     pareto : bool
@@ -80,6 +82,7 @@ class Configuration:
     metrics: tuple[str, ...]
     optimizer: str = "bayes"
     critical: float | None = None
+    critical_if: str | None = None
     weights: Mapping[str, float] = field(default_factory=dict)
     pareto: bool = False
     stop_when: tuple[str, ...] = ()
@@ -105,6 +108,9 @@ class Configuration:
         everybody = self.logical.scenario.entities if EVERYBODY in texts("other", self.other) else ()
         others = name_others(self.other, text("ego", self.ego), everybody)
         taken["other"] = others[0] if len(others) == 1 else others
+        if self.critical_if is not None:
+            taken["critical_if"] = text("critical_if", self.critical_if)
+            self._require_condition_alone()
         taken |= {name: texts(name, given[name]) for name in ("metrics", "stop_when")}
         taken |= {
             name: whole_number(name, given[name], least)
@@ -136,6 +142,14 @@ class Configuration:
         """Names of all entities that the ego is measured against."""
         return (self.other,) if isinstance(self.other, str) else tuple(self.other)
 
+    def _require_condition_alone(self) -> None:
+        """Refuse what would say too what is critical, or is searched."""
+        says_too = {"critical": self.critical is not None, "weights": self.weights, "pareto": self.pareto}
+        for name in filter(says_too.get, says_too):
+            raise InputError(f"`critical_if` says what is critical, and is searched; leave `{name}` out.")
+        if self.repeats != 1:
+            raise InputError("`critical_if` is decided by one run of each scenario; leave `repeats` out.")
+
     def require_entities(self) -> None:
         """Refuse an ego, other or driven entity that the scenario does not have.
 
@@ -164,7 +178,27 @@ class Configuration:
         metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
         for metric in metrics:
             metric.require()
-        return Objective(metrics, self.weights, self.pareto)
+        condition = self.condition()
+        return Objective(metrics if condition is None else [condition, *metrics], self.weights, self.pareto)
+
+    def condition(self) -> CriticalIf | None:
+        """Metric of the condition that says what is critical.
+
+        Returns
+        -------
+        CriticalIf or None
+            None without a condition.
+
+        Raises
+        ------
+        InputError
+            It is none, or what it needs is not installed.
+        """
+        if self.critical_if is None:
+            return None
+        found = CriticalIf.of(self.critical_if)
+        found.require_parts()
+        return found
 
     def criteria(self) -> list[Criterion]:
         """What has to be known to stop.

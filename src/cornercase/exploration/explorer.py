@@ -94,6 +94,8 @@ class ScenarioExplorer:
         Open for writing.
     objective : Objective, optional
         What of which metrics is searched; by default that of the configuration.
+    references : mapping of str to Simulator, optional
+        With the references of the configuration's condition at the wheel of the ego, by name.
 
     Raises
     ------
@@ -108,6 +110,7 @@ class ScenarioExplorer:
         optimizer: Optimizer,
         study: Study,
         objective: Objective | None = None,
+        references: Mapping[str, Simulator] | None = None,
     ) -> None:
         self._configuration, self._optimizer, self._study = configuration, optimizer, study
         self._space = configuration.logical.space
@@ -122,7 +125,7 @@ class ScenarioExplorer:
             audited=configuration.audit > 0.0,
         )
         self._clock = StageClock(study)
-        self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock)
+        self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock, references)
         self._audits = audits_of(self._space, configuration.seed)
         self._best, self._stale = Best(self._objective), 0
         self._wants_features = "features" in optimizer.needs

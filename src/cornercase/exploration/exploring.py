@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ def explore(
     continuous: bool = False,
     optimizer: str = "bayes",
     critical: float | None = None,
+    critical_if: str | None = None,
     weights: Mapping[str, float] | None = None,
     pareto: bool = False,
     stop_when: Sequence[str] = (),
@@ -81,6 +82,11 @@ def explore(
         Options stand behind a colon, as in ``"bayes:filling=0"``.
     critical : float, optional
         Threshold: score from which a scenario is critical; by default the metric's own.
+    critical_if : str, optional
+        Condition that says instead what is critical, and is searched: ``"collision and not reference:cc-human"``. It is
+        made of ``collision`` (of the ego, with anybody), ``reference:NAME`` (the ego would collide with this driver at
+        the wheel), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets. Where it hangs on a
+        reference, the scenario is run a second time.
     weights : mapping of str to float, optional
         By metric: search their weighted sum, in which what is critical when high counts with the opposite sign.
     pareto : bool, default False
@@ -141,6 +147,7 @@ def explore(
         metrics=texts("metrics", metrics),
         optimizer=optimizer,
         critical=critical,
+        critical_if=critical_if,
         weights={} if weights is None else weights,
         pareto=pareto,
         stop_when=texts("stop_when", stop_when),
@@ -200,7 +207,7 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
     optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
     if one.pareto and not optimizer.takes_several:
         raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
-    with configured_simulator(one) as simulator:
+    with configured_simulator(one) as simulator, started_references(one) as references:
         # Asked before a study is made, since without these means no scenario can be run.
         simulator.require_means(one.logical.scenario)
         some = one.logical.space.values(one.logical.space.samples())
@@ -211,7 +218,7 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
             study.add_elapsed("files", time.monotonic() - begun)
             try:
-                return ScenarioExplorer(one, simulator, optimizer, study, objective).run(progress)
+                return ScenarioExplorer(one, simulator, optimizer, study, objective, references).run(progress)
             except InputError:
                 # What nothing could be run with must not keep out the corrected command.
                 if not study.done():
@@ -237,11 +244,44 @@ def configured_simulator(one: Configuration) -> Simulator:
     Simulator
         To be closed.
     """
+    return _started(one, one.drivers)
+
+
+@contextmanager
+def started_references(one: Configuration) -> Iterator[dict[str, Simulator]]:
+    """Start a simulator for each reference of the condition of a configuration, with it at the wheel of the ego.
+
+    Parameters
+    ----------
+    one : Configuration
+
+    Yields
+    ------
+    dict of str to Simulator
+        By name of the reference; empty without a condition.
+
+    Raises
+    ------
+    InputError
+        There is no such driver, or the simulator takes none.
+    """
+    condition = one.condition()
+    with ExitStack() as stack:
+        found = {}
+        for name in () if condition is None else condition.references:
+            try:
+                found[name] = stack.enter_context(_started(one, {**one.drivers, one.ego: name}))
+            except InputError as error:
+                raise InputError(f"`critical_if`, reference:{name}: {error}") from error
+        yield found
+
+
+def _started(one: Configuration, drivers: Mapping[str, str | Driver]) -> Simulator:
     options: dict[str, Any] = {
         "time_step": one.time_step,
         "duration": one.duration,
         "on_collision": one.on_collision,
-        "drivers": {entity: told_driver(driver) for entity, driver in one.drivers.items()},
+        "drivers": {entity: told_driver(driver) for entity, driver in drivers.items()},
     }
     return start_simulator(
         one.simulator, options, ego=one.ego, workers=one.workers, timeout=one.timeout, retries=one.retries

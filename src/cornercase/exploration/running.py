@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.deciding import SecondRuns, Undecided
 from cornercase.exploration.objective import Objective
 from cornercase.metrics import measured
 from cornercase.recordings import Recording
@@ -63,6 +64,9 @@ class ScenarioRunner:
     study : Study
         Open for writing.
     clock : StageClock
+    references : mapping of str to Simulator, optional
+        With the references of the configuration's condition at the wheel of the ego, by name. What hangs on them is
+        stored when all scenarios have ended, and those that hang on them have been run again.
     """
 
     def __init__(
@@ -72,9 +76,16 @@ class ScenarioRunner:
         objective: Objective,
         study: Study,
         clock: StageClock,
+        references: Mapping[str, Simulator] | None = None,
     ) -> None:
         self._configuration, self._simulator, self._objective = configuration, simulator, objective
         self._study, self._clock = study, clock
+        condition = configuration.condition()
+        self._second = None
+        if condition is not None:
+            self._second = SecondRuns(configuration, condition, references or {}, self._outcomes)
+            if missing := [name for name in condition.references if name not in (references or {})]:
+                raise InputError(f"`references`: there is no simulator with {missing[0]} at the wheel.")
 
     def run(self, rows: Sequence[Row]) -> Iterator[tuple[int, Any]]:
         """Run scenarios of the study.
@@ -97,7 +108,7 @@ class ScenarioRunner:
             return
         about = self._configuration
         concretes = [about.logical.concrete(row.values) for row in rows for _ in range(about.repeats)]
-        results = self._outcomes(concretes)
+        results, waiting = self._outcomes(self._simulator, concretes), list[Undecided]()
         for row in rows:
             with self._clock("simulate"):
                 outcomes = [next(results) for _ in range(about.repeats)]
@@ -116,13 +127,38 @@ class ScenarioRunner:
             repeats = None
             if about.repeats > 1:
                 repeats = {name: [one[name].score for _, one in runs] for name in courses}
-            with self._clock("store"):
-                self._study.finish(row.id, recording, courses, repeats)
-            yield row.id, scores[middle]
+            if self._second is None:
+                with self._clock("store"):
+                    self._study.finish(row.id, recording, courses, repeats)
+                yield row.id, scores[middle]
+                continue
+            with self._clock("measure"):
+                looked = self._second.look(row, recording, courses)
+            if looked.wanted is None:
+                yield from self._stored(looked)
+            else:
+                waiting.append(looked)
+        if self._second is not None and waiting:
+            with self._clock("simulate"):
+                decided = list(self._second.decide(waiting))
+            for one in sorted(decided, key=lambda one: one.row.id):
+                yield from self._stored(one)
 
-    def _outcomes(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
+    def _stored(self, one: Undecided) -> Iterator[tuple[int, Any]]:
+        """Store a scenario of which the condition is decided; its id and oriented score, unless it failed."""
+        if one.error is not None:
+            self._study.fail(one.row.id, one.error)
+            return
+        courses = one.decided()
+        with self._clock("store"):
+            self._study.finish(one.row.id, one.recording, courses, references=one.outcomes)
+        yield one.row.id, self._objective.oriented(np.array([[each.score for each in courses.values()]]))[0]
+
+    def _outcomes(
+        self, simulator: Simulator, concretes: Sequence[ConcreteScenario]
+    ) -> Iterator[Recording | SimulationError]:
         try:
-            yield from outcomes_of(self._simulator, concretes)
+            yield from outcomes_of(simulator, concretes)
         except InputError:
             raise
         except Exception as error:

@@ -1,6 +1,9 @@
 from ._parts.conflict_area import visits as visits
 from ._parts.meeting import Meeting as Meeting
 from .base import Metric as Metric
+from .conditions.critical_if import CriticalIf as CriticalIf
+from .conditions.critical_if import LookedAt as LookedAt
+from .conditions.critical_if import condition_of as condition_of
 from .deceleration import Btn as Btn
 from .deceleration import Drac as Drac
 from .deceleration import Dst as Dst

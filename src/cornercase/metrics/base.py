@@ -45,6 +45,9 @@ class Metric(ABC):
     severity : bool, default False
         Whether the score of a recording in which both touch goes on below `contact` with how hard they collide; see
         `score_of_contact`.
+    wants : str, default ""
+        What has to stand behind the colon of its name, in a word, for a metric that means nothing by its name alone; it
+        is left out where all metrics are measured.
     source : str
         Where the definition stands.
 
@@ -75,6 +78,7 @@ class Metric(ABC):
     critical: float | None = None
     contact: float | None = None
     severity: bool = False
+    wants: str = ""
     source: str = ""
 
     @abstractmethod

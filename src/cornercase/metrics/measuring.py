@@ -102,7 +102,7 @@ def measure(
         Whom it is measured against; of several the one counts to whom it is most critical, metric by metric. ``"*"``
         stands for all others.
     metrics : sequence of str, optional
-        Options stand behind a colon, as in ``"ttc:accelerating=true"``; by default all metrics.
+        Options stand behind a colon, as in ``"ttc:accelerating=true"``; by default all metrics that need none.
 
     Returns
     -------
@@ -135,8 +135,10 @@ def measure(
     others = name_others(other, ego, read.names)
     for one in others:
         read.index(one)
-    names = METRICS.names() if metrics is None else texts("metrics", metrics)
+    names = _plain_names() if metrics is None else texts("metrics", metrics)
     made = [METRICS.create(name) for name in dict.fromkeys(names)]
+    for metric in made:
+        metric.require()
     found = measured(made, read, ego, others)
     return Measurement(
         time=read.time,
@@ -146,6 +148,11 @@ def measure(
         lower_is_critical={metric.name: metric.lower_is_critical for metric in made},
         against={name: one.against for name, one in found.items()} if len(others) > 1 else {},
     )
+
+
+def _plain_names() -> list[str]:
+    """Names that are metrics by themselves."""
+    return [name for name in METRICS.names() if not METRICS.class_of(name).wants]
 
 
 class Measured(NamedTuple):

@@ -15,6 +15,7 @@ for _name, _place in (
     ("a-long-req", "deceleration:LongitudinalAcceleration"),
     ("btn", "deceleration:Btn"),
     ("clearance", "distance:Clearance"),
+    ("critical-if", "conditions.critical_if:CriticalIf"),
     ("conflict-severity", "severity:ConflictSeverity"),
     ("dce", "encounter:Dce"),
     ("delta-v", "severity:DeltaV"),

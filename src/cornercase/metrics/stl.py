@@ -11,7 +11,6 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.formulas.formula import Formula
 from cornercase.metrics.formulas.signals import is_metric, signals_of
-from cornercase.metrics.formulas.temporal import require_rtamt
 from cornercase.metrics.formulas.terms import Bound, Comparison
 from cornercase.metrics.registry import METRICS
 from cornercase.recordings import Recording
@@ -49,6 +48,7 @@ class Stl(Metric):
     lower_is_critical = True
     cap = _FAR
     critical = 0.0
+    wants = "FORMULA"
     source = "Fainekos and Pappas 2009, Donzé and Maler 2010"
 
     def __init__(self, formula: str = "clearance > 0", /) -> None:
@@ -59,8 +59,7 @@ class Stl(Metric):
         self.most_critical = -max(_FAR, *(gap for one in comparisons for gap in _beyond(one)), 0.0)
 
     def require(self) -> None:
-        if self.formula.temporal:
-            require_rtamt()
+        self.formula.require()
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         signals = signals_of(recording, ego, other)

@@ -12,6 +12,7 @@ from cornercase.evidence import Estimate
 from cornercase.reduction import ReducedSet
 from cornercase.report.data import ReportData
 from cornercase.report.knowledge import CriticalKnowledge
+from cornercase.report.references import tell_references
 from cornercase.report.words import (
     find_reasons,
     percent,
@@ -170,6 +171,7 @@ def _of_share(data: ReportData) -> Answer:
         ran = f"{known.scenarios} of the {summary.run} scenarios{ran_them} {verb} critical ({criterion})."
     else:
         ran = f"None of the {summary.run} scenarios{ran_them} is critical ({criterion})."
+    ran += tell_references(summary.references)
     if of_set is None:
         return Answer(name, question, f"{ran} Too few different scores are known to say something of all others.")
     space = "the space, as far as it can be run," if data.failed else "the space"

@@ -93,6 +93,11 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         }
         for (one, two), agreement in summary.agreements.items()
     }
+    if summary.references:
+        plain["references"] = {
+            name: {"prevents": one.prevents, "does not prevent": one.collides, "says nothing of": one.says_nothing}
+            for name, one in summary.references.items()
+        }
     if summary.probability is not None:
         plain["probability"] = dict(summary.probability)
     return plain | (_reduced(summary.reduced) if summary.reduced is not None else {})

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
+from cornercase.metrics import condition_of
 from cornercase.scenario import Parameter
 from cornercase.study import IMPORTED, StudyMeta
 
@@ -95,8 +97,11 @@ def _required(meta: StudyMeta) -> Iterator[str]:
 
 
 def _measures(meta: StudyMeta) -> Iterator[str]:
-    yield from _measured(meta)
-    if meta.critical is not None:
+    condition = condition_of(meta.metrics)
+    yield from _measured(replace(meta, metrics=meta.metrics[1:]) if condition else meta)
+    if condition:
+        yield from ("--critical-if", condition)
+    elif meta.critical is not None:
         yield from ("--critical", _plain(meta.critical))
 
 

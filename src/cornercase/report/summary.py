@@ -16,6 +16,7 @@ from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.report.knowledge import Knowledge, find_knowledge
+from cornercase.report.references import ReferenceCount, count_references
 from cornercase.scenario import Value
 from cornercase.study import Study, StudyMeta, damage_told, open_study, require
 
@@ -90,6 +91,8 @@ class Summary:
         None before the study was reduced.
     probability : mapping of str to object, or None
         What an estimate found, as `cornercase.exploration.Estimation.to_json` gives it; None where the study is none.
+    references : mapping of str to ReferenceCount
+        By name, of those that the condition or a requirement of the study speaks of.
     """
 
     meta: StudyMeta
@@ -106,6 +109,7 @@ class Summary:
     knowledge: Knowledge
     reduced: ReducedSet | None
     probability: Mapping[str, Any] | None = None
+    references: Mapping[str, ReferenceCount] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         found = [f"{self.meta.title}: {self.run} scenarios run, {self.collisions} collisions"]
@@ -199,6 +203,7 @@ def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
         knowledge=find_knowledge(study),
         reduced=read_reduction(study),
         probability=_probability(study),
+        references=count_references(study),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Final
 
 from cornercase._common.texts import first_line
 from cornercase.clustering import ASPECTS, Analysis, Profile
-from cornercase.metrics import METRICS
+from cornercase.metrics import METRICS, condition_of
 from cornercase.report.knowledge import CriticalKnowledge
 from cornercase.report.summary import Summary
 from cornercase.scenario import Parameter, Value
@@ -185,8 +185,10 @@ def name_criterion(known: CriticalKnowledge, searched: str) -> str:
     Returns
     -------
     str
-        ``"wttc <= 1 s"``.
+        ``"wttc <= 1 s"``; a condition as it was given.
     """
+    if condition := condition_of([searched]):
+        return condition
     return f"{searched} {'<=' if known.lower_is_critical else '>='} {known.threshold:g} {known.unit}".rstrip()
 
 

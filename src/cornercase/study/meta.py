@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.version import __version__
+from cornercase.metrics import condition_of
 from cornercase.scenario import ParameterSpace
 
 _DIFFERENT: Final = {
@@ -259,6 +260,8 @@ class StudyMeta:
             if name == "space":
                 # Its constraints follow from the file, and earlier versions did not write them.
                 mine, given = mine.parameters, given.parameters
+            if name == "metrics" and condition_of(mine) != condition_of(given):
+                words = "another condition of what is critical"
             if mine != given:
                 if name == "settings":
                     names = sorted({*mine, *given})

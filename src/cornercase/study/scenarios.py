@@ -10,6 +10,7 @@ import numpy as np
 from cornercase._common.arguments import whole_number
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers import ReferenceOutcome
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.study.codec import unpack_arrays, unpack_recording
@@ -18,6 +19,7 @@ from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
 from cornercase.study.notes import LONGEST_NOTE
 from cornercase.study.repeated_runs import shares_of_runs
+from cornercase.study.second_runs import read_reference, row_name
 from cornercase.study.table import Row
 
 # SQLite counts no further.
@@ -226,6 +228,24 @@ class ScenarioContents:
         with damage_told(self.path):
             return {name: float(found[name]) for name in self.meta.metrics if name in found}
 
+    def references(self, driver: str) -> dict[int, ReferenceOutcome]:
+        """What came of the scenarios that were run again with a reference at the wheel of the ego.
+
+        Parameters
+        ----------
+        driver : str
+            Name of the reference.
+
+        Returns
+        -------
+        dict of int to ReferenceOutcome
+            By id of each scenario that was run with it.
+        """
+        question = "SELECT scenario, score, course FROM courses WHERE metric = ? ORDER BY scenario"
+        found = self._database.found(question, row_name(driver))
+        with damage_told(self.path):
+            return {scenario: read_reference(score, packed) for scenario, score, packed in found}
+
     def against(self, metric: str) -> dict[int, str | None]:
         """Tell whom the scores of the scenarios that were run are against, in a study of several others.
 
@@ -295,6 +315,26 @@ class ScenarioContents:
         )
         counts = Counter(whom for (whom,) in found)
         return max(others, key=counts.__getitem__)
+
+    def reference_of(self, scenario: int, driver: str) -> ReferenceOutcome | None:
+        """What came of one scenario that was run again with a reference at the wheel of the ego.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+        driver : str
+            Name of the reference.
+
+        Returns
+        -------
+        ReferenceOutcome or None
+            None where it was not run with it.
+        """
+        question = "SELECT score, course FROM courses WHERE scenario = ? AND metric = ?"
+        found = self._database.found(question, scenario, row_name(driver))
+        with damage_told(self.path):
+            return read_reference(*found[0]) if found else None
 
     def spread(self, metric: str) -> FloatArray | None:
         """Lowest and highest score of the runs of each scenario that was run.

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
+from cornercase.drivers import ReferenceOutcome
 from cornercase.metrics import Measured
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
@@ -24,6 +25,7 @@ from cornercase.study.damage import damage_told
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
 from cornercase.study.migrations import AGAINST, TABLES
+from cornercase.study.second_runs import write_references
 from cornercase.study.table import Row
 
 # Tables that hold something of scenarios; those that refer to others come first.
@@ -203,6 +205,7 @@ class Study(StudyContents):
         recording: Recording,
         courses: Mapping[str, tuple[FloatArray, float] | Measured],
         repeats: Mapping[str, Sequence[float]] | None = None,
+        references: Mapping[str, ReferenceOutcome] | None = None,
     ) -> None:
         """Store what came out of a scenario: its recording, and course and score of each metric.
 
@@ -215,8 +218,11 @@ class Study(StudyContents):
             Course and score by metric, and in a study of several others whom the score is against.
         repeats : mapping of str to sequence of float, optional
             Where the scenario was run several times, the scores of all runs by metric.
+        references : mapping of str to ReferenceOutcome, optional
+            Where it was run again with references at the wheel of the ego, what came of it, by the name of each.
         """
         with self._database.writing() as connection:
+            write_references(connection, scenario, references or {})
             connection.executemany(
                 "INSERT INTO repeats VALUES (?, ?, ?)",
                 [(scenario, name, json.dumps(list(scores))) for name, scores in (repeats or {}).items()],
@@ -234,6 +240,20 @@ class Study(StudyContents):
                 "UPDATE scenarios SET state = 'done', recording = ? WHERE id = ?",
                 (pack_recording(recording), scenario),
             )
+
+    def save_reference(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
+        """Store what came of a scenario that was run again with a reference at the wheel of the ego.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+        driver : str
+            Name of the reference.
+        outcome : ReferenceOutcome
+        """
+        with self._database.writing() as connection:
+            write_references(connection, scenario, {driver: outcome})
 
     def fail(self, scenario: int, error: SimulationError) -> None:
         """Store why a scenario could not be run.

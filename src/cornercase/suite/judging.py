@@ -10,6 +10,7 @@ import numpy as np
 
 from cornercase._common.texts import quoted_name
 from cornercase._common.typing import FloatArray
+from cornercase.drivers import ReferenceOutcome
 from cornercase.metrics import Comparison, Formula, Signals, others_there, signals_of
 from cornercase.recordings import Collision, Recording
 from cornercase.suite.fault import is_at_fault
@@ -29,6 +30,7 @@ def judge(
     other: str | Sequence[str],
     *,
     courses: Mapping[str, FloatArray] | None = None,
+    reference: ReferenceOutcome | None = None,
 ) -> Verdict:
     """Judge a recording.
 
@@ -44,6 +46,8 @@ def judge(
         robustness, and names whom it is against.
     courses : mapping of str to ndarray of float64, shape (T,), optional
         Courses of metrics that are known already, by name; not used with several others.
+    reference : ReferenceOutcome, optional
+        What came of the scenario with the driver at the wheel that the requirement names, where that was asked.
 
     Returns
     -------
@@ -76,7 +80,10 @@ def judge(
         if isinstance(other, str) or len(other) == 1:
             return _judge_formula(requirement, requirement.formula, signals_of(recording, ego, others[0], courses))
         return _judge_each(requirement, requirement.formula, recording, ego, others)
-    return _JUDGES[requirement.kind](requirement, recording, ego)
+    verdict = _JUDGES[requirement.kind](requirement, recording, ego)
+    if requirement.reference and verdict.state == "failed":
+        return _judge_reference(verdict, requirement.reference, reference)
+    return verdict
 
 
 def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
@@ -91,6 +98,16 @@ def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -
     if not found:
         return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch {_whom(whom)}")
     return _collided(requirement, recording, ego, found[0])
+
+
+def _judge_reference(verdict: Verdict, name: str, outcome: ReferenceOutcome | None) -> Verdict:
+    """What becomes of a collision that a reference may have prevented."""
+    if outcome is None:
+        return replace(verdict, state="inconclusive", reason=f"{verdict.reason}; {name} was not run")
+    state: State = "failed"
+    if outcome.collides is not False:
+        state = "inconclusive" if outcome.collides is None else "passed"
+    return replace(verdict, state=state, reason=f"{verdict.reason}; {outcome.tell(name)}")
 
 
 def _judge_fault(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
@@ -224,5 +241,6 @@ _JUDGES: Final[dict[Kind, Callable[[Requirement, Recording, str], Verdict]]] = {
     "no collision": _judge_collision,
     "no collision with": _judge_collision,
     "no collision at fault": _judge_fault,
+    "no collision unless": _judge_collision,
     "reach": _judge_place,
 }

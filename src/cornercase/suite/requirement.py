@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Final, Literal
 
@@ -12,7 +12,7 @@ from cornercase._common.arguments import text
 from cornercase._common.errors import InputError
 from cornercase.metrics import Formula
 
-Kind = Literal["no collision", "no collision with", "no collision at fault", "reach", "formula"]
+Kind = Literal["no collision", "no collision with", "no collision at fault", "no collision unless", "reach", "formula"]
 
 REACHED: Final = 2.0
 """How near in m the ego has to come to a place, unless the requirement says it."""
@@ -24,9 +24,10 @@ _PLAIN: Final = re.compile(r'[^\s"]+')
 _REACH: Final = re.compile(
     rf"reach\s+{_NUMBER}\s*,\s*{_NUMBER}(?:\s*,\s*{_NUMBER})?\s+within\s+{_NUMBER}\s*(\S*)", re.DOTALL
 )
+_UNLESS: Final = re.compile(r"no collision unless (\S+) collides", re.IGNORECASE)
 _FORMS: Final = (
-    "'no collision', 'no collision with NAME', 'no collision at fault', 'reach X,Y[,R] within T', or a bound such as"
-    " 'ttc > 1.5'"
+    "'no collision', 'no collision with NAME', 'no collision at fault', 'no collision unless NAME collides', 'reach"
+    " X,Y[,R] within T', or a bound such as 'ttc > 1.5'"
 )
 _LARGEST: Final = 1e6
 
@@ -39,9 +40,11 @@ class Requirement:
     ----------
     text : str
         As it stands in studies and messages.
-    kind : {"no collision", "no collision with", "no collision at fault", "reach", "formula"}
+    kind : {"no collision", "no collision with", "no collision at fault", "no collision unless", "reach", "formula"}
     entity : str
         Whom the ego must not touch; empty where the requirement names nobody.
+    reference : str
+        Driver that is put at the wheel of the ego where that collides; empty where the requirement names none.
     place : tuple of three float, or None
         x and y in m of where the ego has to come, and how near in m.
     within : float
@@ -61,6 +64,7 @@ class Requirement:
     formula: Formula | None = None
     pattern: str = ""
     by_kind: bool = False
+    reference: str = ""
 
     def __str__(self) -> str:
         return self.text
@@ -72,11 +76,12 @@ class Requirement:
         Parameters
         ----------
         requirement : str
-            ``"no collision"`` with anybody, ``"no collision with NAME"``, ``"no collision at fault"``, ``"reach
-            X,Y[,R] within T"`` in m and s, or a formula as `cornercase.metrics.Formula` reads it, such as
-            ``"ttc > 1.5"``. After ``"for PATTERN: "`` it is one of the files of that name only, after
-            ``'for kind "PATTERN": '`` one of the scenarios of that kind; ``*`` stands for any characters and ``?`` for
-            one. A pattern with spaces stands between quotation marks, as JSON has them.
+            ``"no collision"`` with anybody, ``"no collision with NAME"``, ``"no collision at fault"``, ``"no
+            collision unless NAME collides"`` with the driver NAME at the wheel of the ego, ``"reach X,Y[,R] within T"``
+            in m and s, or a formula as `cornercase.metrics.Formula` reads it, such as ``"ttc > 1.5"``. After
+            ``"for PATTERN: "`` it is one of the files of that name only, after ``'for kind "PATTERN": '`` one of the
+            scenarios of that kind; ``*`` stands for any characters and ``?`` for one. A pattern with spaces stands
+            between quotation marks, as JSON has them.
 
         Returns
         -------
@@ -103,7 +108,7 @@ class Requirement:
             )
         one = _collision(body) or _place(body) or _formula(body, given)
         shown = f"{prefix_for(pattern, by_kind=by_kind)}{one.text}" if pattern else one.text
-        return cls(shown, one.kind, one.entity, one.place, one.within, one.formula, pattern, by_kind)
+        return replace(one, text=shown, pattern=pattern, by_kind=by_kind)
 
     def concerns(self, file: str, kind: str = "") -> bool:
         """Tell whether it is one of a scenario.
@@ -166,6 +171,8 @@ def _collision(body: str) -> Requirement | None:
         return Requirement(plain, "no collision at fault")
     if plain.startswith("no collision with ") and len(words) == 4:
         return Requirement(f"no collision with {words[3]}", "no collision with", entity=words[3])
+    if (found := _UNLESS.fullmatch(body)) is not None:
+        return Requirement(f"no collision unless {found[1]} collides", "no collision unless", reference=found[1])
     raise InputError(f"`require` {body}: is no requirement; write {_FORMS}.")
 
 

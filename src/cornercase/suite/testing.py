@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,9 +14,10 @@ from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_apart, require_other_file, require_place
 from cornercase.drivers import Driver, is_driver, told_driver
-from cornercase.metrics import EVERYBODY, METRICS, name_others
-from cornercase.simulators import MOST_WORKERS, start_simulator
+from cornercase.metrics import EVERYBODY, METRICS, condition_of, name_others
+from cornercase.simulators import MOST_WORKERS, Simulator, start_simulator
 from cornercase.study import Study, StudyMeta
+from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
 from cornercase.suite.junit import write_junit
 from cornercase.suite.origin import find_differences, find_origin
@@ -137,14 +140,27 @@ def test(
     options |= {name: value for name, value in given.items() if value is not None}
     name = _simulator(contents, simulator)
     options["drivers"] = _drivers(contents, drivers)
-    with start_simulator(name, options, ego=who[0], workers=workers, timeout=timeout, retries=retries) as started:
+    asked = dict.fromkeys(one.reference for one in known if one.reference)
+    start = partial(start_simulator, name, ego=who[0], workers=workers, timeout=timeout, retries=retries)
+    with start(options) as started, ExitStack() as stack:
+        references = {one: stack.enter_context(_with_reference(start, options, who[0], one)) for one in asked}
         meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings)
         before = run_suite(contents, meta, started, path, workers, flag("progress", progress))
+        if references:
+            with Study.open(path) as opened:
+                ask_references(contents, opened, known, references)
     with Study.open(path, readonly=True) as opened:
         result = replace(_result(contents, opened, known, found, why_not), ran_before=before)
     if verdicts is not None:
         write_junit(result, verdicts)
     return result
+
+
+def _with_reference(start: Callable[..., Simulator], options: dict[str, Any], ego: str, reference: str) -> Simulator:
+    try:
+        return start(options | {"drivers": {**options["drivers"], ego: told_driver(reference)}})
+    except InputError as error:
+        raise InputError(f"`require` no collision unless {reference} collides: {error}") from error
 
 
 def _required(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
@@ -196,10 +212,17 @@ def _none_concerned(suite: SuiteContents, required: Requirement) -> str:
 
 
 def _metrics(suite: SuiteContents, given: Sequence[str], requirements: Sequence[Requirement]) -> tuple[str, ...]:
-    names = list(texts("metrics", given) or suite.metrics)
-    if not names:
-        names = [name for one in requirements if one.formula is not None for name in one.formula.metrics]
-    return tuple(METRICS.create(name).name for name in dict.fromkeys(names or ["clearance"]))
+    # A condition needs runs of references beside those of the suite.
+    names = list(texts("metrics", given)) or [name for name in suite.metrics if not condition_of([name])]
+    asked = [name for one in requirements if one.formula is not None for name in one.formula.metrics]
+    made = [METRICS.create(name) for name in dict.fromkeys(names or asked or ["clearance"])]
+    # Asked before there is a study.
+    for metric in [*made, *map(METRICS.create, asked)]:
+        metric.require()
+    for one in requirements:
+        if one.formula is not None:
+            one.formula.require()
+    return tuple(metric.name for metric in made)
 
 
 def _simulator(suite: SuiteContents, given: str | None) -> str:

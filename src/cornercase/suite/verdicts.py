@@ -59,7 +59,17 @@ def judge_row(study: Study, row: Row, requirements: list[Requirement]) -> list[V
     # Of several others it is not known which of them a course is against at an instant.
     asked = asked if len(meta.others) == 1 else set()
     courses = {name: study.course(row.id, name) for name in meta.metrics if name in asked}
-    return [judge(one, recording, meta.ego, meta.others, courses=courses) for one in mine]
+    return [
+        judge(
+            one,
+            recording,
+            meta.ego,
+            meta.others,
+            courses=courses,
+            reference=study.reference_of(row.id, one.reference) if one.reference else None,
+        )
+        for one in mine
+    ]
 
 
 def _of(row: Row, names: tuple[str, ...]) -> str:

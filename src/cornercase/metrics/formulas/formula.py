@@ -11,6 +11,7 @@ from cornercase.metrics.formulas.deciding import find_decisive
 from cornercase.metrics.formulas.parser import parse
 from cornercase.metrics.formulas.robustness import follow
 from cornercase.metrics.formulas.signals import Signals, is_metric
+from cornercase.metrics.formulas.temporal import require_rtamt
 from cornercase.metrics.formulas.terms import Comparison, Node, comparisons_in, is_temporal
 from cornercase.metrics.formulas.units import spelt
 
@@ -104,6 +105,17 @@ class Formula:
     def temporal(self) -> bool:
         """Whether it has a temporal operator, so that the extra ``stl`` is needed."""
         return is_temporal(self.root)
+
+    def require(self) -> None:
+        """Refuse to go on where something is not installed that the formula needs.
+
+        Raises
+        ------
+        InputError
+            It has a temporal operator, and the extra ``stl`` is not installed.
+        """
+        if self.temporal:
+            require_rtamt()
 
     def robustness(self, signals: Signals) -> FloatArray:
         """Say how far it holds from each instant on.

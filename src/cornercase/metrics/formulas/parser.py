@@ -48,6 +48,25 @@ def parse(text: str) -> Node:
     return _Parser(Words(text)).whole()
 
 
+def read_comparison(words: Words) -> Comparison:
+    """Read a comparison, and leave what follows it.
+
+    Parameters
+    ----------
+    words : Words
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    return _Parser(words).comparison()
+
+
 class _Parser:
     """From the operator that binds least, `->`, down to comparisons."""
 

@@ -25,6 +25,9 @@ _OWN: Final = MappingProxyType(
 FORMULAS: Final = "stl"
 """Name of the metric of a formula, which cannot stand in another."""
 
+CONDITION: Final = "critical-if"
+"""Name of the metric of a condition, which cannot stand in a formula either."""
+
 
 @dataclass(frozen=True, eq=False)
 class Signals:
@@ -91,6 +94,8 @@ def unit_of(name: str) -> str:
     base = name.partition(":")[0]
     if base == FORMULAS:
         raise InputError(f"'{FORMULAS}' is the metric of a formula; write the formula itself, in brackets.")
+    if base == CONDITION:
+        raise InputError(f"'{CONDITION}' is the metric of a condition, which no formula can speak of.")
     if base not in METRICS:
         raise InputError(f"there is no signal '{name}'; {suggestion(name, [*_OWN, *metric_names()])}")
     return METRICS.create(name).unit
@@ -103,7 +108,7 @@ def metric_names() -> list[str]:
     -------
     list of str
     """
-    return [name for name in METRICS.names() if name != FORMULAS]
+    return [name for name in METRICS.names() if name not in (FORMULAS, CONDITION)]
 
 
 def is_metric(name: str) -> bool:

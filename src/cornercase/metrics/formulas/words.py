@@ -55,10 +55,12 @@ class Words:
     Parameters
     ----------
     text : str
+    what : str, default "formula"
+        What it is, for messages.
     """
 
-    def __init__(self, text: str) -> None:
-        self._text = text
+    def __init__(self, text: str, what: str = "formula") -> None:
+        self._text, self._what = text, what
         self.next = self._read(0)
 
     @property
@@ -126,7 +128,7 @@ class Words:
         """
         place = (word or self.next).begin
         where = "at its end" if place >= len(self._text) else f"at '{_excerpt(self._text, place)}'"
-        raise InputError(f"The formula '{_shown(self._text)}', {where}: {sentence}")
+        raise InputError(f"The {self._what} '{_shown(self._text)}', {where}: {sentence}")
 
     def expected(self, what: str) -> NoReturn:
         """Refuse the next word, since something else has to stand there.
@@ -149,7 +151,7 @@ class Words:
         found = _WORDS.match(self._text, begin)
         kind = found.lastgroup if found else None
         if found is None or kind is None:
-            self.refuse(f"'{self._text[begin]}' is no part of a formula.", Word("end", "", begin, begin))
+            self.refuse(f"'{self._text[begin]}' is no part of a {self._what}.", Word("end", "", begin, begin))
         if kind == "foreign":
             self.refuse(f"write {_FOREIGN[found.group()]} for {found.group()}.", Word("end", "", begin, begin))
         # The groups are called as the kinds are.

@@ -1,0 +1,195 @@
+"""What a run of a reference driver says: whether who drove instead of it could have prevented a collision."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers.base import DrivenPath, Situation
+from cornercase.drivers.references.models import REFERENCES, URGENT, time_to_collision
+from cornercase.drivers.references.surroundings import Surroundings
+from cornercase.recordings import Collision, Recording
+
+# The models of the regulation know traffic of motorways, which goes in about one direction: angle between directions in
+# rad, and for how long before they meet, in s.
+_ALONG: Final = np.pi / 4
+_BEFORE: Final = 3.0
+# Who is slower in m/s goes in no direction.
+_MOVING: Final = 0.5
+_NO_MOTORWAY: Final = frozenset({"pedestrian", "wheelchair", "animal", "bicycle", "tram", "train"})
+# m that a driven path goes on straight.
+_BEYOND: Final = 500.0
+_CLOCK: Final = 1e-9
+
+
+@dataclass(frozen=True)
+class ReferenceOutcome:
+    """What came of a scenario with a reference at the wheel.
+
+    Attributes
+    ----------
+    collides : bool or None
+        None where the reference says nothing of such a scenario.
+    time : float or None
+        Instant of its collision in s; None without one.
+    """
+
+    collides: bool | None
+    time: float | None = None
+
+    def tell(self, driver: str) -> str:
+        """Say what the reference shows.
+
+        Parameters
+        ----------
+        driver : str
+            Its name.
+
+        Returns
+        -------
+        str
+            A part of a sentence.
+        """
+        if self.collides is None:
+            return f"{driver} says nothing of it, as it knows only vehicles ahead that go in about its own direction"
+        if not self.collides:
+            return f"{driver} prevents it"
+        when = "" if self.time is None else f", and collides at {self.time:.6g} s"
+        return f"{driver} does not prevent it either{when}"
+
+
+def judge_reference(
+    driver: str, run: Recording, original: Recording, ego: str, other: str | Sequence[str]
+) -> ReferenceOutcome:
+    """Judge a scenario that was run a second time, with a reference at the wheel of the ego.
+
+    A reference of UN Regulation No. 157 says nothing where whom the ego met, or whom the reference collides with, is
+    no vehicle of a motorway, comes from behind, or goes in a direction more than 45° from the ego's within the last 3 s
+    before they meet. Who comes from behind is behind the ego with all of its box just before they touch.
+    The encounter of `cc-human` is over, and it is no danger, where somebody cuts in with a time to collision of more
+    than 2 s at the intrusion; what it collides with later does not count.
+
+    Parameters
+    ----------
+    driver : str
+        Name of the reference; any driver can be one.
+    run : Recording
+        With the reference.
+    original : Recording
+        With who drove the ego before.
+    ego : str
+        Name of the entity under test.
+    other : str or sequence of str
+        Whom it is measured against; where it collides with nobody, the one of several that comes nearest counts.
+
+    Returns
+    -------
+    ReferenceOutcome
+
+    References
+    ----------
+    UN Regulation No. 157, Annex 4, Appendix 3.
+    """
+    name = driver.partition(":")[0]
+    hit = _first_collision(run, ego)
+    if name in REFERENCES:
+        met = _first_collision(original, ego)
+        others = (other,) if isinstance(other, str) else other
+        whom, at = _nearest(original, ego, others) if met is None else (_partner(met, ego), met.time)
+        if not _is_known(original, ego, whom, at):
+            return ReferenceOutcome(None)
+        if hit is not None and not _is_known(run, ego, _partner(hit, ego), hit.time):
+            return ReferenceOutcome(None)
+    if hit is None or (name == "cc-human" and _is_over_before(run, ego, hit)):
+        return ReferenceOutcome(False)
+    return ReferenceOutcome(True, float(hit.time))
+
+
+def _first_collision(recording: Recording, ego: str) -> Collision | None:
+    return next((one for one in recording.collisions if ego in one.entities), None)
+
+
+def _partner(collision: Collision, ego: str) -> str:
+    first, second = collision.entities
+    return second if first == ego else first
+
+
+def _nearest(recording: Recording, ego: str, others: Sequence[str]) -> tuple[str, float]:
+    """The one that comes nearest and the instant in s; the first of both where none is ever there with the ego."""
+    apart = np.stack([np.hypot(*(recording.center(one) - recording.center(ego)).T) for one in others])
+    whom, at = np.unravel_index(np.where(np.isnan(apart), np.inf, apart).argmin(), apart.shape)
+    return others[int(whom)], float(recording.time[int(at)])
+
+
+def _is_known(recording: Recording, ego: str, other: str, at: float) -> bool:
+    """Whether two meet as the models of the regulation know it."""
+    i, j = recording.index(ego), recording.index(other)
+    if recording.kinds[j] in _NO_MOTORWAY:
+        return False
+    before = max(int(np.abs(recording.time - at).argmin()) - 1, 0)
+    heading = recording.heading[i, before]
+    x, y = recording.center(other)[before] - recording.center(ego)[before]
+    if x * np.cos(heading) + y * np.sin(heading) < -0.5 * (recording.length[i] + recording.length[j]):
+        return False
+    moving = (recording.time >= at - _BEFORE) & (recording.time <= at + _CLOCK) & (recording.speed[j] > _MOVING)
+    turned = (recording.heading[j, moving] - recording.heading[i, moving] + np.pi) % (2.0 * np.pi) - np.pi
+    return not (np.abs(turned) > _ALONG).any()
+
+
+def _is_over_before(run: Recording, ego: str, hit: Collision) -> bool:
+    """Whether the one that is hit cut in before that, with time to spare."""
+    i, others = run.index(ego), [k for k, name in enumerate(run.names) if name != ego]
+    there = np.isfinite(run.x[i]) & (run.time <= hit.time + _CLOCK)
+    situation = _all_instants(run, i, others, there)
+    view = Surroundings(int(there.sum()), len(others)).view(situation, run.acceleration[i, there])
+    k = others.index(run.index(_partner(hit, ego)))
+    in_the_way, beside = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
+    cuts_in = np.flatnonzero(in_the_way[1:] & beside[:-1]) + 1
+    if not len(cuts_in) or cuts_in[-1] == len(in_the_way) - 1:
+        return False
+    return bool(time_to_collision(view)[cuts_in[-1], k] > URGENT)
+
+
+def _all_instants(run: Recording, i: int, others: list[int], there: BoolArray) -> Situation:
+    """What a driver is told at each instant, as scenarios beside each other; its path is the one that it drove."""
+    x, y, heading = run.x[i, there], run.y[i, there], run.heading[i, there]
+    none = np.zeros(len(x))
+    return Situation(
+        time=0.0,
+        time_step=float(run.time[1] - run.time[0]),
+        path=_driven(x, y, heading),
+        distance=none,
+        x=x,
+        y=y,
+        heading=heading,
+        speed=run.speed[i, there],
+        acceleration=run.acceleration[i, there],
+        length=float(run.length[i]),
+        width=float(run.width[i]),
+        center_x=float(run.center_x[i]),
+        target_speed=none,
+        others_x=run.x[others][:, there].T,
+        others_y=run.y[others][:, there].T,
+        others_heading=run.heading[others][:, there].T,
+        others_speed=run.speed[others][:, there].T,
+        others_length=run.length[others],
+        others_width=run.width[others],
+        others_center_x=run.center_x[others],
+        others_kind=tuple(run.kinds[k] for k in others),
+        active=np.ones(len(x), dtype=np.bool_),
+    )
+
+
+def _driven(x: FloatArray, y: FloatArray, heading: FloatArray) -> DrivenPath:
+    step = np.hypot(np.diff(x), np.diff(y))
+    moved = np.append(True, step > 1e-6)
+    x, y, heading = x[moved], y[moved], np.unwrap(heading[moved])
+    x = np.append(x, x[-1] + _BEYOND * np.cos(heading[-1]))
+    y = np.append(y, y[-1] + _BEYOND * np.sin(heading[-1]))
+    distance = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+    heading = np.append(heading, heading[-1])
+    return DrivenPath(distance, x, y, heading, np.zeros(len(x)))

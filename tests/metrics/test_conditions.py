@@ -1,0 +1,137 @@
+"""Conditions that say which scenarios are critical: how they are read, and what they make of a run."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from cornercase._common.errors import InputError
+from cornercase.metrics import CriticalIf, Formula, condition_of, measure, measured
+from two_cars import met
+
+X = np.arange(6) * 1.0
+
+
+def run(gap, collides=None):
+    """The ego goes 5 m towards a standing car, 4 m long as itself, from which it ends `gap` m away."""
+    return met((X, 0.0, 0.0, 10.0), (np.full(6, 9.0 + gap), 0.0, 0.0, 0.0), collides)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ("collision and  not reference:cc-human", "collision and not reference:cc-human"),
+        ("not(collision or ttc<1s)and reference:fsm", "not (collision or ttc < 1 s) and reference:fsm"),
+        ("1 > ttc", "ttc < 1"),
+        ("reference:my.drivers:Calm or drac >= 4", "reference:my.drivers:Calm or drac >= 4"),
+        ("not not (collision)", "not not collision"),
+        ("collision or collision and ttc < 1", "collision or (collision and ttc < 1)"),
+    ],
+)
+def test_a_condition_has_one_way_of_writing_and_is_read_again_as_the_same(given, text):
+    read = CriticalIf.of(given)
+    assert read.name == f"critical-if:{text}"
+    assert CriticalIf.of(text).condition == read.condition
+    assert condition_of(["ttc", read.name]) == text
+    assert condition_of(["ttc"]) == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("", "give 'collision', 'reference:NAME', or a bound"),
+        ("colision", "did you mean 'collision'"),
+        ("tttc < 1", "did you mean 'ttc'"),
+        ("collision and", "at its end: give 'collision'"),
+        ("collision not reference:rss", "at 'not reference:rss': give and, or"),
+        ("reference cc-human", "a colon and the name of a driver"),
+        ("reference:", "the name of a driver"),
+        ("(collision", "a closing bracket"),
+        ("always (ttc > 1)", "metric stl"),
+        ("ego.speed > 3", "takes scores of metrics"),
+        ("ttc < clearance", "compared with"),
+        ("thw < ttc", "compare the score of a metric with a number"),
+        ("ttc < 1 m", "ttc is in s"),
+        ("not " * 60 + "collision", "nested more than 50"),
+        ("collision && ttc < 1", "write and for &&"),
+    ],
+)
+def test_what_is_no_condition_is_refused_with_what_helps(given, words):
+    with pytest.raises(InputError, match="The condition") as refused:
+        CriticalIf.of(given)
+    assert words in str(refused.value)
+
+
+def test_the_score_is_0_or_below_just_where_the_condition_holds():
+    parts = {"collision": True, "ttc < 1": False, "reference:a": True, "reference:b": False}
+    looked = run(0.0, collides=0.5)
+    assert measure(looked, "Ego", "Other", ["ttc"]).scores["ttc"] == 0.0
+    parts["ttc < 1"] = True
+    forms = ("{} and {}", "{} or {}", "not {} and {}", "{} and not ({} or {})", "not ({} and {}) or {}")
+    for form in forms:
+        for names in itertools.permutations(parts, form.count("{}")):
+            text = form.format(*names)
+            made = CriticalIf.of(text)
+            outcomes = {name: parts[f"reference:{name}"] for name in made.references}
+            # Python reads it the same way, with brackets where names would not be any.
+            expected = eval(form.format(*(str(parts[name]) for name in names)))
+            found = made.look(looked, "Ego", "Other")
+            assert found.holds(outcomes) is expected, text
+            assert (found.score(outcomes) <= 0.0) is expected, text
+
+
+def test_the_distance_from_a_collision_is_the_clearance_and_a_reference_decides_without_any():
+    made = CriticalIf.of("collision and not reference:cc-human")
+    assert (made.unit, made.cap, made.critical, made.lower_is_critical) == ("m", 100.0, 0.0, True)
+    far, touch = made.look(run(3.0), "Ego", "Other"), made.look(run(0.0, collides=0.5), "Ego", "Other")
+    assert far.score({}) == pytest.approx(3.0)
+    assert far.undecided({}) is None
+    assert touch.undecided({}) == "cc-human"
+    assert touch.score({"cc-human": False}) == 0.0
+    assert touch.score({"cc-human": True}) == touch.score({"cc-human": None}) == made.cap
+    # Boxes that touch without a collision being told are none.
+    assert made.look(run(0.0), "Ego", "Other").score({}) > 0.0
+
+
+def test_bounds_are_on_scores_and_their_margins_are_combined():
+    close = run(3.0)
+    scores = measure(close, "Ego", "Other", ["clearance", "ttc"]).scores
+    both, either = CriticalIf.of("clearance < 1 and ttc < 0.2"), CriticalIf.of("clearance < 1 or ttc < 0.2")
+    gaps = scores["clearance"] - 1.0, scores["ttc"] - 0.2
+    assert both.unit == "1"
+    assert both.look(close, "Ego", "Other").score({}) == pytest.approx(max(gaps))
+    assert either.look(close, "Ego", "Other").score({}) == pytest.approx(min(gaps))
+    at = CriticalIf.of(f"clearance < {scores['clearance']!r}").look(close, "Ego", "Other")
+    up_to = CriticalIf.of(f"clearance <= {scores['clearance']!r}").look(close, "Ego", "Other")
+    assert at.score({}) > 0.0 >= up_to.score({})
+
+
+def test_only_the_reference_that_decides_is_asked():
+    touch = run(0.0, collides=0.5)
+    made = CriticalIf.of("(clearance > 50 and not reference:a) or (collision and not reference:b and not reference:c)")
+    looked = made.look(touch, "Ego", "Other")
+    assert looked.undecided({}) == "b"
+    assert looked.undecided({"b": True}) is None
+    assert looked.undecided({"b": False}) == "c"
+    assert looked.undecided({"b": None, "c": False}) == "a"
+
+
+def test_the_course_goes_to_0_at_the_collision_and_is_not_defined_without_the_other():
+    touch = run(0.0, collides=0.3)
+    made = CriticalIf.of("collision and not reference:cc-human")
+    course = made.course(touch, "Ego", "Other")
+    np.testing.assert_allclose(course, [5.0, 4.0, 3.0, 0.0, 1.0, 0.0])
+    touch.x[1, :2] = np.nan
+    assert np.isnan(made.course(touch, "Ego", "Other")).tolist() == [True, True, False, False, False, False]
+
+
+def test_a_recording_alone_cannot_be_measured_by_it():
+    for asked in (["critical-if:collision"], ["critical-if:collision and not reference:fsm"]):
+        with pytest.raises(InputError, match="critical_if"):
+            measure(run(1.0), "Ego", "Other", asked)
+    with pytest.raises(InputError, match="no formula can speak of"):
+        Formula.parse("critical-if < 1")
+    made = CriticalIf.of("collision")
+    assert set(measured([made], run(1.0), "Ego", "Other")) == {made.name}
