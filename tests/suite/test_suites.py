@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lxml import etree
+from markdown_it import MarkdownIt
 from typer.testing import CliRunner
 
 import cornercase as cc
@@ -27,6 +28,7 @@ from cornercase.exploration import demonstration, explore_configuration
 from cornercase.study import Study
 from cornercase.suite import Difference, ScenarioResult, SuiteResult, Verdict, find_difference, verdicts_of
 from cornercase.suite.junit import write_junit
+from cornercase.suite.summary import write_summary
 from two_cars import met
 
 SCHEMA = etree.XMLSchema(etree.parse(str(Path(__file__).parents[1] / "data" / "junit.xsd")))
@@ -299,6 +301,30 @@ def test_every_state_is_valid_junit(tmp_path):
     assert not result.has_passed()
     assert SuiteResult(tmp_path, tmp_path, "builtin", (), scenarios[::2]).has_passed()
     assert not SuiteResult(tmp_path, tmp_path, "builtin", (), scenarios[::2]).has_passed(strict=True)
+
+
+def test_the_summary_is_one_table_whatever_names_there_are(tmp_path):
+    signs = "a|b <i>*c*</i>\n_d_ `e` [f](g) # \\ | ~~h~~ &amp; @i $j$ ![k](l)\x1b"
+    results = tuple(
+        ScenarioResult(
+            k, f"{k}{signs}.xosc", state, {}, {}, 1.0, (Verdict("failed", "ttc > 1", signs),), kind=kind,
+            difference=Difference(k == 1, 0.25, 1.5, (1.0, 1.0), {}),
+        )
+        for k, (state, kind) in enumerate([("failed", signs), ("error", "")], start=1)
+    )  # fmt: skip
+    write_summary(
+        SuiteResult(tmp_path / "run.db", tmp_path, "builtin", (), results, tmp_path / "old.db"), tmp_path / "s.md"
+    )
+    tokens = MarkdownIt().enable("table").parse((tmp_path / "s.md").read_text("utf-8"))
+    assert [one.type for one in tokens].count("table_open") == 1
+    texts = [one for one in tokens if one.type == "inline"]
+    assert {child.type for one in texts for child in one.children or ()} <= {"text", "text_special"}
+    read = ["".join(child.content for child in one.children or ()) for one in texts]
+    plain = " ".join(signs.replace("\x1b", "\\x1b").split())
+    assert read[0] == "1 failed, 1 not run of 2 scenarios"
+    assert read[1:6] == ["scenario", "kind", "verdict", "why", "recording"]
+    assert read[6:11] == [f"1{plain}.xosc", plain, "failed", plain, "the same"]
+    assert read[11:16] == [f"2{plain}.xosc", "", "not run", plain, "up to 0.25 m elsewhere from 1.5 s"]
 
 
 def test_a_difference_is_the_largest_distance_at_the_same_instants():

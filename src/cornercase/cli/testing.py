@@ -15,7 +15,7 @@ from cornercase.cli import parsing
 from cornercase.cli.options import Drivers, Retries, Timeout, Workers, app, err, out
 
 if TYPE_CHECKING:
-    from cornercase.suite import ScenarioResult, SuiteResult
+    from cornercase.suite import SuiteResult
 
 
 @app.command(name="test")
@@ -43,6 +43,9 @@ def test_(
     strict: Annotated[bool, typer.Option("--strict", help="What is inconclusive has not passed.")] = False,
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE.xml", help="JUnit file to write, for Jenkins, GitLab or GitHub.")
+    ] = None,
+    summary: Annotated[
+        Path | None, typer.Option(metavar="FILE.md", help="Table in Markdown to write, for GitHub's job summary.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
     against: Annotated[
@@ -110,14 +113,16 @@ def test_(
         drivers=parsing.pairs(driver or (), "--driver"),
         against=against,
         junit=junit,
+        summary=summary,
         progress=True,
     )
     if as_json:
         sys.stdout.write(json.dumps(_plain(result.to_json()), indent=2, ensure_ascii=False) + "\n")
     else:
         _print(result)
-        if junit is not None:
-            err.print(f"Written to {junit}")
+        for written in (junit, summary):
+            if written is not None:
+                err.print(f"Written to {written}")
     if not result.has_passed(strict=strict):
         raise typer.Exit(1)
 
@@ -133,7 +138,7 @@ def _print(result: SuiteResult) -> None:
         box=None,
     )
     for one in result.scenarios:
-        words = [_against(one)] if compared else []
+        words = ["–" if one.difference is None else one.difference.text] if compared else []
         state = "not run" if one.state == "error" else one.state
         table.add_row(one.file, state, one.reason, *words)
     out.print(table)
@@ -144,18 +149,6 @@ def _print(result: SuiteResult) -> None:
             f"{result.ran_before} of them were in {result.study} before and were not run again; to run a new version of"
             " what drives, name another study with -o."
         )
-
-
-def _against(one: ScenarioResult) -> str:
-    found = one.difference
-    if found is None:
-        return "–"
-    if found.same:
-        return "the same"
-    if found.distance is None:
-        return "another"
-    since = "" if found.time is None else f" from {found.time:.4g} s"
-    return f"up to {found.distance:.3g} m elsewhere{since}"
 
 
 def _plain(value: Any) -> Any:

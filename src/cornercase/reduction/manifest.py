@@ -55,7 +55,7 @@ def make_manifest(
     return {
         "format": MANIFEST_FORMAT,
         "version": __version__,
-        "scenario": meta.scenario,
+        "scenario": meta.file_name,
         "fingerprint": meta.fingerprint,
         "study": study.path.name,
         "simulator": meta.simulator,

@@ -43,6 +43,16 @@ class Difference:
     duration: tuple[float, float]
     scores: Mapping[str, tuple[float, float]]
 
+    @property
+    def text(self) -> str:
+        """The difference in a few words."""
+        if self.same:
+            return "the same"
+        if self.distance is None:
+            return "another"
+        since = "" if self.time is None else f" from {self.time:.4g} s"
+        return f"up to {self.distance:.3g} m elsewhere{since}"
+
 
 def find_difference(
     before: Recording, now: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None

@@ -26,6 +26,7 @@ from cornercase.suite.requirement import Requirement
 from cornercase.suite.requirement_files import read_requirements
 from cornercase.suite.result import ScenarioResult, SuiteResult
 from cornercase.suite.running import run_suite
+from cornercase.suite.summary import write_summary
 from cornercase.suite.verdict import Verdict, worst_state
 from cornercase.suite.verdicts import judge_row
 
@@ -54,6 +55,7 @@ def test(
     drivers: Mapping[str, str | Driver] | None = None,
     against: Path | str | None = None,
     junit: Path | str | None = None,
+    summary: Path | str | None = None,
     progress: bool = False,
 ) -> SuiteResult:
     """Run the scenarios of a suite again, judge them, and compare them with those that they were kept from.
@@ -98,6 +100,8 @@ def test(
         where it lies beside the manifest or in the folder above.
     junit : path, optional
         JUnit file to write. One that is there is removed before anything is run.
+    summary : path, optional
+        File with a table in Markdown to write, in place of one that is there, as with `junit`.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -122,17 +126,9 @@ def test(
     found, why_not = find_origin(contents, None if against is None else path_argument("against", against))
     given_file = None if requirements is None else path_argument("requirements", requirements)
     read = [*contents.files, *(one for one in (found, given_file) if one is not None)]
-    verdicts = None if junit is None else path_argument("junit", junit)
     for one in read:
         require_other_file(path, one)
-        if verdicts is not None:
-            require_other_file(verdicts, one, "junit")
-    if verdicts is not None:
-        # Not after an hour of simulations.
-        require_place("junit", verdicts)
-        require_apart(verdicts, path, "junit")
-        # What is there is of another run, and would be taken for one of this where nothing can be run.
-        verdicts.unlink(missing_ok=True)
+    outputs = _outputs(junit, summary, path, read)
     who = _entities(contents, ego, other, known, drivers or {})
     workers = whole_number("workers", workers, 1, MOST_WORKERS)
     options = {name: contents.settings.get(name, plain) for name, plain in _PLAIN.items()}
@@ -151,8 +147,8 @@ def test(
                 ask_references(contents, opened, known, references)
     with Study.open(path, readonly=True) as opened:
         result = replace(_result(contents, opened, known, found, why_not), ran_before=before)
-    if verdicts is not None:
-        write_junit(result, verdicts)
+    for write, place in outputs:
+        write(result, place)
     return result
 
 
@@ -161,6 +157,27 @@ def _with_reference(start: Callable[..., Simulator], options: dict[str, Any], eg
         return start(options | {"drivers": {**options["drivers"], ego: told_driver(reference)}})
     except InputError as error:
         raise InputError(f"`require` no collision unless {reference} collides: {error}") from error
+
+
+def _outputs(
+    junit: Path | str | None, summary: Path | str | None, study: Path, read: Sequence[Path]
+) -> list[tuple[Callable[[SuiteResult, Path], None], Path]]:
+    """What is to be written besides the study, once nothing of another run stands there."""
+    found: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
+    for name, given, write in (("junit", junit, write_junit), ("summary", summary, write_summary)):
+        if given is not None:
+            place = path_argument(name, given)
+            for one in read:
+                require_other_file(place, one, name)
+            # Not after an hour of simulations.
+            require_place(name, place)
+            for _, other in ((None, study), *found):
+                require_apart(place, other, name)
+            found.append((write, place))
+    for _, place in found:
+        # What is there is of another run, and would be taken for one of this where nothing can be run.
+        place.unlink(missing_ok=True)
+    return found
 
 
 def _required(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:

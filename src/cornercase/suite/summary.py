@@ -1,0 +1,60 @@
+"""Verdicts as a table in Markdown, which GitHub shows on the page of a job."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.files import written_whole
+from cornercase._common.texts import plain_text
+from cornercase.suite.result import SuiteResult
+
+# What Markdown takes for more than itself.
+_SIGNS: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")
+
+
+def write_summary(result: SuiteResult, path: Path) -> None:
+    """Write a table with a row for each scenario.
+
+    Parameters
+    ----------
+    result : SuiteResult
+    path : Path
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    head = ["scenario", "kind", "verdict", "why", "recording"]
+    rows = [
+        [
+            one.file,
+            one.kind,
+            "not run" if one.state == "error" else one.state,
+            one.reason,
+            "" if one.difference is None else one.difference.text,
+        ]
+        for one in result.scenarios
+    ]
+    shown = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    lines = [
+        f"### {_text(result.text)}",
+        "",
+        _line([head[k] for k in shown]),
+        _line(["---"] * len(shown)),
+        *(_line([_text(row[k]) for k in shown]) for row in rows),
+        "",
+        f"{_text(result.comparison)}.",
+    ]
+    with written_whole(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def _line(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _text(text: str) -> str:
+    return _SIGNS.sub(r"\\\1", " ".join(plain_text(text).split()))
