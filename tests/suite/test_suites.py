@@ -305,12 +305,13 @@ def test_every_state_is_valid_junit(tmp_path):
 
 def test_the_summary_is_one_table_whatever_names_there_are(tmp_path):
     signs = "a|b <i>*c*</i>\n_d_ `e` [f](g) # \\ | ~~h~~ &amp; @i $j$ ![k](l)\x1b"
+    states: Any = [("failed", signs), ("error", "")]
     results = tuple(
         ScenarioResult(
             k, f"{k}{signs}.xosc", state, {}, {}, 1.0, (Verdict("failed", "ttc > 1", signs),), kind=kind,
             difference=Difference(k == 1, 0.25, 1.5, (1.0, 1.0), {}),
         )
-        for k, (state, kind) in enumerate([("failed", signs), ("error", "")], start=1)
+        for k, (state, kind) in enumerate(states, start=1)
     )  # fmt: skip
     write_summary(
         SuiteResult(tmp_path / "run.db", tmp_path, "builtin", (), results, tmp_path / "old.db"), tmp_path / "s.md"
