@@ -432,6 +432,10 @@ def test_junit_is_written_over_nothing_that_is_read_or_written(reduced, tmp_path
     for junit in [*taken, tmp_path / "run.db", tmp_path / "run.db.lock", tmp_path, tmp_path / "rules.toml" / "x.xml"]:
         with pytest.raises(cc.InputError, match="`junit`"):
             cc.test(reduced, tmp_path / "run.db", requirements=rules, junit=junit)
+        with pytest.raises(cc.InputError, match="`summary`"):
+            cc.test(reduced, tmp_path / "run.db", requirements=rules, summary=junit)
+    with pytest.raises(cc.InputError, match=r"`summary` .*is the JUnit file, too"):
+        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out", summary=tmp_path / "out")
     assert [one.read_bytes() for one in taken] == before
     # Not after an hour of simulations.
     assert not (tmp_path / "run.db").exists()

@@ -171,8 +171,9 @@ def _outputs(
                 require_other_file(place, one, name)
             # Not after an hour of simulations.
             require_place(name, place)
-            for _, other in ((None, study), *found):
-                require_apart(place, other, name)
+            require_apart(place, study, name)
+            if any(place.resolve() == other.resolve() for _, other in found):
+                raise InputError(f"`{name}` {place}: is the JUnit file, too; choose another name.")
             found.append((write, place))
     for _, place in found:
         # What is there is of another run, and would be taken for one of this where nothing can be run.
