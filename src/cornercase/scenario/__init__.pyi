@@ -16,6 +16,7 @@ from .openscenario import DRIVER_PROPERTY as DRIVER_PROPERTY
 from .openscenario import Scenario as Scenario
 from .parameter import Parameter as Parameter
 from .parameter import Value as Value
+from .parcel import ScenarioParcel as ScenarioParcel
 from .scope import Scope as Scope
 from .space import ParameterSpace as ParameterSpace
 from .varied_roads import with_roads as with_roads

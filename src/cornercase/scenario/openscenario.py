@@ -357,6 +357,29 @@ class Scenario:
         """
         return (self.path, *self._catalog_files, *self.road_files())
 
+    @property
+    def varied_roads(self) -> tuple[str, ...]:
+        """Road files that a varied parameter names, as the scenario would name them."""
+        return self._roads
+
+    def contents(self) -> dict[Path, bytes]:
+        """Return the content of all files that the fingerprint counts, as they were when they were read.
+
+        Returns
+        -------
+        dict of Path to bytes
+            The scenario file is the first one.
+
+        Raises
+        ------
+        InputError
+            A file cannot be read, or has changed since.
+        """
+        files = {file: self._files.content(file) for file in self.files() if file.is_file()}
+        if self._digest() != self.fingerprint():
+            raise InputError(f"{self.path}: its files have changed since they were read; run the command again.")
+        return files
+
     def is_same(self, other: Scenario) -> bool:
         """Tell whether another scenario has the same path, and its files the same content.
 

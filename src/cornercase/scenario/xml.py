@@ -85,12 +85,12 @@ class XmlFiles:
 
     def digest(self, path: Path) -> bytes:
         """SHA-256 of a file's content; raises an `InputError` where it cannot be read."""
-        return hashlib.sha256(self._content(path)).digest()
+        return hashlib.sha256(self.content(path)).digest()
 
     def root(self, path: Path) -> etree._Element:
         """Root of a file, as in `read_xml`; the same object each time, which is not to be changed."""
         if path not in self._roots:
-            self._roots[path] = root = parse_xml(self._content(path), path)
+            self._roots[path] = root = parse_xml(self.content(path), path)
             # Elements remember what was read of them as long as somebody holds them.
             self._elements[path] = list(root.iter())
         return self._roots[path]
@@ -105,7 +105,8 @@ class XmlFiles:
         """Roots of the files that were asked for, by their path."""
         return dict(self._roots)
 
-    def _content(self, path: Path) -> bytes:
+    def content(self, path: Path) -> bytes:
+        """Content of a file; raises an `InputError` where it cannot be read."""
         if path not in self._data:
             self._data[path] = read_file(path)
         return self._data[path]

@@ -9,6 +9,7 @@ from .carla.openscenario_1_0 import Conversion as Conversion
 from .carla.openscenario_1_0 import convert as convert
 from .carla.simulator import CarlaSimulator as CarlaSimulator
 from .carmaker.simulator import CarMakerSimulator as CarMakerSimulator
+from .cluster import ClusterSimulator as ClusterSimulator
 from .esmini.simulator import EsminiSimulator as EsminiSimulator
 from .outcomes import outcomes_of as outcomes_of
 from .registry import SIMULATORS as SIMULATORS

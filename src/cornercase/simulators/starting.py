@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from cornercase._common.arguments import number, text, whole_number
+from cornercase._common.errors import InputError
 from cornercase.simulators.base import Simulator
+from cornercase.simulators.cluster import LOCAL, ClusterSimulator
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.workers import MOST_WORKERS, WorkerSimulator
 
@@ -19,11 +21,12 @@ def start_simulator(
     workers: int = 1,
     timeout: float | None = None,
     retries: int = 1,
+    cluster: str | None = None,
 ) -> Simulator:
     """Make a simulator that runs where it has to.
 
     One that declares that it may, and has neither company nor a time-out, runs in this process. All others run in
-    worker processes, where a crash or a hang costs the one scenario that is at fault.
+    worker processes, where a crash or a hang costs the one scenario that is at fault, or on a cluster.
 
     Parameters
     ----------
@@ -40,6 +43,8 @@ def start_simulator(
         s after which a scenario is given up.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
+    cluster : str, optional
+        Dask cluster to run on: ``"local"``, the address of a scheduler, or the file that a scheduler wrote.
 
     Returns
     -------
@@ -63,6 +68,11 @@ def start_simulator(
     retries = whole_number("retries", retries)
     declared = SIMULATORS.class_of(text("simulator", name))
     given = dict(options or {}) | ({"ego": ego} if "ego" in declared.needs else {})
+    if cluster is not None:
+        place = text("cluster", cluster)
+        if workers > 1 and place != LOCAL:
+            raise InputError("`workers`: are those of the cluster; leave it out.")
+        return ClusterSimulator(name, given, place, workers, timeout, retries)
     if declared.in_process and workers == 1 and timeout is None:
         return SIMULATORS.create(name, **given)
     return WorkerSimulator(name, given, workers, timeout, retries)

@@ -1,0 +1,183 @@
+"""What the workers of a cluster do: they keep simulators and scenario files, and run scenarios."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import current_process
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Condition, Lock
+from typing import Any, Final
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.version import __version__
+from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel, Value
+from cornercase.simulators.base import Simulator
+from cornercase.simulators.outcomes import Outcome, outcomes_of
+from cornercase.simulators.registry import SIMULATORS
+from cornercase.simulators.workers import WorkerSimulator
+
+
+@dataclass(frozen=True)
+class Job:
+    """What runs the scenarios of one exploration or suite.
+
+    Attributes
+    ----------
+    key : str
+        Different for each.
+    version : str
+        Of the cornercase that asks.
+    simulator : str
+    options : mapping of str to object
+        What to make it with.
+    timeout : float or None
+        s for each scenario.
+    retries : int
+    """
+
+    key: str
+    version: str
+    simulator: str
+    options: Mapping[str, Any]
+    timeout: float | None
+    retries: int
+
+
+class _Site:
+    """Simulators and files of one job in this process, each simulator used by one thread at a time."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._free: list[int] = []
+        self._made: list[Simulator] = []
+        self._change = Condition()
+        declared = SIMULATORS.class_of(job.simulator)
+        self._numbered = "worker" in declared.needs
+        # One in this process has all of its cores to itself.
+        self._here = declared.in_process and job.timeout is None
+        self._folders: dict[str, TemporaryDirectory[str]] = {}
+        self._scenarios: dict[str, Scenario] = {}
+
+    @contextmanager
+    def simulator(self) -> Iterator[Simulator]:
+        with self._change:
+            while self._here and self._made and not self._free:
+                self._change.wait()
+            if not self._free:
+                self._made.append(self._new(len(self._made)))
+                heapq.heappush(self._free, len(self._made) - 1)
+            number = heapq.heappop(self._free)
+        try:
+            yield self._made[number]
+        finally:
+            with self._change:
+                heapq.heappush(self._free, number)
+                self._change.notify()
+
+    def _new(self, number: int) -> Simulator:
+        job = self._job
+        options = dict(job.options) | ({"worker": number} if self._numbered else {})
+        if self._here:
+            return SIMULATORS.create(job.simulator, **options)
+        if current_process().daemon:
+            raise InputError(
+                "`cluster`: its workers may not start processes; set DASK_DISTRIBUTED__WORKER__DAEMON=False where they"
+                " are started."
+            )
+        return WorkerSimulator(job.simulator, options, 1, job.timeout, job.retries)
+
+    def unpacked(self, key: str, parcel: ScenarioParcel) -> tuple[Scenario, Path]:
+        with self._change:
+            if key not in self._scenarios:
+                folder = TemporaryDirectory(prefix="cornercase-", ignore_cleanup_errors=True)
+                self._scenarios[key] = parcel.unpack(Path(folder.name))
+                self._folders[key] = folder
+            return self._scenarios[key], Path(self._folders[key].name)
+
+    def close(self) -> None:
+        for one in self._made:
+            one.close()
+        for folder in self._folders.values():
+            folder.cleanup()
+
+
+_SITES: Final[dict[str, _Site]] = {}
+_LOCK: Final = Lock()
+
+
+def hand_over(parcel: ScenarioParcel) -> ScenarioParcel:
+    """Be the task that gives a parcel.
+
+    Parameters
+    ----------
+    parcel : ScenarioParcel
+
+    Returns
+    -------
+    ScenarioParcel
+    """
+    return parcel
+
+
+def run_job(
+    job: Job, parcels: Mapping[str, ScenarioParcel], scenarios: Sequence[tuple[str, Mapping[str, Value]]]
+) -> list[Outcome]:
+    """Run scenarios in this process, or in one that it keeps.
+
+    Parameters
+    ----------
+    job : Job
+    parcels : mapping of str to ScenarioParcel
+    scenarios : sequence of (str, mapping of str to float or str)
+        The parcel of each, and its values.
+
+    Returns
+    -------
+    list of Recording or SimulationError
+        One for each, in order.
+
+    Raises
+    ------
+    InputError
+        This process has another version of cornercase, or none of the scenarios can be run.
+    """
+    if job.version != __version__:
+        raise InputError(
+            f"`cluster`: a worker has cornercase {__version__}, and this is {job.version}; install the same on each."
+        )
+    with _LOCK:
+        site = _SITES.setdefault(job.key, _Site(job))
+    here = {key: site.unpacked(key, parcel) for key, parcel in parcels.items()}
+    concretes = [ConcreteScenario(here[key][0].path, values, here[key][0]) for key, values in scenarios]
+    places = {str(here[key][1]): parcel.folder for key, parcel in parcels.items()}
+    try:
+        with site.simulator() as simulator:
+            found = list(outcomes_of(simulator, concretes))
+    except InputError as error:
+        raise InputError(_told(str(error), places)) from None
+    return [type(one)(_told(str(one), places)) if isinstance(one, SimulationError) else one for one in found]
+
+
+def _told(words: str, places: Mapping[str, str]) -> str:
+    """Name files as they are called where the scenarios come from."""
+    for here, there in places.items():
+        words = words.replace(here, there)
+    return words
+
+
+def close_job(key: str) -> None:
+    """End what was kept for a job.
+
+    Parameters
+    ----------
+    key : str
+        Its key.
+    """
+    with _LOCK:
+        site = _SITES.pop(key, None)
+    if site is not None:
+        site.close()
