@@ -11,6 +11,7 @@ import typer
 
 from cornercase.cli import parsing
 from cornercase.cli.options import (
+    Cluster,
     Drivers,
     Retries,
     Seed,
@@ -51,6 +52,7 @@ def estimate(
         str | None, typer.Option("--simulator", metavar="NAME", help="What runs the scenarios; default: as the study.")
     ] = None,
     workers: Workers = 1,
+    cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
     driver: Drivers = None,
@@ -78,6 +80,7 @@ def estimate(
         simulator=simulator,
         drivers=parsing.pairs(driver or (), "--driver"),
         workers=workers,
+        cluster=cluster,
         timeout=timeout,
         retries=retries,
         progress=True,

@@ -10,8 +10,8 @@ from cornercase._common.errors import NoticeWarning
 from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
-    "against", "archetypes", "archetypes_by", "audit", "batch", "beside", "budget", "by", "continuous",
-    "cover", "critical", "duration",
+    "against", "archetypes", "archetypes_by", "audit", "batch", "beside", "budget", "by", "cluster",
+    "continuous", "cover", "critical", "duration",
     "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_seconds",
     "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repeats", "require", "requirements", "retries", "scenario",

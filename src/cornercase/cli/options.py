@@ -82,6 +82,13 @@ Timeout = Annotated[float | None, typer.Option(metavar="S", help="Give a scenari
 Retries = Annotated[
     int, typer.Option(metavar="N", help="Run a scenario again so often after the simulator died or hung.", min=0)
 ]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS|local",
+        help="Run on a Dask cluster: address of its scheduler, or the file that it wrote; local for --workers here.",
+    ),
+]
 Workers = Annotated[int, typer.Option(metavar="N", help="Simulators that run side by side.", min=1)]
 
 

@@ -14,6 +14,7 @@ from cornercase._common.files import require_other_file
 from cornercase._common.texts import first_line
 from cornercase.cli import parsing
 from cornercase.cli.options import (
+    Cluster,
     Critical,
     Drivers,
     Duration,
@@ -99,6 +100,7 @@ def explore(
     seed: Seed = 0,
     simulator: SimulatorName = "builtin",
     workers: Workers = 1,
+    cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
     repeats: Annotated[
@@ -154,6 +156,7 @@ def explore(
         seed=seed,
         simulator=simulator,
         workers=workers,
+        cluster=cluster,
         timeout=timeout,
         retries=retries,
         repeats=repeats,

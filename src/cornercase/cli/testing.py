@@ -12,7 +12,16 @@ import typer
 from rich.table import Column, Table
 
 from cornercase.cli import parsing
-from cornercase.cli.options import Drivers, Retries, Timeout, Workers, app, err, out
+from cornercase.cli.options import (
+    Cluster,
+    Drivers,
+    Retries,
+    Timeout,
+    Workers,
+    app,
+    err,
+    out,
+)
 
 if TYPE_CHECKING:
     from cornercase.suite import SuiteResult
@@ -60,6 +69,7 @@ def test_(
     ] = None,
     driver: Drivers = None,
     workers: Workers = 1,
+    cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
     ego: Annotated[str | None, typer.Option(help="Entity under test; default: as in the manifest.")] = None,
@@ -105,6 +115,7 @@ def test_(
         metrics=metric or (),
         simulator=simulator,
         workers=workers,
+        cluster=cluster,
         timeout=timeout,
         retries=retries,
         time_step=time_step,

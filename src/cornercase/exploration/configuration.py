@@ -56,6 +56,8 @@ class Configuration:
     simulator : str
     workers : int
         Simulators side by side.
+    cluster : str or None
+        Dask cluster that they run on, as `cornercase.simulators.ClusterSimulator` takes it.
     timeout : float or None
         Time in s after which a scenario is given up.
     retries : int
@@ -93,6 +95,7 @@ class Configuration:
     seed: int = 0
     simulator: str = "builtin"
     workers: int = 1
+    cluster: str | None = None
     timeout: float | None = None
     retries: int = 1
     repeats: int = 1
@@ -126,6 +129,8 @@ class Configuration:
             raise InputError(f"`audit` {self.audit:g}: give a share of the scenarios up to {MOST_AUDITS:g}.")
         if self.critical is not None:
             taken["critical"] = number("critical", self.critical)
+        if self.cluster is not None:
+            taken["cluster"] = text("cluster", self.cluster)
         if self.max_seconds is not None:
             taken["max_seconds"] = number("max_seconds", self.max_seconds, least=0.0)
         if self.timeout is not None:

@@ -47,6 +47,7 @@ def estimate(
     simulator: str | None = None,
     drivers: Mapping[str, str | Driver] | None = None,
     workers: int = 1,
+    cluster: str | None = None,
     timeout: float | None = None,
     retries: int = 1,
     progress: bool = False,
@@ -81,6 +82,9 @@ def estimate(
         Drivers of your own, by entity, where the study has some; presets are those of the study.
     workers : int, default 1
         Simulators side by side.
+    cluster : str, optional
+        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, or the file that
+        a scheduler wrote.
     timeout : float, optional
         Time in s after which a scenario is given up.
     retries : int, default 1
@@ -110,7 +114,7 @@ def estimate(
         if _NAME.fullmatch(source.meta.optimizer):
             raise InputError(f"`study` {file}: is an estimate itself; name the study that it was made of.")
         about = _configuration(source, scenario, budget, critical, seed, simulator, drivers or {})
-        about = replace(about, workers=workers, timeout=timeout, retries=retries)
+        about = replace(about, workers=workers, cluster=cluster, timeout=timeout, retries=retries)
         learn, known = _agreed(made, round(_LEARN_SHARE * budget))
         objective = about.objective()
         threshold = objective.threshold(about.critical)

@@ -44,6 +44,7 @@ def explore(
     seed: int = 0,
     simulator: str = "builtin",
     workers: int = 1,
+    cluster: str | None = None,
     timeout: float | None = None,
     retries: int = 1,
     repeats: int = 1,
@@ -104,6 +105,9 @@ def explore(
     simulator : str, default "builtin"
     workers : int, default 1
         Simulators side by side.
+    cluster : str, optional
+        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, or the file that
+        a scheduler wrote.
     timeout : float, optional
         Time in s after which a scenario is given up.
     retries : int, default 1
@@ -158,6 +162,7 @@ def explore(
         seed=seed,
         simulator=simulator,
         workers=workers,
+        cluster=cluster,
         timeout=timeout,
         retries=retries,
         repeats=repeats,
@@ -284,5 +289,11 @@ def _started(one: Configuration, drivers: Mapping[str, str | Driver]) -> Simulat
         "drivers": {entity: told_driver(driver) for entity, driver in drivers.items()},
     }
     return start_simulator(
-        one.simulator, options, ego=one.ego, workers=one.workers, timeout=one.timeout, retries=one.retries
+        one.simulator,
+        options,
+        ego=one.ego,
+        workers=one.workers,
+        timeout=one.timeout,
+        retries=one.retries,
+        cluster=one.cluster,
     )

@@ -17,7 +17,7 @@ from cornercase.suite.contents import SuiteContents, SuiteScenario
 
 
 def run_suite(
-    suite: SuiteContents, meta: StudyMeta, simulator: Simulator, path: Path, workers: int, progress: bool
+    suite: SuiteContents, meta: StudyMeta, simulator: Simulator, path: Path, workers: int | None, progress: bool
 ) -> int:
     """Run what a study does not hold yet; each scenario is stored the moment it has ended.
 
@@ -30,8 +30,8 @@ def run_suite(
         Open.
     path : Path
         The study, which need not be there.
-    workers : int
-        Simulators side by side.
+    workers : int or None
+        Simulators side by side; None for as many as a cluster has.
     progress : bool
         Whether to show a bar.
 
@@ -90,14 +90,15 @@ def _run(
     scenarios: Sequence[SuiteScenario],
     simulator: Simulator,
     metrics: Sequence[Metric],
-    workers: int,
+    workers: int | None,
 ) -> Iterator[int]:
     """Run the pending scenarios, and count those that have ended."""
     pending = [row for row in rows if row.state == "pending"]
     done = len(rows) - len(pending)
     yield done
     # A simulator that takes many at once would give nothing back before the last of them has ended.
-    at_once = workers if SIMULATORS.class_of(simulator.name).takes_batches else max(len(pending), 1)
+    takes_batches = SIMULATORS.class_of(simulator.name).takes_batches
+    at_once = workers if workers is not None and takes_batches else max(len(pending), 1)
     for begin in range(0, len(pending), at_once):
         chosen = pending[begin : begin + at_once]
         outcomes = outcomes_of(simulator, [scenarios[row.id - 1].concrete for row in chosen])

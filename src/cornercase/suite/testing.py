@@ -47,6 +47,7 @@ def test(
     metrics: Sequence[str] = (),
     simulator: str | None = None,
     workers: int = 1,
+    cluster: str | None = None,
     timeout: float | None = None,
     retries: int = 1,
     time_step: float | None = None,
@@ -85,6 +86,9 @@ def test(
         By default that of the manifest; without one the builtin simulator.
     workers : int, default 1
         Simulators side by side.
+    cluster : str, optional
+        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, or the file that
+        a scheduler wrote.
     timeout : float, optional
         Time in s after which a scenario is given up.
     retries : int, default 1
@@ -137,11 +141,14 @@ def test(
     name = _simulator(contents, simulator)
     options["drivers"] = _drivers(contents, drivers)
     asked = dict.fromkeys(one.reference for one in known if one.reference)
-    start = partial(start_simulator, name, ego=who[0], workers=workers, timeout=timeout, retries=retries)
+    start = partial(
+        start_simulator, name, ego=who[0], workers=workers, timeout=timeout, retries=retries, cluster=cluster
+    )
     with start(options) as started, ExitStack() as stack:
         references = {one: stack.enter_context(_with_reference(start, options, who[0], one)) for one in asked}
         meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings)
-        before = run_suite(contents, meta, started, path, workers, flag("progress", progress))
+        at_once = workers if cluster is None else None
+        before = run_suite(contents, meta, started, path, at_once, flag("progress", progress))
         if references:
             with Study.open(path) as opened:
                 ask_references(contents, opened, known, references)
