@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import uuid
 from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.files import read_file
 from cornercase._common.version import __version__
 from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel
 from cornercase.simulators.base import Simulator
@@ -142,8 +145,10 @@ class ClusterSimulator(Simulator):
                 while given in done:
                     yield done.pop(given)
                     given += 1
+        except (OSError, CancelledError) as error:
+            raise self._disconnected() from error
         finally:
-            if running:
+            if running and self._client.status == "running":
                 self._client.cancel(list(running))
 
     def close(self) -> None:
@@ -201,16 +206,18 @@ class ClusterSimulator(Simulator):
         while True:
             ended = [future for future in running if future.status != "pending"]
             if self._client.status != "running" or any(future.status in ("cancelled", "lost") for future in ended):
-                raise InputError(
-                    f"`cluster` {self._address}: the connection to its scheduler is lost; run the same command again to"
-                    " go on."
-                )
+                raise self._disconnected()
             if ended:
                 return ended
             try:
                 wait(list(running), timeout=_LOOKS, return_when="FIRST_COMPLETED")
             except TimeoutError:
                 continue
+
+    def _disconnected(self) -> InputError:
+        return InputError(
+            f"`cluster` {self._address}: the connection to its scheduler is lost; run the same command again to go on."
+        )
 
     def _take(
         self, future: Future[Any], indices: tuple[int, ...], waiting: deque[tuple[int, ...]], done: dict[int, Outcome]
@@ -268,7 +275,8 @@ def connect(cluster: str, workers: int = 1) -> Client:
     except ImportError as error:
         raise InputError("Dask is not installed; it comes with pip install 'cornercase[cluster]'.") from error
     # What of it concerns a user is told by cornercase.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         if cluster == LOCAL:
             # Simulators may run in processes of their own, which daemons cannot have; and a scenario that costs two
@@ -278,14 +286,14 @@ def connect(cluster: str, workers: int = 1) -> Client:
                     n_workers=workers,
                     threads_per_worker=1,
                     processes=True,
-                    dashboard_address=None,
+                    # Only a free port is none that somebody else may want.
+                    dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
                 )
                 return Client(local)
-        if Path(cluster).is_file():
-            return Client(scheduler_file=cluster, timeout=_ANSWERS)
-        return Client(cluster, timeout=_ANSWERS)
-    except (OSError, ValueError, TypeError, KeyError, ImportError) as error:
+        address = json.loads(read_file(cluster))["address"] if Path(cluster).is_file() else cluster
+        return Client(str(address), timeout=_ANSWERS)
+    except (OSError, ValueError, TypeError, KeyError) as error:
         raise InputError(
             f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
             " as tcp://host:8786, or the file that a scheduler wrote."

@@ -1,0 +1,164 @@
+"""Simulators on a Dask cluster, whose workers crash, are killed, and lie on other machines."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import EXAMPLES
+from conftest import same_recording
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel
+from cornercase.simulators import SIMULATORS, ClusterSimulator, start_simulator
+from cornercase.simulators import cluster as module
+from cornercase.simulators.cluster_tasks import Job, close_job, run_job
+from fake_simulators import Plan
+
+distributed = pytest.importorskip("distributed")
+
+X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
+
+
+@pytest.fixture(scope="module")
+def client():
+    made = module.connect("local", 2)
+    yield made
+    local = made.cluster
+    made.close()
+    local.close()
+
+
+@pytest.fixture
+def on_cluster(client, monkeypatch):
+    """Clusters take long to start, so that these tests have one together."""
+
+    def start(name, options, **given):
+        monkeypatch.setattr(module, "connect", lambda *_: client)
+        simulator = ClusterSimulator(name, options, "local", **given)
+        monkeypatch.setattr(simulator, "close", lambda: client.run(close_job, simulator._job.key))
+        return simulator
+
+    return start
+
+
+def fakes(count):
+    source = Scenario.read(X)
+    return [ConcreteScenario(X, {"k": float(k)}, source) for k in range(count)]
+
+
+def places(results):
+    return [str(one) if isinstance(one, SimulationError) else int(one.x[0, 0]) for one in results]
+
+
+def varied(count):
+    logical = LogicalScenario.read(X, X.with_suffix(".space.xosc"))
+    points = np.random.default_rng(0).random((count, logical.space.dimension))
+    return [logical.concrete(values) for values in logical.space.values(logical.space.snap(points))]
+
+
+def test_recordings_are_those_of_one_process(on_cluster):
+    concretes = varied(5)
+    with SIMULATORS.create("builtin", duration=10.0) as here, on_cluster("builtin", {"duration": 10.0}) as there:
+        for one, other in zip(here.run(concretes), there.run(concretes), strict=True):
+            assert same_recording(one, other)
+
+
+def test_who_crashes_costs_itself_alone(on_cluster, tmp_path):
+    plan = Plan(tmp_path, {1: ["crash", "well"], 3: ["crash"], 4: ["fail"]})
+    with on_cluster("failing", {"plan": plan}) as simulator:
+        found = places(simulator.run(fakes(6)))
+    gone = "the simulator's process ended with exit code 3, tried 2 times"
+    assert found == [0, 1, 2, gone, "it cannot be", 5]
+    assert len((tmp_path / "starts").read_text()) <= 2 + 3
+
+
+def test_each_worker_starts_the_simulator_once_and_closes_it(on_cluster, tmp_path):
+    with on_cluster("failing", {"plan": Plan(tmp_path)}) as simulator:
+        for _ in range(2):
+            assert places(simulator.run(fakes(6))) == list(range(6))
+    starts = len((tmp_path / "starts").read_text())
+    assert 1 <= starts <= 2
+    assert len((tmp_path / "ends").read_text()) == starts
+
+
+def test_a_worker_that_is_killed_costs_nothing(on_cluster, client):
+    concretes = varied(6)
+    with SIMULATORS.create("builtin", duration=10.0) as here, on_cluster("builtin", {"duration": 10.0}) as there:
+        first = list(there.run(concretes[:2]))
+        # The scenario's files were on it too.
+        os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
+        found = [*first, *there.run(concretes[2:])]
+        for one, other in zip(here.run(concretes), found, strict=True):
+            assert same_recording(one, other)
+
+
+def test_what_the_simulator_refuses_names_the_files_of_the_user(on_cluster, tmp_path):
+    (tmp_path / "roadless.xosc").write_text(X.read_text().replace("x_intersection.xodr", "gone.xodr"))
+    scenario = Scenario.read(tmp_path / "roadless.xosc")
+    with on_cluster("builtin", {}) as simulator, pytest.raises(InputError) as caught:
+        list(simulator.run([ConcreteScenario(scenario.path, {}, scenario)]))
+    assert str(tmp_path / "gone.xodr") in str(caught.value)
+
+
+def test_no_scheduler_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_ANSWERS", 0.5)
+    for given in ("tcp://127.0.0.1:9", "nowhere", str(tmp_path / "none.json")):
+        with pytest.raises(InputError, match="no scheduler answers there"):
+            start_simulator("builtin", {}, cluster=given)
+    (tmp_path / "scheduler.json").write_text("{}")
+    with pytest.raises(InputError, match="no scheduler answers there"):
+        start_simulator("builtin", {}, cluster=str(tmp_path / "scheduler.json"))
+    with pytest.raises(InputError, match="`workers`: are those of the cluster"):
+        start_simulator("builtin", {}, cluster="tcp://127.0.0.1:9", workers=2)
+
+
+def test_a_worker_of_another_version_is_told():
+    with pytest.raises(InputError, match=r"a worker has cornercase .*, and this is 0\.0\.0"):
+        run_job(Job("key", "0.0.0", "builtin", {}, None, 1), {}, [])
+
+
+def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):
+    (tmp_path / "a" / "scenarios").mkdir(parents=True)
+    (tmp_path / "a" / "roads").mkdir()
+    (tmp_path / "a" / "catalogs").mkdir()
+    text = X.read_text().replace("x_intersection.xodr", "../roads/x.xodr")
+    text = text.replace(
+        "<CatalogLocations/>",
+        '<CatalogLocations><VehicleCatalog><Directory path="../catalogs"/></VehicleCatalog></CatalogLocations>',
+    )
+    (tmp_path / "a" / "scenarios" / "x.xosc").write_text(text)
+    (tmp_path / "a" / "roads" / "x.xodr").write_bytes(X.with_suffix(".xodr").read_bytes())
+    (tmp_path / "a" / "catalogs" / "c.xosc").write_text("<OpenSCENARIO/>")
+    scenario = Scenario.read(tmp_path / "a" / "scenarios" / "x.xosc")
+    parcel = ScenarioParcel.of(scenario)
+    assert "catalogs" in text
+    assert set(parcel.files) == {"scenarios/x.xosc", "roads/x.xodr", "catalogs/c.xosc"}
+    # What lies there later does not count.
+    (tmp_path / "a" / "roads" / "x.xodr").write_text("changed")
+    unpacked = parcel.unpack(tmp_path / "b")
+    assert unpacked.root is not None
+    assert unpacked.fingerprint() == scenario.fingerprint()
+    road = unpacked.road_file()
+    assert road is not None
+    assert road.read_bytes() == X.with_suffix(".xodr").read_bytes()
+
+
+def test_a_file_that_other_machines_do_not_have_is_refused(tmp_path):
+    road = tmp_path / "elsewhere" / "x.xodr"
+    road.parent.mkdir()
+    road.write_bytes(X.with_suffix(".xodr").read_bytes())
+    (tmp_path / "scenarios").mkdir()
+    file = tmp_path / "scenarios" / "x.xosc"
+    file.write_text(X.read_text().replace("x_intersection.xodr", road.as_posix()))
+    with pytest.raises(InputError, match=r"names .*x\.xodr by an absolute path"):
+        ScenarioParcel.of(Scenario.read(file))
+
+
+def test_the_folder_of_a_parcel_is_that_of_all_files():
+    parcel = ScenarioParcel.of(Scenario.read(X))
+    assert Path(parcel.folder) == X.parent.resolve()
+    assert parcel.main == X.name
