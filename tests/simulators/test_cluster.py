@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from command_line import EXAMPLES
-from conftest import same_recording
+from conftest import EXAMPLES, same_recording
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel
 from cornercase.simulators import SIMULATORS, ClusterSimulator, start_simulator
@@ -27,7 +27,7 @@ X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 def client():
     made = module.connect("local", 2)
     yield made
-    local = made.cluster
+    local: Any = made.cluster
     made.close()
     local.close()
 
