@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import cornercase as cc
 from conftest import EXAMPLES, same_recording
 from cornercase._common.errors import InputError, SimulationError
+from cornercase.exploration import demonstration, explore_configuration
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel
 from cornercase.simulators import SIMULATORS, ClusterSimulator, start_simulator
 from cornercase.simulators import cluster as module
 from cornercase.simulators.cluster_tasks import Job, close_job, run_job
+from cornercase.study import Study
 from fake_simulators import Plan
 
 distributed = pytest.importorskip("distributed")
@@ -33,16 +37,15 @@ def client():
 
 
 @pytest.fixture
-def on_cluster(client, monkeypatch):
+def shared(client, monkeypatch):
     """Clusters take long to start, so that these tests have one together."""
+    monkeypatch.setattr(module, "connect", lambda *_: client)
+    monkeypatch.setattr(ClusterSimulator, "close", lambda simulator: client.run(close_job, simulator._job.key))
 
-    def start(name, options, **given):
-        monkeypatch.setattr(module, "connect", lambda *_: client)
-        simulator = ClusterSimulator(name, options, "local", **given)
-        monkeypatch.setattr(simulator, "close", lambda: client.run(close_job, simulator._job.key))
-        return simulator
 
-    return start
+@pytest.fixture
+def on_cluster(shared):
+    return lambda name, options, **given: ClusterSimulator(name, options, "local", **given)
 
 
 def fakes(count):
@@ -102,6 +105,26 @@ def test_what_the_simulator_refuses_names_the_files_of_the_user(on_cluster, tmp_
     with on_cluster("builtin", {}) as simulator, pytest.raises(InputError) as caught:
         list(simulator.run([ConcreteScenario(scenario.path, {}, scenario)]))
     assert str(tmp_path / "gone.xodr") in str(caught.value)
+
+
+def test_a_study_and_a_suite_are_those_of_one_process(shared, tmp_path):
+    configuration = replace(demonstration("x-intersection", budget=12), duration=10.0, batch=4)
+    explore_configuration(configuration, tmp_path / "here.db")
+    explore_configuration(replace(configuration, cluster="local", workers=2), tmp_path / "there.db")
+    assert stored(tmp_path / "here.db") == stored(tmp_path / "there.db")
+    for place in ("here", "there"):
+        cc.analyze(tmp_path / f"{place}.db", ["wttc"])
+        cc.reduce(tmp_path / f"{place}.db", tmp_path / place, size=3, scenario=X)
+    result = cc.test(tmp_path / "there", tmp_path / "run.db", cluster="local", workers=2)
+    assert all(one.difference is not None and one.difference.same for one in result.scenarios)
+
+
+def stored(path):
+    with Study.open(path, readonly=True) as study:
+        rows = study.done()
+        motion = [[getattr(study.recording(row.id), name).tobytes() for name in ("x", "y", "speed")] for row in rows]
+        values = [(row.id, row.state, dict(row.values)) for row in rows]
+        return values, motion, [study.scores_of(row.id) for row in rows], study.meta
 
 
 def test_no_scheduler_is_told(tmp_path, monkeypatch):

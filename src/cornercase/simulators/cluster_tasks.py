@@ -158,11 +158,11 @@ def run_job(
         with site.simulator() as simulator:
             found = list(outcomes_of(simulator, concretes))
     except InputError as error:
-        raise InputError(_told(str(error), places)) from None
-    return [type(one)(_told(str(one), places)) if isinstance(one, SimulationError) else one for one in found]
+        raise InputError(_with_own_paths(str(error), places)) from None
+    return [type(one)(_with_own_paths(str(one), places)) if isinstance(one, SimulationError) else one for one in found]
 
 
-def _told(words: str, places: Mapping[str, str]) -> str:
+def _with_own_paths(words: str, places: Mapping[str, str]) -> str:
     """Name files as they are called where the scenarios come from."""
     for here, there in places.items():
         words = words.replace(here, there)
