@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from closed_loop import Other, Run, straight
+from conftest import EXAMPLES, ran, same_recording
 from cornercase._common.errors import InputError
 from cornercase.drivers import (
     AGGRESSIVE,
@@ -16,9 +17,14 @@ from cornercase.drivers import (
     NORMAL,
     BehaviourDriver,
     DrivenPath,
+    ReferenceDriver,
+    decides_compiled,
     load_driver,
     named_driver,
+    told_driver,
 )
+from cornercase.scenario import ConcreteScenario, Scenario, write_concrete
+from cornercase.simulators import BuiltinSimulator
 
 
 def test_presets_by_name_state_all_their_parameters():
@@ -130,3 +136,59 @@ def test_what_is_no_driver_is_refused_in_one_sentence(name, says):
 def test_paths_that_are_none_are_refused(distance):
     with pytest.raises(ValueError, match="path"):
         DrivenPath(distance, *(np.zeros_like(distance) for _ in range(4)))
+
+
+def ends(path, **drivers):
+    (recording,) = ran(BuiltinSimulator(drivers=drivers), [ConcreteScenario(path)])
+    return recording
+
+
+def test_options_in_a_name_are_the_parameters_of_the_driver():
+    named = DRIVERS.create("normal:reaction_time=0.6,horizon=4")
+    assert named.settings == BehaviourDriver(NORMAL._replace(reaction_time=0.6, horizon=4.0)).settings
+    assert DRIVERS.create("simple:reaction_time=1").settings["reaction_time"] == 1.0
+    assert DRIVERS.create("rss:delay=1").settings == ReferenceDriver("rss", delay=1.0).settings
+    # Studies and files hold the name, and a batch with it runs compiled.
+    assert told_driver("normal:reaction_time=0.6") == "normal:reaction_time=0.6"
+    assert decides_compiled("normal:reaction_time=0.6")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("normal:reaction_tim=0.6", "no option 'reaction_tim'; did you mean 'reaction_time'"),
+        ("normal:reaction_time=-1", "reaction_time is -1; it has to be a finite number of 0 or more"),
+        ("normal:horizon=0", "horizon is 0; it has to be a finite number above zero"),
+        ("normal:field_of_view=200", "field_of_view is 200; it is in rad"),
+        ("normal:horizon=nan", "horizon is nan"),
+        ("normal:horizon=long", "takes a number for 'horizon', not 'long'"),
+        ("simple:sight_range=-5", "sight_range is -5"),
+        ("cc-human:name=rss", "no option 'name'"),
+        ("nrmal:horizon=4", "no driver 'nrmal'; did you mean 'normal'"),
+    ],
+)
+def test_what_no_driver_can_have_is_refused(name, words):
+    with pytest.raises(InputError, match=words):
+        told_driver(name)
+
+
+def test_a_written_file_drives_as_its_driver_with_options(tmp_path):
+    """A file that names the driver gives the recording of the run that it was written from."""
+    file = EXAMPLES / "t_intersection" / "t_intersection.xosc"
+    slow = "normal:reaction_time=1.4"
+    written = tmp_path / "written.xosc"
+    write_concrete(Scenario.read(file), {}, written, drivers={"Ego": slow})
+    assert same_recording(ends(written), ends(file, Ego=slow))
+    assert not same_recording(ends(written), ends(file))
+
+
+def test_a_file_gives_a_driver_nothing_but_numbers(tmp_path):
+    written = tmp_path / "written.xosc"
+    write_concrete(
+        Scenario.read(EXAMPLES / "t_intersection" / "t_intersection.xosc"), {}, written,
+        drivers={"Ego": "normal:horizon=long"},
+    )  # fmt: skip
+    with pytest.raises(
+        InputError, match=r"written\.xosc: asks for .* option 'horizon'; in a file, options are numbers"
+    ):
+        ends(written)

@@ -104,7 +104,8 @@ class Registry(Generic[T]):
             whole: Any = factory(text, **options)
             whole.name = name
             return cast(T, whole)
-        given = set(options)
+        # What belongs to the name, as which preset it is, is no option.
+        given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
         for option in text.split(","):
             key, equals, value = (part.strip() for part in option.partition("="))
             if not (key.isidentifier() and equals):
@@ -112,7 +113,8 @@ class Registry(Generic[T]):
                     f"The {self._kind} '{name}' has the option '{option}'; give options as in '{base}:name=value'."
                 )
             taken = signature(factory).parameters
-            if key not in taken and not any(one.kind is one.VAR_KEYWORD for one in taken.values()):
+            unknown = key not in taken and not any(one.kind is one.VAR_KEYWORD for one in taken.values())
+            if unknown or key in given:
                 own = [name for name in taken if name not in given]
                 raise InputError(f"The {self._kind} '{base}' has no option '{key}'; {suggestion(key, own)}")
             try:

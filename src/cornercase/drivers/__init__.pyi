@@ -8,7 +8,9 @@ from .deciding import workspace as workspace
 from .fleet import form_fleet as form_fleet
 from .fleet import with_route as with_route
 from .loading import decides_compiled as decides_compiled
+from .loading import driver_of_file as driver_of_file
 from .loading import is_driver as is_driver
+from .loading import is_registered as is_registered
 from .loading import load_driver as load_driver
 from .loading import named_driver as named_driver
 from .loading import told_driver as told_driver

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from collections.abc import Callable
+from inspect import Parameter, Signature
+from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
 from cornercase.drivers.fleet import CompiledDriver
-from cornercase.drivers.parameters import AGGRESSIVE, CAUTIOUS, NORMAL, Behaviour
+from cornercase.drivers.parameters import AGGRESSIVE, CAUTIOUS, NORMAL, Behaviour, require_parameter
 from cornercase.drivers.traffic import BEHAVIOUR, KNOWN, YIELDING
+
+_MAY_BE_ZERO: Final = frozenset(
+    {"standing_caution", "reaction_time", "memory", "lateral_margin", "braking_distance", "safety_time"}
+)
 
 
 class BehaviourDriver(CompiledDriver):
@@ -48,19 +54,28 @@ class BehaviourDriver(CompiledDriver):
 
 
 def _check(behaviour: Behaviour) -> None:
-    may_be_zero = {
-        "standing_caution",
-        "reaction_time",
-        "memory",
-        "lateral_margin",
-        "braking_distance",
-        "safety_time",
-    }
     for name, value in behaviour._asdict().items():
-        if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name not in may_be_zero):
-            raise InputError(f"The driver's {name} is {value}; it has to be a finite number above zero.")
+        require_parameter(name, value, name in _MAY_BE_ZERO)
+    if behaviour.field_of_view > 2.0 * math.pi:
+        raise InputError(
+            f"The driver's field_of_view is {behaviour.field_of_view:g}; it is in rad, and at most 6.2832, all around."
+        )
 
 
-def preset(name: Literal["cautious", "normal", "aggressive"]) -> BehaviourDriver:
-    """Return a driver with the behaviour of a name."""
-    return BehaviourDriver({"cautious": CAUTIOUS, "normal": NORMAL, "aggressive": AGGRESSIVE}[name])
+def _with_options(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
+    """What builds a preset, and takes each of its parameters as an option."""
+
+    def build(**changed: float) -> BehaviourDriver:
+        return BehaviourDriver(behaviour._replace(**changed))
+
+    # The registry reads there which options there are.
+    build.__signature__ = Signature(  # type: ignore[attr-defined]
+        [
+            Parameter(name, Parameter.KEYWORD_ONLY, default=value, annotation=float)
+            for name, value in behaviour._asdict().items()
+        ]
+    )
+    return build
+
+
+cautious, normal, aggressive = map(_with_options, (CAUTIOUS, NORMAL, AGGRESSIVE))

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Protocol, TypeGuard, runtime_checkable
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, suggestion
 from cornercase._common.texts import in_one_line
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.base import Driver, Situation
@@ -44,13 +44,68 @@ def is_driver(made: object) -> TypeGuard[Driver]:
     return not isinstance(made, type) and isinstance(made, _Drives) and isinstance(made.settings, dict)
 
 
+def is_registered(name: str) -> bool:
+    """Whether a name is that of a registered driver, with options or without.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    bool
+        False for a class of one's own.
+    """
+    return name.partition(":")[0] in DRIVERS
+
+
+def driver_of_file(name: str) -> Driver:
+    """Build a driver that a file names.
+
+    A file may come from anywhere: it can name no class to load, and its options can only be numbers, since others
+    may name files or programs.
+
+    Parameters
+    ----------
+    name : str
+        As it is registered, possibly with options: ``"normal:reaction_time=0.6,horizon=4"``.
+
+    Returns
+    -------
+    Driver
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be named by a file.
+    """
+    if not is_registered(name):
+        known = suggestion(name.partition(":")[0], DRIVERS.names())
+        raise InputError(f"asks for the driver '{name}', which does not exist; {known}")
+    if (other := _other_option(name)) is not None:
+        raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
+    return DRIVERS.create(name)
+
+
+def _other_option(name: str) -> str | None:
+    """Return an option of a driver that is no number; None where there is none."""
+    options = name.partition(":")[2]
+    for option in options.split(",") if options else ():
+        key, _, value = option.partition("=")
+        try:
+            float(value)
+        except ValueError:
+            return key
+    return None
+
+
 def decides_compiled(name: str) -> bool:
     """Whether the decisions of a registered driver are compiled.
 
     Parameters
     ----------
     name : str
-        One of `DRIVERS`; there is none of another name.
+        One of `DRIVERS`, possibly with options; there is none of another name.
 
     Returns
     -------
@@ -58,7 +113,7 @@ def decides_compiled(name: str) -> bool:
     """
     from cornercase.drivers.fleet import CompiledDriver
 
-    return name in DRIVERS and isinstance(DRIVERS.create(name), CompiledDriver)
+    return is_registered(name) and isinstance(DRIVERS.create(name), CompiledDriver)
 
 
 def load_driver(name: str) -> Driver:
@@ -83,6 +138,8 @@ def load_driver(name: str) -> Driver:
         The name has no such form, the module or the class is not there or fails, or it makes no driver.
     """
     module_name, _, class_name = name.partition(":")
+    if "=" in class_name:
+        raise InputError(f"There is no driver '{module_name}'; {suggestion(module_name, DRIVERS.names())}")
     if not all(part.isidentifier() for part in module_name.split(".")) or not class_name.isidentifier():
         raise InputError(f"The driver '{name}' is not of the form package.module:Class.")
     here = str(Path.cwd())
@@ -141,11 +198,11 @@ def named_driver(name: str) -> Driver:
     InputError
         There is none.
     """
-    return load_driver(name) if ":" in name else DRIVERS.create(name)
+    return load_driver(name) if ":" in name and not is_registered(name) else DRIVERS.create(name)
 
 
 def told_driver(driver: str | Driver) -> str | Driver:
-    """Load a driver as a simulator is told of it: a preset stays a name, so that studies and files can hold it.
+    """Load a driver as a simulator is told of it: a registered one stays a name, so that studies and files can hold it.
 
     Parameters
     ----------
@@ -162,4 +219,5 @@ def told_driver(driver: str | Driver) -> str | Driver:
         There is no such driver.
     """
     made = named_driver(driver) if isinstance(driver, str) else driver
-    return driver if isinstance(driver, str) and ":" not in driver else made
+    named = isinstance(driver, str) and is_registered(driver) and _other_option(driver) is None
+    return driver if named else made

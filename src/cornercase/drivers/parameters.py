@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from cornercase._common.errors import InputError
+
 
 class Behaviour(NamedTuple):
     """Parameters of the built-in driver.
@@ -133,3 +135,23 @@ class Keeping(NamedTuple):
     min_gap: float = 1.5
     reaction_time: float = 2.5
     sight_range: float = 60.0
+
+
+def require_parameter(name: str, value: float, may_be_zero: bool) -> None:
+    """Refuse a value that no parameter of a driver can have.
+
+    Parameters
+    ----------
+    name : str
+    value : float
+    may_be_zero : bool
+        Whether 0 is a value of it.
+
+    Raises
+    ------
+    InputError
+        It is not finite, or below zero, or zero where it may not be.
+    """
+    if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
+        least = "of 0 or more" if may_be_zero else "above zero"
+        raise InputError(f"The driver's {name} is {value:g}; it has to be a finite number {least}.")

@@ -11,7 +11,7 @@ DRIVERS: Final[Registry[Driver]] = Registry("driver", "cornercase.drivers")
 """Drivers by name."""
 
 for _preset in ("cautious", "normal", "aggressive"):
-    DRIVERS.register(_preset, "cornercase.drivers.behaviour:preset", name=_preset)
+    DRIVERS.register(_preset, f"cornercase.drivers.behaviour:{_preset}")
 DRIVERS.register("simple", "cornercase.drivers.simple:SimpleDriver")
 for _reference in ("cc-human", "fsm", "rss", "reg157"):
     DRIVERS.register(_reference, "cornercase.drivers.references.driver:ReferenceDriver", name=_reference)

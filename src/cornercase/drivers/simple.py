@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cornercase.drivers.fleet import CompiledDriver
-from cornercase.drivers.parameters import Keeping
+from cornercase.drivers.parameters import Keeping, require_parameter
 from cornercase.drivers.traffic import SIMPLE
 
 
@@ -25,6 +25,11 @@ class SimpleDriver(CompiledDriver):
         s for which something has to be ahead before it reacts.
     sight_range : float
         m.
+
+    Raises
+    ------
+    InputError
+        A parameter is out of range.
     """
 
     kind = SIMPLE
@@ -49,6 +54,8 @@ class SimpleDriver(CompiledDriver):
             reaction_time,
             sight_range,
         )
+        for name, value in keeping._asdict().items():
+            require_parameter(name, value, name == "reaction_time")
         self.parameters = tuple(keeping)
         self.settings = {"driver": "simple", **keeping._asdict()}
         self.start(0, 0)

@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.errors import InputError, SimulationError, suggestion
 from cornercase._common.ledger import Notice
 from cornercase._common.typing import FloatArray
-from cornercase.drivers import DRIVERS, Driver, Situation
+from cornercase.drivers import DRIVERS, Driver, Situation, is_registered
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
@@ -190,11 +190,9 @@ class SumoSimulator(Simulator):
         """Vehicle type of each entity that SUMO drives."""
         chosen = {**scenario.drivers, **self._drivers}
         for name, driver in chosen.items():
-            if isinstance(driver, str) and driver not in TYPES and driver not in DRIVERS:
-                known = (*TYPES, *DRIVERS.names())
-                raise InputError(
-                    f"{scenario.path}: '{name}' asks for the driver '{driver}'; {suggestion(driver, known)}"
-                )
+            if isinstance(driver, str) and driver not in TYPES and not is_registered(driver):
+                known = suggestion(driver.partition(":")[0], (*TYPES, *DRIVERS.names()))
+                raise InputError(f"{scenario.path}: '{name}' asks for the driver '{driver}'; {known}")
         return {name: driver for name, driver in chosen.items() if isinstance(driver, str) and driver in TYPES}
 
 

@@ -8,11 +8,11 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.arguments import shown
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError
 from cornercase._common.recorded_xml import named, unrecorded
 from cornercase._common.texts import in_one_line
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers import DRIVERS, DrivenPath, Driver, Situation
+from cornercase.drivers import DrivenPath, Driver, Situation, driver_of_file
 from cornercase.roads import LanePath
 from cornercase.scenario import DRIVER_PROPERTY, Scope
 from cornercase.simulators.builtin.actions.action import Action
@@ -219,11 +219,10 @@ def registered_driver(name: str, where: str) -> Driver:
     InputError
         There is none; a file cannot name a class to load.
     """
-    if name not in DRIVERS:
-        raise InputError(
-            f"{where}: asks for the driver '{name}', which does not exist; {suggestion(name, DRIVERS.names())}"
-        )
-    return DRIVERS.create(name)
+    try:
+        return driver_of_file(name)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def _flag(element: etree._Element, name: str, scope: Scope) -> bool | None:
