@@ -63,7 +63,11 @@ Duration = Annotated[float, typer.Option(metavar="S", help="Longest duration of 
 OnCollision = Annotated[str, typer.Option(metavar="stop|continue", help="What a collision does to the run.")]
 Drivers = Annotated[
     list[str] | None,
-    typer.Option("--driver", metavar="ENTITY=NAME", help="Driver, as normal or normal:reaction_time=0.6, or package.module:Class."),
+    typer.Option(
+        "--driver",
+        metavar="ENTITY=NAME",
+        help="Driver, as normal or normal:reaction_time=0.6, or package.module:Class.",
+    ),
 ]
 Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
 By = Annotated[

@@ -14,6 +14,9 @@ from .loading import is_registered as is_registered
 from .loading import load_driver as load_driver
 from .loading import named_driver as named_driver
 from .loading import told_driver as told_driver
+from .mutants import Mutant as Mutant
+from .mutants import mutants_of as mutants_of
+from .mutants import name_driver as name_driver
 from .parameters import AGGRESSIVE as AGGRESSIVE
 from .parameters import CAUTIOUS as CAUTIOUS
 from .parameters import NORMAL as NORMAL

@@ -6,6 +6,10 @@ from .coverage import measure_coverage as measure_coverage
 from .coverage import measure_gaps as measure_gaps
 from .critical_clusters import find_critical_clusters as find_critical_clusters
 from .critical_coverage import CriticalCoverage as CriticalCoverage
+from .exposing import choose_exposing as choose_exposing
+from .exposure import ExposingChoice as ExposingChoice
+from .exposure import Exposure as Exposure
+from .exposure import Grade as Grade
 from .held_out import HeldOut as HeldOut
 from .held_out import HeldOutCritical as HeldOutCritical
 from .manifest import MANIFEST as MANIFEST

@@ -8,11 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.reduction.cluster_selection import choose_by_cluster
 from cornercase.reduction.cluster_shapes import ArchetypeMethod, ShapedCluster, find_shapes
+from cornercase.reduction.exposing import choose_exposing
 from cornercase.reduction.held_out import Trial, divide
-from cornercase.reduction.kept import Kept
+from cornercase.reduction.kept import Kept, Selection
 from cornercase.reduction.selection import choose_scenarios
 
 
@@ -54,6 +55,8 @@ class Material:
         Kernel space of the clustering.
     critical : sequence of int
         Critical clusters.
+    exposed : ndarray of bool, shape (n, m), optional
+        Which of them expose which mutants of the driver, for these to choose first.
     """
 
     points: FloatArray
@@ -61,6 +64,7 @@ class Material:
     labels: IntArray
     embedding: FloatArray
     critical: Sequence[int]
+    exposed: BoolArray | None = None
 
     def part(self, rows: IntArray) -> Material:
         """Return a part of the scenarios.
@@ -81,6 +85,7 @@ class Material:
             self.labels[rows],
             self.embedding[rows],
             self.critical,
+            None if self.exposed is None else self.exposed[rows],
         )
 
 
@@ -109,7 +114,21 @@ def choose(material: Material, wish: Wish) -> tuple[tuple[Kept, ...], tuple[Shap
         kept = choose_scenarios(
             points, material.distances, labels, material.critical, size=wish.size, cover=wish.cover, shaped=shaped
         )
+    if material.exposed is not None:
+        kept = _exposing_first(material, kept)
     return kept, shaped
+
+
+def _exposing_first(material: Material, others: Sequence[Kept]) -> tuple[Kept, ...]:
+    """Choose as many scenarios, first those that expose mutants, then the first of the others."""
+    assert material.exposed is not None
+    distances, labels = material.distances, material.labels
+    found = Selection(distances, len(others))
+    for index in choose_exposing(material.exposed, found.apart, len(others)):
+        found.keep(Kept(index, int(labels[index]), "exposing"))
+    for one in others:
+        found.keep(one)
+    return tuple(found.kept)
 
 
 def try_choice(material: Material, wish: Wish) -> list[Trial]:

@@ -14,7 +14,7 @@ from cornercase._common.typing import FloatArray, IntArray
 # Scenarios are alike within this share of the largest distance.
 ALIKE: Final = 1e-3
 
-Role = Literal["archetype", "prototype", "gap"]
+Role = Literal["archetype", "prototype", "gap", "exposing"]
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,9 @@ class Kept:
         Which scenario.
     cluster : int
         Cluster that it represents; -1 for noise.
-    role : {"archetype", "prototype", "gap"}
-        Why it is kept. A gap is a scenario that was unlike those that were kept before it.
+    role : {"archetype", "prototype", "gap", "exposing"}
+        Why it is kept. A gap is a scenario that was unlike those that were kept before it; one that is exposing
+        exposes mutants of the driver.
     """
 
     index: int

@@ -12,6 +12,7 @@ from cornercase.evidence import Estimate
 from cornercase.reduction.cluster_shapes import ClusterShape
 from cornercase.reduction.coverage import Coverage
 from cornercase.reduction.critical_coverage import CriticalCoverage
+from cornercase.reduction.exposure import ExposingChoice, Grade
 from cornercase.reduction.held_out import HeldOut, HeldOutCritical
 from cornercase.reduction.kept import Role
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
@@ -74,7 +75,7 @@ def make_manifest(
         "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
         "critical": {name: asdict(one) for name, one in reduced.critical.items()},
         "files": dict(files),
-    }
+    } | ({} if reduced.exposing is None else {"exposing": reduced.exposing.to_json()})
 
 
 def save_reduction(study: Study, reduced: ReducedSet) -> None:
@@ -95,7 +96,7 @@ def save_reduction(study: Study, reduced: ReducedSet) -> None:
         "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
         "critical": {name: asdict(one) for name, one in reduced.critical.items()},
         "hulls": {str(cluster): [list(facet) for facet in facets] for cluster, facets in reduced.hulls.items()},
-    }
+    } | ({} if reduced.exposing is None else {"exposing": reduced.exposing.to_json()})
     study.save_analysis("reduction", {}, info)
 
 
@@ -125,6 +126,7 @@ def read_reduction(study: Study) -> ReducedSet | None:
             coverage={name: _coverage(one) for name, one in info["coverage"].items() if one},
             critical={name: _critical(one) for name, one in info["critical"].items()},
             hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
+            exposing=_exposing(info["exposing"]) if info.get("exposing") else None,
         )
         corners = {one for facets in reduced.hulls.values() for facet in facets for one in facet}
         for one in reduced.kept:
@@ -187,3 +189,24 @@ def _critical(plain: Mapping[str, Any]) -> CriticalCoverage:
         "held_out": None if held_out is None else made(HeldOutCritical, held_out),
     }
     return made(CriticalCoverage, {**plain, **nested})
+
+
+def _exposing(plain: Mapping[str, Any]) -> ExposingChoice:
+    grades = {
+        name: None
+        if plain[key] is None
+        else Grade(*(int(plain[key][one]) for one in ("mutants", "possible", "exposed")))
+        for name, key in (("chosen_by", "chosen by"), ("held_out", "held out"), ("without", "without"))
+    }
+    require(grades["chosen_by"] is not None, "mutants that chose nothing")
+    for one in filter(None, grades.values()):
+        require(0 <= one.exposed <= one.possible <= one.mutants, "more mutants exposed than there are")
+    return made(
+        ExposingChoice,
+        {
+            "driver": str(plain["driver"]),
+            "requirements": tuple(map(str, plain["requirements"])),
+            "candidates": int(plain["candidates"]),
+            **grades,
+        },
+    )

@@ -10,6 +10,7 @@ from html import escape
 from cornercase.reduction.cluster_shapes import ClusterShape
 from cornercase.reduction.coverage import Coverage
 from cornercase.reduction.critical_coverage import CriticalCoverage
+from cornercase.reduction.exposure import ExposingChoice
 from cornercase.reduction.kept import Role
 from cornercase.scenario import Value
 
@@ -26,8 +27,9 @@ class KeptScenario:
         OpenSCENARIO file in the folder of the reduced set; of imported recordings the recording.
     cluster : int
         Cluster that it represents; -1 for noise.
-    role : {"archetype", "prototype", "gap"}
-        A gap is a scenario that was unlike those that were kept before it.
+    role : {"archetype", "prototype", "gap", "exposing"}
+        A gap is a scenario that was unlike those that were kept before it; one that is exposing exposes mutants of the
+        driver.
     why : str
         Why it is kept, in words.
     values : mapping of str to float or str
@@ -66,6 +68,8 @@ class ReducedSet:
     hulls : mapping of int to tuple of tuple of int
         By cluster the facets of its hull in the parameter space, or of the hulls of its near-convex parts; each facet
         by the ids of the scenarios at its corners.
+    exposing : ExposingChoice or None
+        What mutants chose, and what that is worth; None where none did.
     """
 
     by: str
@@ -75,6 +79,7 @@ class ReducedSet:
     coverage: Mapping[str, Coverage]
     critical: Mapping[str, CriticalCoverage]
     hulls: Mapping[int, tuple[tuple[int, ...], ...]]
+    exposing: ExposingChoice | None = None
 
     def __len__(self) -> int:
         return len(self.kept)

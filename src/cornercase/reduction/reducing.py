@@ -6,6 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -19,6 +20,8 @@ from cornercase.reduction.cluster_selection import PER_KEPT
 from cornercase.reduction.cluster_shapes import ArchetypeMethod, require_archetype_method
 from cornercase.reduction.critical_clusters import find_critical_clusters
 from cornercase.reduction.critical_coverage import WITHIN, require_within
+from cornercase.reduction.exposing import with_exposure
+from cornercase.reduction.exposure import Exposure
 from cornercase.reduction.grading import Ran, grade, grade_critical, hold_out, read_ran
 from cornercase.reduction.held_out import Trial
 from cornercase.reduction.hulls import find_hull
@@ -35,6 +38,8 @@ _WHY: Final = {
     "kernel": "at an extreme of cluster {cluster} in kernel space, by archetypal analysis",
     "prototype": "the scenario most like all others of cluster {cluster}",
     "gap": "for what is unlike all others that are kept",
+    # Which mutants is said once all are chosen.
+    "exposing": "exposes mutants of the driver",
 }
 
 
@@ -49,6 +54,7 @@ def reduce(
     archetypes: int | Literal["auto"] | None = None,
     archetypes_by: ArchetypeMethod = "auto",
     within: float = WITHIN,
+    exposure: Exposure | None = None,
     scenario: Path | str | Scenario | None = None,
 ) -> ReducedSet:
     """Keep the few concrete scenarios that matter, and write them as OpenSCENARIO files.
@@ -79,6 +85,10 @@ def reduce(
     within : float, default 0.5
         Share of the median distance within clusters up to which two scenarios are alike; for the coverage of the
         critical scenarios.
+    exposure : Exposure, optional
+        Which scenarios expose which mutants of the driver, as `cornercase.suite.find_exposure` finds it: scenarios that
+        expose as many as possible are kept first, as in `cornercase.reduction.exposing.choose_exposing`, and then those
+        that are kept without.
     scenario : path or Scenario, optional
         File that was explored, from which the files are made. By default it is looked for beside the study and in the
         current folder, and known by its fingerprint; the path that the study holds is never opened.
@@ -101,6 +111,8 @@ def reduce(
     """
     if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
         raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
+    if exposure is not None and (cover is not None or archetypes is not None):
+        raise InputError(f"`exposure`, `{'cover' if archetypes is None else 'archetypes'}`: give one of them.")
     size = None if size is None else whole_number("size", size, least=1)
     share = None if share is None else number("share", share, above=0.0)
     cover = None if cover is None else number("cover", cover, above=0.0)
@@ -126,8 +138,13 @@ def reduce(
             analysis.labels,
             analysis.clustering.embedding,
             find_critical_clusters(opened, analysis),
+            None if exposure is None else exposure.rows_of(analysis.ids.tolist()),
         )
-        reduced = _described(ran, analysis, material, Wish(size, cover, archetypes, archetypes_by), within)
+        wish = Wish(size, cover, archetypes, archetypes_by)
+        reduced = _described(ran, analysis, material, wish, within)
+        if exposure is not None:
+            plain, _ = choose(replace(material, exposed=None), wish)
+            reduced = with_exposure(reduced, exposure, [int(analysis.ids[one.index]) for one in plain])
         kinds = {profile.cluster: profile.label for profile in analysis.profiles}
         _write(opened, explored, reduced, kinds, folder)
         save_reduction(opened, reduced)

@@ -11,6 +11,7 @@ from .comparing_words import Section as Section
 from .comparing_words import tell_comparison as tell_comparison
 from .difference import Difference as Difference
 from .difference import find_difference as find_difference
+from .exposing import find_exposure as find_exposure
 from .judging import judge as judge
 from .requirement import Requirement as Requirement
 from .result import ScenarioResult as ScenarioResult

@@ -1,0 +1,197 @@
+"""Mutants of a driver: the same driver, worse in one respect."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cornercase._common.arguments import text, whole_number
+from cornercase._common.errors import InputError
+from cornercase.drivers.base import Driver
+from cornercase.drivers.fleet import CompiledDriver
+from cornercase.drivers.loading import is_registered
+from cornercase.drivers.registry import DRIVERS
+
+MOST_MUTANTS: Final = 1000
+"""So many at most are drawn of a driver."""
+
+_GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """What makes a driver worse: one parameter that is multiplied, or becomes larger by an amount.
+
+    Attributes
+    ----------
+    words : str
+        What it does, as in tables.
+    parameter : str
+    mild, severe : float
+        Between these the factor lies, or the amount in the parameter's unit.
+    adds : bool
+        Whether it is an amount.
+    """
+
+    words: str
+    parameter: str
+    mild: float
+    severe: float
+    adds: bool = False
+
+
+MUTATIONS: Final = (
+    Mutation("reacts later", "reaction_time", 0.1, 1.5, adds=True),
+    Mutation("foresees less", "horizon", 0.8, 0.1),
+    Mutation("narrower view", "field_of_view", 0.8, 0.1),
+    Mutation("shorter sight", "sight_range", 0.7, 0.1),
+    Mutation("forgets sooner", "memory", 0.7, 0.05),
+    Mutation("weaker brakes", "max_deceleration", 0.8, 0.25),
+    Mutation("brakes later", "comfortable_deceleration", 1.2, 3.0),
+    Mutation("less patience", "safety_time", 0.8, 0.05),
+    Mutation("stops closer", "braking_distance", 0.7, 0.05),
+    Mutation("narrower margin", "lateral_margin", 0.7, 0.05),
+    Mutation("follows closer in time", "time_headway", 0.7, 0.1),
+    Mutation("follows closer at rest", "min_gap", 0.7, 0.1),
+    Mutation("faster than asked for", "target_share", 1.05, 1.4),
+    Mutation("faster in curves", "lateral_acceleration", 1.2, 3.0),
+    Mutation("accelerates more", "acceleration", 1.2, 3.0),
+)
+"""All mutations; those apply to a driver whose parameter is among its own."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A driver that is worse in one respect.
+
+    Attributes
+    ----------
+    driver : str
+        Name by which it drives, as in ``"normal:reaction_time=0.8"``.
+    mutation : str
+        What was done to it, in words.
+    """
+
+    driver: str
+    mutation: str
+
+
+def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
+    """Draw mutants of a driver.
+
+    The kinds of mutation take turns, in an order that is drawn. How severe a mutant is, from mild to severe on a
+    logarithmic scale, follows for each kind the additive recurrence with the golden ratio from a place that is drawn,
+    which leaves no gaps.
+
+    Parameters
+    ----------
+    driver : str
+        A registered driver with parameters, possibly with options: ``"normal:horizon=4"``.
+    count : int
+        How many; the first of them are those of a smaller number.
+    seed : int, default 0
+        The same seed gives the same mutants.
+
+    Returns
+    -------
+    tuple of Mutant
+        No two of them are the same, and none is the driver.
+
+    Raises
+    ------
+    InputError
+        There is no such driver, or it has no parameters that could be made worse.
+
+    References
+    ----------
+    R. A. DeMillo, R. J. Lipton, F. G. Sayward, "Hints on Test Data Selection: Help for the Practicing Programmer",
+    Computer 11(4), 1978. Y. Jia, M. Harman, "An Analysis and Survey of the Development of Mutation Testing", IEEE
+    Transactions on Software Engineering 37(5), 2011.
+
+    Examples
+    --------
+    >>> from cornercase.drivers import mutants_of
+    >>> [one.driver for one in mutants_of("normal:horizon=4", 2)]
+    """
+    count = whole_number("count", count, 1, MOST_MUTANTS)
+    rng = np.random.default_rng(whole_number("seed", seed, 0))
+    parameters = _parameters(text("driver", driver))
+    kinds = [
+        one for one in MUTATIONS if parameters.get(one.parameter, 0.0) or (one.adds and one.parameter in parameters)
+    ]
+    kinds = [kinds[i] for i in rng.permutation(len(kinds))]
+    places = rng.random(len(kinds))
+    found: dict[str, Mutant] = {}
+    # A name has three digits, so that some severities are the same; there are enough others.
+    for turn in range(2 * count):
+        for kind, place in zip(kinds, places.tolist(), strict=True):
+            severity = math.fmod(place + turn * _GOLDEN, 1.0)
+            value = float(f"{_worse(kind, parameters[kind.parameter], severity):.3g}")
+            name = _renamed(driver, kind.parameter, value)
+            if value != parameters[kind.parameter] and name not in found:
+                found[name] = Mutant(name, kind.words)
+            if len(found) == count:
+                return tuple(found.values())
+    return tuple(found.values())
+
+
+def _worse(kind: Mutation, value: float, severity: float) -> float:
+    amount: float = kind.mild * (kind.severe / kind.mild) ** severity
+    return value + amount if kind.adds else value * amount
+
+
+def _renamed(driver: str, parameter: str, value: float) -> str:
+    base, _, options = driver.partition(":")
+    others = [one for one in options.split(",") if one and one.partition("=")[0].strip() != parameter]
+    return f"{base}:{','.join([*others, f'{parameter}={value:g}'])}"
+
+
+def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
+    """Return the name of a driver that can have mutants.
+
+    Parameters
+    ----------
+    driver : str, Driver or mapping of str to object
+        A name, a driver that is made, or its settings as a study holds them.
+
+    Returns
+    -------
+    str
+        What is no preset is the nearest one, with options.
+
+    Raises
+    ------
+    InputError
+        It is none of cornercase's own drivers with parameters.
+    """
+    if isinstance(driver, str):
+        _parameters(driver)
+        return driver
+    settings = dict(driver.settings if isinstance(driver, Driver) else driver)
+    kind = settings.get("driver")
+    bases = {"behaviour": ("normal", "cautious", "aggressive"), "simple": ("simple",)}.get(str(kind), ())
+    found: list[tuple[int, str]] = []
+    for base in bases:
+        known = _parameters(base)
+        changed = {name: value for name, value in settings.items() if name in known and value != known[name]}
+        options = ",".join(f"{name}={value!r}" for name, value in changed.items())
+        found.append((len(changed), f"{base}:{options}" if options else base))
+    if not found:
+        raise InputError(f"The driver {kind} has no mutants: its parameters are not known here.")
+    name = min(found, key=lambda one: one[0])[1]
+    _parameters(name)
+    return name
+
+
+def _parameters(driver: str) -> dict[str, float]:
+    made = DRIVERS.create(driver) if is_registered(driver) else None
+    if not isinstance(made, CompiledDriver):
+        raise InputError(
+            f"The driver {driver} has no mutants: its parameters are not known here; those of cautious, normal,"
+            " aggressive and simple are."
+        )
+    return {name: float(value) for name, value in made.settings.items() if isinstance(value, int | float)}

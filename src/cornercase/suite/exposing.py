@@ -1,0 +1,289 @@
+"""Mutants of the ego's driver in the scenarios of a study or a suite."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.arguments import flag, texts, whole_number
+from cornercase._common.errors import InputError
+from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.progress import ProgressBar
+from cornercase._common.typing import BoolArray
+from cornercase.drivers import Driver, Mutant, mutants_of, name_driver
+from cornercase.recordings import Recording
+from cornercase.reduction import Exposure
+from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.simulators import BuiltinSimulator, outcomes_of
+from cornercase.study import Study, explored_scenario, open_study
+from cornercase.suite.contents import SuiteContents
+from cornercase.suite.judging import judge
+from cornercase.suite.requirement import Requirement
+
+MOST_CANDIDATES: Final = 2000
+"""Of more scenarios of a study, so many are run with mutants."""
+
+NO_COLLISION: Final = "no collision"
+"""What a mutant has to fail where nothing else is said."""
+
+_BUILTIN: Final = "builtin"
+_OPTIONS: Final = ("time_step", "duration", "on_collision")
+
+
+def find_exposure(
+    study: Study | Path | str,
+    mutants: int,
+    *,
+    require: Sequence[str] = (),
+    seed: int = 0,
+    scenario: Path | str | Scenario | None = None,
+    progress: bool = False,
+) -> Exposure:
+    """Find which scenarios of a study expose which mutants of the ego's driver.
+
+    Of more than 2,000 scenarios, 2,000 are run with the mutants: the first, the last, and every so many between.
+
+    Parameters
+    ----------
+    study : Study or path
+        Explored with the builtin simulator and a driver of cornercase at the ego's wheel.
+    mutants : int
+        How many mutants choose; as many others judge what they chose.
+    require : sequence of str
+        What a mutant has to fail one of, as `cornercase.suite.Requirement.parse` reads it; by default
+        ``"no collision"``.
+    seed : int, default 0
+        The same seed gives the same mutants, as `cornercase.drivers.mutants_of` draws them.
+    scenario : path or Scenario, optional
+        File that was explored; by default it is looked for beside the study and in the current folder.
+    progress : bool, default False
+        Show how far it is on standard error.
+
+    Returns
+    -------
+    Exposure
+        To be handed to `cornercase.reduce`.
+
+    Raises
+    ------
+    InputError
+        The ego has no driver that could have mutants, the study was not run by the builtin simulator, or an argument
+        cannot be used.
+    """
+    count = whole_number("mutants", mutants, 1)
+    known = _requirements(texts("require", require))
+    with open_study(study) as opened:
+        explored = explored_scenario(opened, scenario)
+        meta = opened.meta
+        require_builtin(meta.simulator, str(opened.path))
+        if explored is None or meta.suite:
+            raise InputError(f"{opened.path}: holds no scenarios of a logical scenario; mutants choose among those.")
+        rows = opened.done()
+        if len(rows) > MOST_CANDIDATES:
+            places = np.linspace(0, len(rows) - 1, MOST_CANDIDATES).round().astype(int)
+            rows = [rows[i] for i in places.tolist()]
+        concretes = [ConcreteScenario(explored.path, dict(row.values), explored) for row in rows]
+        ids, settings, who = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.other)
+    drivers: dict[str, Any] = dict(settings.get("drivers", {}))
+    driver = driver_of_ego(who[0], drivers, [explored])
+    drawn = mutants_of(driver, 2 * count, seed)
+    options: dict[str, Any] = {name: settings[name] for name in _OPTIONS if name in settings}
+    options["drivers"] = {name: one for name, one in drivers.items() if name != who[0]}
+    for name, one in options["drivers"].items():
+        if not isinstance(one, str):
+            raise InputError(f"`mutants`: a driver of somebody's own drove {name}, and a study does not hold it.")
+    failed, exposed = run_mutants(concretes, [""] * len(rows), who, (driver, drawn), known, options, progress=progress)
+    choosing, judging = slice(0, count), slice(count, None)
+
+    def part(which: slice, held_out: Exposure | None) -> Exposure:
+        required = tuple(one.text for one in known)
+        return Exposure(driver, required, tuple(ids), failed, drawn[which], exposed[:, which], held_out)
+
+    return part(choosing, part(judging, None))
+
+
+def expose_suite(
+    suite: SuiteContents,
+    who: tuple[str, str],
+    count: int,
+    seed: int,
+    requirements: Sequence[Requirement],
+    options: Mapping[str, Any],
+    *,
+    progress: bool = False,
+) -> Exposure:
+    """Find which scenarios of a suite expose which mutants of the ego's driver.
+
+    Parameters
+    ----------
+    suite : SuiteContents
+    who : tuple of str
+        Names of the ego and the other.
+    count, seed : int
+        How many mutants, as `cornercase.drivers.mutants_of` draws them.
+    requirements : sequence of Requirement
+        Without any, no collision.
+    options : mapping of str to object
+        Of the builtin simulator: ``time_step`` and ``duration`` in s, ``on_collision``, ``drivers``.
+    progress : bool, default False
+        Show how far it is on standard error.
+
+    Returns
+    -------
+    Exposure
+        By number of the scenario in the suite, from 1 on.
+
+    Raises
+    ------
+    InputError
+        The ego has no driver that could have mutants, or not the same in all files.
+    """
+    known = list(requirements) or _requirements(())
+    drivers = dict(options["drivers"])
+    driver = driver_of_ego(who[0], drivers, [one.scenario for one in suite.scenarios])
+    others = {name: one for name, one in drivers.items() if name != who[0]}
+    drawn = mutants_of(driver, count, seed)
+    failed, exposed = run_mutants(
+        [one.concrete for one in suite.scenarios],
+        [one.file for one in suite.scenarios],
+        who,
+        (driver, drawn),
+        known,
+        {**options, "drivers": others},
+        progress=progress,
+    )
+    ids = tuple(range(1, len(suite.scenarios) + 1))
+    return Exposure(driver, tuple(one.text for one in known), ids, failed, drawn, exposed)
+
+
+def require_builtin(simulator: str, where: str) -> None:
+    """Refuse a simulator that has no drivers of cornercase.
+
+    Parameters
+    ----------
+    simulator, where : str
+        Its name, and who names it, for messages.
+
+    Raises
+    ------
+    InputError
+        It is not the builtin one.
+    """
+    if simulator.partition(":")[0] != _BUILTIN:
+        raise InputError(
+            f"`mutants`: {where} was run by '{simulator}', and mutants drive in the builtin simulator only."
+        )
+
+
+def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
+    """Find out who drives the ego.
+
+    Parameters
+    ----------
+    ego : str
+    drivers : mapping of str to str, Driver or mapping
+        Who drives, by entity, where it is not as the files say; a mapping holds a driver's settings.
+    scenarios : sequence of Scenario
+        Files.
+
+    Returns
+    -------
+    str
+        Name of a driver that can have mutants.
+
+    Raises
+    ------
+    InputError
+        There is none, not one alone, or it cannot have mutants.
+    """
+    told = drivers.get(ego)
+    if told is not None:
+        return name_driver(told)
+    found = {one.drivers.get(ego) for one in scenarios}
+    if found == {None}:
+        raise InputError(f"`mutants`: {ego} has no driver; say who drives, as with --driver {ego}=normal.")
+    if len(found) > 1:
+        names = ", ".join(sorted(one or "nobody" for one in found))
+        raise InputError(f"`mutants`: not the same drives {ego} in all files ({names}); say who drives.")
+    (driver,) = found
+    assert driver is not None
+    return name_driver(driver)
+
+
+def run_mutants(
+    concretes: Sequence[ConcreteScenario],
+    files: Sequence[str],
+    who: tuple[str, str],
+    drivers: tuple[str, Sequence[Mutant]],
+    requirements: Sequence[Requirement],
+    options: Mapping[str, Any],
+    *,
+    progress: bool = False,
+) -> tuple[BoolArray, BoolArray]:
+    """Run scenarios with a driver at the ego's wheel, and with mutants of it.
+
+    Parameters
+    ----------
+    concretes : sequence of ConcreteScenario, length n
+    files : sequence of str, length n
+        By which requirements know whether they are for them.
+    who : tuple of str
+        Names of the ego and the other.
+    drivers : tuple of str and sequence of Mutant, length m
+        Of the original, and its mutants.
+    requirements : sequence of Requirement
+    options : mapping of str to object
+        Of the builtin simulator; with the drivers of all others.
+    progress : bool, default False
+        Show how far it is on standard error.
+
+    Returns
+    -------
+    failed : ndarray of bool, shape (n,)
+        Where the original fails a requirement, or could not be run.
+    exposed : ndarray of bool, shape (n, m)
+        Where it fails none, and the mutant fails one.
+    """
+    original, mutants = drivers
+    names = [original, *(one.driver for one in mutants)]
+    failed = np.zeros((len(names), len(concretes)), dtype=np.bool_)
+    broken = np.zeros_like(failed)
+    bar = ProgressBar(len(names), "mutants", "drivers") if flag("progress", progress) else None
+    try:
+        with noted_interrupts() as check:
+            for k, name in enumerate(names):
+                at_wheel: dict[str, str | Driver] = {**options["drivers"], who[0]: name}
+                simulator = BuiltinSimulator(**{**options, "drivers": at_wheel})
+                for i, verdict in enumerate(_failures(simulator, concretes, files, who, requirements)):
+                    broken[k, i], failed[k, i] = verdict is None, verdict is True
+                check()
+                if bar is not None:
+                    bar.update(k + 1, "")
+    finally:
+        if bar is not None:
+            bar.stop()
+    unusable = failed[0] | broken[0]
+    return unusable, (failed[1:] & ~unusable).T
+
+
+def _failures(
+    simulator: BuiltinSimulator,
+    concretes: Sequence[ConcreteScenario],
+    files: Sequence[str],
+    who: tuple[str, str],
+    requirements: Sequence[Requirement],
+) -> Iterator[bool | None]:
+    """Whether each scenario fails a requirement; None where it could not be run."""
+    for file, outcome in zip(files, outcomes_of(simulator, concretes), strict=True):
+        if not isinstance(outcome, Recording):
+            yield None
+        else:
+            mine = [one for one in requirements if one.concerns(file)]
+            yield any(judge(one, outcome, *who).state == "failed" for one in mine)
+
+
+def _requirements(given: Sequence[str]) -> list[Requirement]:
+    return [Requirement.parse(one) for one in dict.fromkeys(given or (NO_COLLISION,))]
