@@ -49,7 +49,7 @@ WAYS = ("expose", "reduce", "medoids", "archetypes", "random")
 CHOOSING, JUDGING = 40, 40
 DRAWS = 100
 # Names in benchmarks/exploration.py, explored with the seeds 101 and 102.
-CHOOSE = ("t-intersection, cautious", "t-intersection, five", "x-intersection, six", "cccscp")
+CHOOSE = ("t-intersection, cautious", "t-intersection, five", "x-intersection, six")
 
 Matrix = npt.NDArray[np.bool_]
 
@@ -107,11 +107,9 @@ def outcomes(case: Case, study: cc.Study, path: Path, seed: int) -> tuple[Matrix
     if not path.exists():
         scenario = case.logical
         concretes = [scenario.concrete(dict(row.values)) for row in study.done()]
-        known = [Requirement.parse("no collision")]
+        known = [[Requirement.parse("no collision")]] * len(concretes)
         options = {"time_step": case.time_step, "drivers": {}}
-        _, exposed = run_mutants(
-            concretes, [""] * len(concretes), ("Ego", case.other), (case.driver, drawn), known, options
-        )
+        _, exposed = run_mutants(concretes, ("Ego", case.other), (case.driver, drawn), known, options)
         np.save(path, exposed)
     return np.load(path), kinds
 

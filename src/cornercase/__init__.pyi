@@ -43,5 +43,4 @@ from .study import import_recordings as import_recordings
 from .suite import Comparison as Comparison
 from .suite import SuiteResult as SuiteResult
 from .suite import compare as compare
-from .suite import find_exposure as find_exposure
 from .suite import test as test

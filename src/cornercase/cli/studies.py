@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Column, Table
 
+from cornercase._common.errors import InputError
 from cornercase.cli import parsing
 from cornercase.cli.options import (
     By,
@@ -129,6 +130,21 @@ def reduce(
         float,
         typer.Option(metavar="X", help="Scenarios are alike up to this share of the median distance within clusters."),
     ] = 0.5,
+    expose: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="First keep what exposes most of so many mutants of the ego's driver.",
+            min=1,
+        ),
+    ] = None,
+    require: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--require", metavar="EXPRESSION", help="What a mutant has to fail, as of test; default: no collision."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the mutants: same seed, same mutants.", min=0)] = 0,
     scenario: Annotated[
         Path | None,
         typer.Option(
@@ -142,9 +158,16 @@ def reduce(
     \b
     Example:
       cornercase reduce study.db --size 32 -o reduced
+      cornercase reduce study.db --size 10 --expose 40 -o reduced
     """
     from cornercase import reduction
+    from cornercase.suite import find_exposure
 
+    if require and expose is None:
+        raise InputError("--require: says what mutants have to fail; give --expose too.")
+    exposure = None
+    if expose is not None:
+        exposure = find_exposure(study, expose, require=require or (), seed=seed, scenario=scenario, progress=True)
     reduced = reduction.reduce(
         study,
         output,
@@ -155,9 +178,13 @@ def reduce(
         archetypes=None if archetypes is None else parsing.count_or_auto(archetypes, "--archetypes"),
         archetypes_by=parsing.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
         within=within,
+        exposure=exposure,
         scenario=scenario,
     )
     out.print(f"{len(reduced.kept)} of {reduced.run} scenarios kept, in {output}")
+    if reduced.exposing is not None:
+        count = sum(one.role == "exposing" for one in reduced.kept)
+        out.print(f"{count} of them expose mutants; {reduced.exposing.text}.")
 
 
 @app.command()

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.table import Column, Table
@@ -24,7 +24,11 @@ from cornercase.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from cornercase.reduction import Exposure
     from cornercase.suite import SuiteResult
+
+# So many of the scenarios that expose most are named.
+_NAMED: Final = 3
 
 
 @app.command(name="test")
@@ -92,6 +96,13 @@ def test_(
     on_collision: Annotated[
         str | None, typer.Option(metavar="stop|continue", help="What a collision does; default: as in the manifest.")
     ] = None,
+    mutants: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Tell how many of so many mutants of the ego's driver the suite exposes.", min=1
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the mutants: same seed, same mutants.", min=0)] = 0,
 ) -> None:
     """Run a reduced set, or any concrete scenarios, again, and judge them.
 
@@ -125,6 +136,8 @@ def test_(
         against=against,
         junit=junit,
         summary=summary,
+        mutants=mutants,
+        seed=seed,
         progress=True,
     )
     if as_json:
@@ -160,6 +173,26 @@ def _print(result: SuiteResult) -> None:
             f"{result.ran_before} of them were in {result.study} before and were not run again; to run a new version of"
             " what drives, name another study with -o."
         )
+    if result.exposure is not None:
+        _print_exposure(result, result.exposure)
+
+
+def _print_exposure(result: SuiteResult, exposure: Exposure) -> None:
+    table = Table(Column("mutation", no_wrap=True), "exposed", "of", box=None)
+    for kind, (exposed, count) in exposure.by_mutation.items():
+        table.add_row(kind, str(exposed), str(count))
+    out.print(table)
+    out.print(f"{exposure.text}.")
+    files = {one.id: one.file for one in result.scenarios}
+    counts = dict(zip(exposure.scenarios, exposure.exposed.sum(axis=1).tolist(), strict=True))
+    order = sorted((one for one, count in counts.items() if count), key=lambda one: -counts[one])
+    if order:
+        most = ", ".join(f"{files[one]} ({counts[one]})" for one in order[:_NAMED])
+        out.print(f"Most are exposed by {most}; {len(order)} of {len(files)} scenarios expose any.")
+    if exposure.unexposed:
+        out.print(f"By none: {' '.join(exposure.unexposed)}.")
+    if exposure.failed.all():
+        out.print(f"{exposure.driver} itself fails in all scenarios, so that no mutant can be exposed.")
 
 
 def _plain(value: Any) -> Any:

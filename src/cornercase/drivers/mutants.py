@@ -116,6 +116,7 @@ def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     --------
     >>> from cornercase.drivers import mutants_of
     >>> [one.driver for one in mutants_of("normal:horizon=4", 2)]
+    ['normal:horizon=4,field_of_view=2.86', 'normal:horizon=4,min_gap=0.338']
     """
     count = whole_number("count", count, 1, MOST_MUTANTS)
     rng = np.random.default_rng(whole_number("seed", seed, 0))

@@ -82,6 +82,57 @@ class Exposure:
             len(self.mutants), int(self.exposed.any(axis=0).sum()), int(self.rows_of(chosen).any(axis=0).sum())
         )
 
+    @property
+    def by_mutation(self) -> dict[str, tuple[int, int]]:
+        """By what was done to the mutants: how many are exposed, and how many there are."""
+        found = self.exposed.any(axis=0)
+        kinds = np.array([one.mutation for one in self.mutants])
+        return {
+            kind: (int(found[kinds == kind].sum()), int((kinds == kind).sum()))
+            for kind in sorted({one.mutation for one in self.mutants})
+        }
+
+    @property
+    def unexposed(self) -> tuple[str, ...]:
+        """Names of the mutants that no scenario exposes."""
+        found = self.exposed.any(axis=0)
+        return tuple(one.driver for one, exposed in zip(self.mutants, found, strict=True) if not exposed)
+
+    @property
+    def text(self) -> str:
+        """How many mutants all scenarios together expose, in a sentence without a full stop."""
+        count, total = len(self.mutants) - len(self.unexposed), len(self.mutants)
+        low, high = clopper_pearson(count, total, _TAIL)
+        interval = f"{low:.0%} to {high:.0%} with 95 % confidence"
+        return f"{count} of {total} mutants of {self.driver} are exposed, {count / total:.0%} ({interval})"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values.
+
+        Returns
+        -------
+        dict of str to object
+            What ``cornercase test --mutants --json`` prints of it.
+        """
+        count, total = len(self.mutants) - len(self.unexposed), len(self.mutants)
+        return {
+            "driver": self.driver,
+            "requirements": list(self.requirements),
+            "mutants": total,
+            "exposed": count,
+            "share": count / total,
+            "interval of 95 %": list(clopper_pearson(count, total, _TAIL)),
+            "failed with the driver": [one for one, failed in zip(self.scenarios, self.failed, strict=True) if failed],
+            "by mutant": [
+                {
+                    "driver": one.driver,
+                    "mutation": one.mutation,
+                    "exposed by": [self.scenarios[i] for i in np.flatnonzero(exposed)],
+                }
+                for one, exposed in zip(self.mutants, self.exposed.T, strict=True)
+            ],
+        }
+
 
 @dataclass(frozen=True)
 class Grade:
@@ -167,7 +218,8 @@ class ExposingChoice:
         beside = "" if self.without is None else f"; chosen without mutants it would be {self.without.exposed}"
         return (
             f"of {one.mutants} other mutants of {self.driver}, {one.possible} of which any of {self.candidates}"
-            f" scenarios exposes, the set exposes {one.exposed} ({one.share:.0%}, {low:.0%} to {high:.0%}){beside}"
+            f" scenarios exposes, the set exposes {one.exposed}, {one.share:.0%} ({low:.0%} to {high:.0%} with 95 %"
+            f" confidence){beside}"
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -35,6 +35,7 @@ _ROLES: Final[dict[str, tuple[str, str]]] = {
     "prototype": ("prototype", "prototypes"),
     "archetype": ("archetype", "archetypes"),
     "gap": ("that fills a gap between these", "that fill gaps between these"),
+    "exposing": ("that exposes mutants of the driver", "that expose mutants of the driver"),
 }
 
 

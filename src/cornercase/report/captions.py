@@ -290,9 +290,10 @@ def of_hulls(reduced: ReducedSet) -> str:
     str
         A sentence.
     """
+    exposing = " or since it exposes mutants of the driver (diamonds)" if reduced.exposing is not None else ""
     return (
         f"Hull of each cluster by {reduced.by}, or of its near-convex parts; archetypes (circles), the prototype of"
-        " each (star), and what is kept for what these leave out (triangles)."
+        f" each (star), and what is kept for what these leave out (triangles){exposing}."
     )
 
 

@@ -26,7 +26,7 @@ class SuiteScenario:
     kind : str
         Cluster that it represents, in words; empty where it is not known.
     role : str
-        ``"archetype"``, ``"prototype"`` or ``"gap"``; empty where it is not known.
+        ``"archetype"``, ``"prototype"``, ``"gap"`` or ``"exposing"``; empty where it is not known.
     why : str
         Why it was kept, in words; empty where it is not known.
     origin : int or None

@@ -78,7 +78,7 @@ def find_exposure(
     with open_study(study) as opened:
         explored = explored_scenario(opened, scenario)
         meta = opened.meta
-        require_builtin(meta.simulator, str(opened.path))
+        require_builtin(meta.simulator)
         if explored is None or meta.suite:
             raise InputError(f"{opened.path}: holds no scenarios of a logical scenario; mutants choose among those.")
         rows = opened.done()
@@ -95,7 +95,7 @@ def find_exposure(
     for name, one in options["drivers"].items():
         if not isinstance(one, str):
             raise InputError(f"`mutants`: a driver of somebody's own drove {name}, and a study does not hold it.")
-    failed, exposed = run_mutants(concretes, [""] * len(rows), who, (driver, drawn), known, options, progress=progress)
+    failed, exposed = run_mutants(concretes, who, (driver, drawn), [known] * len(rows), options, progress=progress)
     choosing, judging = slice(0, count), slice(count, None)
 
     def part(which: slice, held_out: Exposure | None) -> Exposure:
@@ -105,11 +105,38 @@ def find_exposure(
     return part(choosing, part(judging, None))
 
 
+def draw_mutants(
+    suite: SuiteContents, ego: str, drivers: Mapping[str, Any], count: int, seed: int
+) -> tuple[str, tuple[Mutant, ...]]:
+    """Draw mutants of the driver of the ego in a suite.
+
+    Parameters
+    ----------
+    suite : SuiteContents
+    ego : str
+    drivers : mapping of str to str or Driver
+        Who drives, by entity, where it is not as the files say.
+    count, seed : int
+        As `cornercase.drivers.mutants_of` takes them.
+
+    Returns
+    -------
+    driver : str
+    mutants : tuple of Mutant
+
+    Raises
+    ------
+    InputError
+        The ego has no driver that could have mutants, or not the same in all files.
+    """
+    driver = driver_of_ego(ego, drivers, [one.scenario for one in suite.scenarios])
+    return driver, mutants_of(driver, whole_number("mutants", count, 1), seed)
+
+
 def expose_suite(
     suite: SuiteContents,
     who: tuple[str, str],
-    count: int,
-    seed: int,
+    drivers: tuple[str, tuple[Mutant, ...]],
     requirements: Sequence[Requirement],
     options: Mapping[str, Any],
     *,
@@ -122,8 +149,8 @@ def expose_suite(
     suite : SuiteContents
     who : tuple of str
         Names of the ego and the other.
-    count, seed : int
-        How many mutants, as `cornercase.drivers.mutants_of` draws them.
+    drivers : tuple of str and tuple of Mutant
+        The ego's, and its mutants.
     requirements : sequence of Requirement
         Without any, no collision.
     options : mapping of str to object
@@ -135,37 +162,27 @@ def expose_suite(
     -------
     Exposure
         By number of the scenario in the suite, from 1 on.
-
-    Raises
-    ------
-    InputError
-        The ego has no driver that could have mutants, or not the same in all files.
     """
     known = list(requirements) or _requirements(())
-    drivers = dict(options["drivers"])
-    driver = driver_of_ego(who[0], drivers, [one.scenario for one in suite.scenarios])
-    others = {name: one for name, one in drivers.items() if name != who[0]}
-    drawn = mutants_of(driver, count, seed)
     failed, exposed = run_mutants(
         [one.concrete for one in suite.scenarios],
-        [one.file for one in suite.scenarios],
         who,
-        (driver, drawn),
-        known,
-        {**options, "drivers": others},
+        drivers,
+        [[each for each in known if each.concerns(one.file, one.kind)] for one in suite.scenarios],
+        options,
         progress=progress,
     )
     ids = tuple(range(1, len(suite.scenarios) + 1))
-    return Exposure(driver, tuple(one.text for one in known), ids, failed, drawn, exposed)
+    return Exposure(drivers[0], tuple(one.text for one in known), ids, failed, drivers[1], exposed)
 
 
-def require_builtin(simulator: str, where: str) -> None:
+def require_builtin(simulator: str) -> None:
     """Refuse a simulator that has no drivers of cornercase.
 
     Parameters
     ----------
-    simulator, where : str
-        Its name, and who names it, for messages.
+    simulator : str
+        Its name.
 
     Raises
     ------
@@ -173,9 +190,7 @@ def require_builtin(simulator: str, where: str) -> None:
         It is not the builtin one.
     """
     if simulator.partition(":")[0] != _BUILTIN:
-        raise InputError(
-            f"`mutants`: {where} was run by '{simulator}', and mutants drive in the builtin simulator only."
-        )
+        raise InputError(f"`mutants`: they drive in the builtin simulator only, not in '{simulator}'.")
 
 
 def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
@@ -215,10 +230,9 @@ def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scen
 
 def run_mutants(
     concretes: Sequence[ConcreteScenario],
-    files: Sequence[str],
     who: tuple[str, str],
     drivers: tuple[str, Sequence[Mutant]],
-    requirements: Sequence[Requirement],
+    requirements: Sequence[Sequence[Requirement]],
     options: Mapping[str, Any],
     *,
     progress: bool = False,
@@ -228,13 +242,12 @@ def run_mutants(
     Parameters
     ----------
     concretes : sequence of ConcreteScenario, length n
-    files : sequence of str, length n
-        By which requirements know whether they are for them.
     who : tuple of str
         Names of the ego and the other.
     drivers : tuple of str and sequence of Mutant, length m
-        Of the original, and its mutants.
-    requirements : sequence of Requirement
+        Name of the original, and its mutants.
+    requirements : sequence of sequence of Requirement, length n
+        Those of each scenario.
     options : mapping of str to object
         Of the builtin simulator; with the drivers of all others.
     progress : bool, default False
@@ -257,7 +270,7 @@ def run_mutants(
             for k, name in enumerate(names):
                 at_wheel: dict[str, str | Driver] = {**options["drivers"], who[0]: name}
                 simulator = BuiltinSimulator(**{**options, "drivers": at_wheel})
-                for i, verdict in enumerate(_failures(simulator, concretes, files, who, requirements)):
+                for i, verdict in enumerate(_failures(simulator, concretes, who, requirements)):
                     broken[k, i], failed[k, i] = verdict is None, verdict is True
                 check()
                 if bar is not None:
@@ -272,16 +285,14 @@ def run_mutants(
 def _failures(
     simulator: BuiltinSimulator,
     concretes: Sequence[ConcreteScenario],
-    files: Sequence[str],
     who: tuple[str, str],
-    requirements: Sequence[Requirement],
+    requirements: Sequence[Sequence[Requirement]],
 ) -> Iterator[bool | None]:
     """Whether each scenario fails a requirement; None where it could not be run."""
-    for file, outcome in zip(files, outcomes_of(simulator, concretes), strict=True):
+    for mine, outcome in zip(requirements, outcomes_of(simulator, concretes), strict=True):
         if not isinstance(outcome, Recording):
             yield None
         else:
-            mine = [one for one in requirements if one.concerns(file)]
             yield any(judge(one, outcome, *who).state == "failed" for one in mine)
 
 

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from cornercase.reduction import Exposure
 from cornercase.scenario import Value
 from cornercase.suite.difference import Difference
 from cornercase.suite.verdict import State, Verdict, worst_state
@@ -80,6 +81,8 @@ class SuiteResult:
         Why there is none, as a sentence without a full stop.
     ran_before : int
         Scenarios that the study held already, and that were judged without being run again.
+    exposure : Exposure or None
+        Which scenarios, by id, expose which mutants of the ego's driver; None where none were run.
     """
 
     study: Path
@@ -90,6 +93,7 @@ class SuiteResult:
     against: Path | None = None
     why_not_compared: str = ""
     ran_before: int = 0
+    exposure: Exposure | None = None
 
     def count(self, state: str) -> int:
         """Count the scenarios in a state.
@@ -165,4 +169,4 @@ class SuiteResult:
             "ran before": self.ran_before,
             "against": None if self.against is None else str(self.against),
             "scenarios": [asdict(one) | {"reason": one.reason} for one in self.scenarios],
-        }
+        } | ({} if self.exposure is None else {"mutants": self.exposure.to_json()})

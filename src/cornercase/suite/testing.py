@@ -19,6 +19,7 @@ from cornercase.simulators import MOST_WORKERS, Simulator, start_simulator
 from cornercase.study import Study, StudyMeta
 from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
+from cornercase.suite.exposing import draw_mutants, expose_suite, require_builtin
 from cornercase.suite.junit import write_junit
 from cornercase.suite.origin import find_differences, find_origin
 from cornercase.suite.reading import read_suite
@@ -57,6 +58,8 @@ def test(
     against: Path | str | None = None,
     junit: Path | str | None = None,
     summary: Path | str | None = None,
+    mutants: int | None = None,
+    seed: int = 0,
     progress: bool = False,
 ) -> SuiteResult:
     """Run the scenarios of a suite again, judge them, and compare them with those that they were kept from.
@@ -106,6 +109,12 @@ def test(
         JUnit file to write. One that is there is removed before anything is run.
     summary : path, optional
         File with a table in Markdown to write, in place of one that is there, as with `junit`.
+    mutants : int, optional
+        Run the scenarios with so many mutants of the ego's driver besides, in the builtin simulator: how many of them
+        fail a requirement, or collide where there is none, in a scenario in which the driver does not? They are not
+        stored, but run again each time.
+    seed : int, default 0
+        The same seed gives the same mutants, as `cornercase.drivers.mutants_of` draws them.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -140,6 +149,10 @@ def test(
     options |= {name: value for name, value in given.items() if value is not None}
     name = _simulator(contents, simulator)
     options["drivers"] = _drivers(contents, drivers)
+    if mutants is not None:
+        # Looked at before anything is run.
+        require_builtin(name)
+        drawn = draw_mutants(contents, who[0], options["drivers"], mutants, seed)
     asked = dict.fromkeys(one.reference for one in known if one.reference)
     start = partial(
         start_simulator, name, ego=who[0], workers=workers, timeout=timeout, retries=retries, cluster=cluster
@@ -156,6 +169,8 @@ def test(
         result = replace(_result(contents, opened, known, found, why_not), ran_before=before)
     for write, place in outputs:
         write(result, place)
+    if mutants is not None:
+        result = replace(result, exposure=expose_suite(contents, who, drawn, known, options, progress=progress))
     return result
 
 

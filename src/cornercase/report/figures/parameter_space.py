@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,6 +14,9 @@ from cornercase.metrics import Metric
 from cornercase.reduction import ReducedSet
 from cornercase.report.figures.style import look_of, name_score, set_axis
 from cornercase.scenario import Parameter
+
+# By role: symbol and size in points².
+_MARKS: Final = (("archetype", "o", 42), ("prototype", "*", 190), ("gap", "^", 52), ("exposing", "D", 40))
 
 
 def draw_criticality(values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric) -> Figure:
@@ -160,7 +163,7 @@ def draw_hulls(
             axis.plot(*place([row[a], row[b]]).T, color=colour, linewidth=0.7, alpha=0.55)
     for label in sorted({one.cluster for one in reduced.kept}):
         colour, _, name = look_of(label)
-        for role, marker, size in (("archetype", "o", 42), ("prototype", "*", 190), ("gap", "^", 52)):
+        for role, marker, size in _MARKS:
             members = [row[one.id] for one in reduced.kept if (one.cluster, one.role) == (label, role)]
             if members:
                 axis.scatter(

@@ -1,0 +1,66 @@
+"""Mutants of drivers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+
+from cornercase._common.errors import InputError
+from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, mutants_of, name_driver
+
+# Parameters of which more makes a driver worse; of all others that are changed it is less.
+MORE = {"reaction_time", "comfortable_deceleration", "target_share", "lateral_acceleration", "acceleration"}
+
+
+def changed(driver, mutant):
+    """Parameters that differ, by whether they became larger."""
+    before, after = (DRIVERS.create(one).settings for one in (driver, mutant))
+    return {name: after[name] > before[name] for name in before if after[name] != before[name]}
+
+
+def test_a_mutant_is_its_driver_but_for_one_parameter_that_is_worse():
+    for driver in ("normal", "cautious:horizon=4", "simple"):
+        mutants = mutants_of(driver, 60, 3)
+        assert len({one.driver for one in mutants}) == 60
+        for one in mutants:
+            ((name, larger),) = changed(driver, one.driver).items()
+            assert larger == (name in MORE), one
+
+
+def test_the_kinds_take_turns_and_severities_spread():
+    mutants = mutants_of("normal", 60)
+    assert set(Counter(one.mutation for one in mutants).values()) == {4}
+    later = sorted(
+        DRIVERS.create(one.driver).settings["reaction_time"]
+        for one in mutants_of("normal", 300)
+        if one.mutation == "reacts later"
+    )
+    assert 0.6 <= later[0] < 0.65
+    assert 1.6 < later[-1] <= 2.0
+    assert max(b - a for a, b in pairwise(later)) < 0.3
+
+
+def test_seeds_and_numbers():
+    assert mutants_of("normal", 30, 7)[:20] == mutants_of("normal", 20, 7)
+    assert mutants_of("normal", 30, 7) != mutants_of("normal", 30, 8)
+    assert len(mutants_of("simple", 1000)) == 1000
+
+
+def test_drivers_that_are_made_have_names():
+    slow = BehaviourDriver(NORMAL._replace(reaction_time=0.75))
+    assert name_driver(slow) == "normal:reaction_time=0.75"
+    assert name_driver(BehaviourDriver(AGGRESSIVE)) == "aggressive"
+    # As a study holds it.
+    assert DRIVERS.create(name_driver(slow.settings)).settings == slow.settings
+
+
+def test_drivers_without_mutants_are_refused():
+    for driver in ("cc-human", "mymodule:MyDriver"):
+        with pytest.raises(InputError, match=f"driver {driver} has no mutants"):
+            mutants_of(driver, 3)
+    with pytest.raises(InputError, match="no mutants"):
+        name_driver({"driver": "somebody"})
+    with pytest.raises(InputError, match="count"):
+        mutants_of("normal", 0)

@@ -1,0 +1,120 @@
+"""Mutants of the ego's driver in studies and suites."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import cornercase as cc
+from command_line import cornercase
+from conftest import EXAMPLES
+from cornercase._common.errors import InputError
+from cornercase.drivers import mutants_of
+from cornercase.reduction import MANIFEST, read_reduction
+from cornercase.suite import find_exposure
+
+T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """T-intersection, of which 16 scenarios that fill the space have run with `normal`."""
+    path = tmp_path_factory.mktemp("mutants") / "study.db"
+    logical = cc.LogicalScenario.read(T, T.with_suffix(".space.xosc"))
+    cc.explore(logical, path, ego="Ego", other="C", metrics=["ttc"], optimizer="sobol", budget=16, seed=2)
+    cc.analyze(path, ["ttc"])
+    return path
+
+
+@pytest.fixture(scope="module")
+def exposure(study):
+    return find_exposure(study, 15, scenario=T)
+
+
+def test_a_mutant_is_exposed_where_it_collides_and_its_driver_does_not(study, exposure):
+    """Each alone, by `cornercase.simulate`."""
+    assert exposure.driver == "normal"
+    assert exposure.mutants == mutants_of("normal", 15)
+    assert not set(exposure.mutants) & set(exposure.held_out.mutants)
+    assert 0 < exposure.exposed.sum() < exposure.exposed.size
+    with cc.Study.open(study, readonly=True) as opened:
+        values = {row.id: row.values for row in opened.done()}
+        collided = [bool(opened.recording(i).collisions) for i in exposure.scenarios]
+    assert exposure.failed.tolist() == collided
+    assert not exposure.exposed[exposure.failed].any()
+    rng = np.random.default_rng(0)
+    exposed, not_exposed = np.argwhere(exposure.exposed), np.argwhere(~exposure.exposed & ~exposure.failed[:, None])
+    for pairs, hits in ((exposed, True), (not_exposed, False)):
+        for i, j in rng.choice(pairs, 3, replace=False):
+            run = cc.simulate(T, values[exposure.scenarios[i]], drivers={"Ego": exposure.mutants[j].driver})
+            assert bool(run.collisions) == hits
+
+
+def test_a_requirement_says_what_a_mutant_has_to_fail(study, exposure):
+    strict = find_exposure(study, 15, require=["no collision", "ego.speed < 9"], scenario=T)
+    assert strict.requirements == ("no collision", "ego.speed < 9")
+    assert strict.failed.sum() > exposure.failed.sum()
+
+
+def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp_path):
+    folder = tmp_path / "reduced"
+    plain = cc.reduce(study, tmp_path / "plain", size=3, scenario=T)
+    reduced = cc.reduce(study, folder, size=3, exposure=exposure, scenario=T)
+    choice = reduced.exposing
+    assert choice.chosen_by == exposure.grade(reduced.ids)
+    assert choice.held_out == exposure.held_out.grade(reduced.ids)
+    assert choice.without == exposure.held_out.grade(plain.ids)
+    assert choice.chosen_by.exposed >= exposure.grade(plain.ids).exposed
+    first = reduced.kept[0]
+    count = int(exposure.rows_of([first.id]).sum())
+    assert (first.role, first.why[:30]) == ("exposing", f"exposes {count} of 15 mutants of normal"[:30])
+    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    assert manifest["exposing"]["held out"]["exposed"] == choice.held_out.exposed
+    assert manifest["scenarios"][0]["why"] == first.why
+    with cc.Study.open(study, readonly=True) as opened:
+        assert read_reduction(opened) == reduced
+    # The suite exposes what its scenarios exposed in the study.
+    result = cc.test(folder, tmp_path / "run.db", mutants=15)
+    assert result.exposure.exposed.tolist() == exposure.rows_of(reduced.ids).tolist()
+    assert result.to_json()["mutants"]["exposed"] == choice.chosen_by.exposed
+    # Where nothing is exposed, the set is that without mutants.
+    rows = exposure.scenarios
+    nothing = type(exposure)("normal", (), rows, exposure.failed, exposure.mutants, np.zeros_like(exposure.exposed))
+    assert cc.reduce(study, tmp_path / "same", size=3, exposure=nothing, scenario=T).ids == plain.ids
+
+
+def test_the_command_line_tells_what_is_exposed(study, tmp_path):
+    reduced = cornercase(
+        "reduce", study, "--size", 3, "--expose", 5, "--seed", 4, "--scenario", T, "-o", tmp_path / "r"
+    )
+    assert reduced.returncode == 0, reduced.stderr
+    assert "of 5 other mutants of normal" in reduced.stdout
+    told = cornercase("test", tmp_path / "r", "--mutants", 5, "--seed", 4, "-o", tmp_path / "run.db")
+    assert "of 5 mutants of normal are exposed" in told.stdout
+    assert "mutation" in told.stdout
+    as_json = cornercase("test", tmp_path / "r", "--mutants", 5, "--json", "-o", tmp_path / "run.db")
+    assert len(json.loads(as_json.stdout)["mutants"]["by mutant"]) == 5
+
+
+def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):
+    cc.reduce(study, tmp_path / "reduced", size=3, scenario=T)
+    with pytest.raises(InputError, match="builtin simulator only, not in 'sumo'"):
+        cc.test(tmp_path / "reduced", tmp_path / "run.db", simulator="sumo", mutants=5)
+    with pytest.raises(InputError, match="driver cc-human has no mutants"):
+        cc.test(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cc-human"}, mutants=5)
+    assert not (tmp_path / "run.db").exists()
+    with pytest.raises(InputError, match="`exposure`, `cover`: give one of them"):
+        cc.reduce(study, tmp_path / "none", cover=0.2, exposure=find_exposure(study, 1, scenario=T), scenario=T)
+    refused = cornercase("reduce", study, "--require", "ttc > 1", "-o", tmp_path / "none")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "give --expose too" in refused.stderr
+
+
+def test_an_ego_without_a_driver_has_no_mutants(tmp_path):
+    path = tmp_path / "study.db"
+    cut_in = cc.LogicalScenario.read(EXAMPLES / "r157" / "cut_in.xosc", ranges=["gap=10:40"])
+    cc.explore(cut_in, path, ego="Other", other="Ego", metrics=["ttc"], optimizer="sobol", budget=2)
+    with pytest.raises(InputError, match="`mutants`: Other has no driver; say who drives"):
+        find_exposure(path, 3, scenario=EXAMPLES / "r157" / "cut_in.xosc")
