@@ -30,6 +30,7 @@ LARGE = {
     "exploration/estimating.py estimate": "part of the API: one parameter for each option of the command",
     "exploration/exploring.py explore": "part of the API: one parameter for each option of the command",
     "suite/testing.py test": "part of the API: one parameter for each option of the command",
+    "reduction/reducing.py reduce": "part of the API: one parameter for each option of the command",
     "roads/lane_path.py of_points": "one parameter for each array of the path",
     "simulators/carla/simulator.py __init__": "one parameter for each option of the simulator",
     "simulators/carmaker/simulator.py __init__": "one parameter for each option of the simulator",

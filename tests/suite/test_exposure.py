@@ -62,10 +62,12 @@ def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp
     folder = tmp_path / "reduced"
     plain = cc.reduce(study, tmp_path / "plain", size=3, scenario=T)
     reduced = cc.reduce(study, folder, size=3, exposure=exposure, scenario=T)
-    choice = reduced.exposing
+    choice, judges = reduced.exposing, exposure.held_out
+    assert choice is not None
+    assert choice.held_out is not None
     assert choice.chosen_by == exposure.grade(reduced.ids)
-    assert choice.held_out == exposure.held_out.grade(reduced.ids)
-    assert choice.without == exposure.held_out.grade(plain.ids)
+    assert choice.held_out == judges.grade(reduced.ids)
+    assert choice.without == judges.grade(plain.ids)
     assert choice.chosen_by.exposed >= exposure.grade(plain.ids).exposed
     first = reduced.kept[0]
     count = int(exposure.rows_of([first.id]).sum())
@@ -77,6 +79,7 @@ def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp
         assert read_reduction(opened) == reduced
     # The suite exposes what its scenarios exposed in the study.
     result = cc.test(folder, tmp_path / "run.db", mutants=15)
+    assert result.exposure is not None
     assert result.exposure.exposed.tolist() == exposure.rows_of(reduced.ids).tolist()
     assert result.to_json()["mutants"]["exposed"] == choice.chosen_by.exposed
     # Where nothing is exposed, the set is that without mutants.
@@ -116,5 +119,5 @@ def test_an_ego_without_a_driver_has_no_mutants(tmp_path):
     path = tmp_path / "study.db"
     cut_in = cc.LogicalScenario.read(EXAMPLES / "r157" / "cut_in.xosc", ranges=["gap=10:40"])
     cc.explore(cut_in, path, ego="Other", other="Ego", metrics=["ttc"], optimizer="sobol", budget=2)
-    with pytest.raises(InputError, match="`mutants`: Other has no driver; say who drives"):
+    with pytest.raises(InputError, match="`mutants`: Other has no driver; say with `drivers` who drives"):
         find_exposure(path, 3, scenario=EXAMPLES / "r157" / "cut_in.xosc")

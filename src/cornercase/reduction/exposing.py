@@ -35,7 +35,7 @@ def choose_exposing(exposed: BoolArray, apart: Callable[[Sequence[int]], FloatAr
     ----------
     exposed : ndarray of bool, shape (n, m)
         Which scenario exposes which mutant.
-    apart : callable
+    apart : callable, giving an ndarray of float64, shape (k, n)
         Gives for indices of scenarios the distances to all, of shape (k, n), as `Selection.apart` does.
     size : int
         At most so many.

@@ -214,12 +214,11 @@ def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scen
     InputError
         There is none, not one alone, or it cannot have mutants.
     """
-    told = drivers.get(ego)
-    if told is not None:
-        return name_driver(told)
+    if ego in drivers:
+        return name_driver(drivers[ego])
     found = {one.drivers.get(ego) for one in scenarios}
     if found == {None}:
-        raise InputError(f"`mutants`: {ego} has no driver; say who drives, as with --driver {ego}=normal.")
+        raise InputError(f"`mutants`: {ego} has no driver; say with `drivers` who drives it.")
     if len(found) > 1:
         names = ", ".join(sorted(one or "nobody" for one in found))
         raise InputError(f"`mutants`: not the same drives {ego} in all files ({names}); say who drives.")
