@@ -109,7 +109,7 @@ def outcomes(case: Case, study: cc.Study, path: Path, seed: int) -> tuple[Matrix
         concretes = [scenario.concrete(dict(row.values)) for row in study.done()]
         known = [[Requirement.parse("no collision")]] * len(concretes)
         options = {"time_step": case.time_step, "drivers": {}}
-        _, exposed = run_mutants(concretes, ("Ego", case.other), (case.driver, drawn), known, options)
+        _, exposed = run_mutants(concretes, ("Ego", (case.other,)), (case.driver, drawn), known, options)
         np.save(path, exposed)
     return np.load(path), kinds
 

@@ -37,9 +37,7 @@ def test_the_kinds_take_turns_and_severities_spread():
     mutants = mutants_of("normal", 60)
     assert set(Counter(one.mutation for one in mutants).values()) == {4}
     later = sorted(
-        settings(one.driver)["reaction_time"]
-        for one in mutants_of("normal", 300)
-        if one.mutation == "reacts later"
+        settings(one.driver)["reaction_time"] for one in mutants_of("normal", 300) if one.mutation == "reacts later"
     )
     assert 0.6 <= later[0] < 0.65
     assert 1.6 < later[-1] <= 2.0

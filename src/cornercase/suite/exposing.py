@@ -75,6 +75,11 @@ def find_exposure(
     """
     count = whole_number("mutants", mutants, 1)
     known = _requirements(texts("require", require))
+    for one in known:
+        if one.pattern:
+            raise InputError(
+                f"`require` {one}: is for some files or kinds of a suite; say what holds in all scenarios."
+            )
     with open_study(study) as opened:
         explored = explored_scenario(opened, scenario)
         meta = opened.meta
@@ -86,7 +91,7 @@ def find_exposure(
             places = np.linspace(0, len(rows) - 1, MOST_CANDIDATES).round().astype(int)
             rows = [rows[i] for i in places.tolist()]
         concretes = [ConcreteScenario(explored.path, dict(row.values), explored) for row in rows]
-        ids, settings, who = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.other)
+        ids, settings, who = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.others)
     drivers: dict[str, Any] = dict(settings.get("drivers", {}))
     driver = driver_of_ego(who[0], drivers, [explored])
     drawn = mutants_of(driver, 2 * count, seed)
@@ -135,7 +140,7 @@ def draw_mutants(
 
 def expose_suite(
     suite: SuiteContents,
-    who: tuple[str, str],
+    who: tuple[str, Sequence[str]],
     drivers: tuple[str, tuple[Mutant, ...]],
     requirements: Sequence[Requirement],
     options: Mapping[str, Any],
@@ -147,8 +152,8 @@ def expose_suite(
     Parameters
     ----------
     suite : SuiteContents
-    who : tuple of str
-        Names of the ego and the other.
+    who : tuple of str and sequence of str
+        Names of the ego and the others.
     drivers : tuple of str and tuple of Mutant
         The ego's, and its mutants.
     requirements : sequence of Requirement
@@ -229,7 +234,7 @@ def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scen
 
 def run_mutants(
     concretes: Sequence[ConcreteScenario],
-    who: tuple[str, str],
+    who: tuple[str, Sequence[str]],
     drivers: tuple[str, Sequence[Mutant]],
     requirements: Sequence[Sequence[Requirement]],
     options: Mapping[str, Any],
@@ -241,8 +246,8 @@ def run_mutants(
     Parameters
     ----------
     concretes : sequence of ConcreteScenario, length n
-    who : tuple of str
-        Names of the ego and the other.
+    who : tuple of str and sequence of str
+        Names of the ego and the others.
     drivers : tuple of str and sequence of Mutant, length m
         Name of the original, and its mutants.
     requirements : sequence of sequence of Requirement, length n
@@ -284,7 +289,7 @@ def run_mutants(
 def _failures(
     simulator: BuiltinSimulator,
     concretes: Sequence[ConcreteScenario],
-    who: tuple[str, str],
+    who: tuple[str, Sequence[str]],
     requirements: Sequence[Sequence[Requirement]],
 ) -> Iterator[bool | None]:
     """Whether each scenario fails a requirement; None where it could not be run."""
