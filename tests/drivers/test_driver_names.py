@@ -90,7 +90,7 @@ def test_a_users_own_driver_is_found_in_the_current_folder_and_drives():
     before = list(sys.path)
     driver = named_driver("own_drivers:Steady")
     assert sys.path == before
-    assert driver.settings == {"driver": "steady"}
+    assert driver.settings["driver"] == "steady"
     run = Run(driver, straight(), [Other("car", 150.0, 3.0)], speed=4.0, target=8.0, duration=20.0)
     assert run.speed[-1, 0] == pytest.approx(8.0, abs=0.01)
 
@@ -98,7 +98,7 @@ def test_a_users_own_driver_is_found_in_the_current_folder_and_drives():
 @pytest.mark.usefixtures("own_module")
 def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
     driver = named_driver("own_drivers:Derived")
-    assert driver.settings == {"driver": "own_drivers:Derived"}
+    assert driver.settings["driver"] == "own_drivers:Derived"
     run = Run(driver, straight(), speed=4.0, target=8.0, duration=20.0)
     assert run.speed[-1, 0] == pytest.approx(8.0, abs=0.01)
 

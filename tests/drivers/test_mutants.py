@@ -64,5 +64,14 @@ def test_drivers_without_mutants_are_refused():
             mutants_of(driver, 3)
     with pytest.raises(InputError, match="no mutants"):
         name_driver({"driver": "somebody"})
+
+    class Otherwise(BehaviourDriver):
+        def acceleration(self, situation):
+            return -1.0 * situation.speed
+
+    with pytest.raises(InputError, match="no mutants"):
+        name_driver(Otherwise())
+    with pytest.raises(InputError, match="no mutants"):
+        name_driver({**Otherwise().settings, "source": "64e76f09288e841b"})
     with pytest.raises(InputError, match="count"):
         mutants_of("normal", 0)

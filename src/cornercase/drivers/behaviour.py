@@ -66,7 +66,7 @@ def _with_options(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
     """What builds a preset, and takes each of its parameters as an option."""
 
     def build(**changed: float) -> BehaviourDriver:
-        return BehaviourDriver(behaviour._replace(**changed))
+        return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in changed.items()}))
 
     # The registry reads there which options there are.
     build.__signature__ = Signature(  # type: ignore[attr-defined]

@@ -178,6 +178,9 @@ def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
     found: list[tuple[int, str]] = []
     for base in bases:
         known = _parameters(base)
+        # A class of one's own that derives from a built-in driver may decide otherwise.
+        if set(settings) != {"driver", *known} or not (isinstance(driver, Mapping) or _is_own(driver)):
+            continue
         changed = {name: value for name, value in settings.items() if name in known and value != known[name]}
         options = ",".join(f"{name}={value!r}" for name, value in changed.items())
         found.append((len(changed), f"{base}:{options}" if options else base))
@@ -186,6 +189,10 @@ def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
     name = min(found, key=lambda one: one[0])[1]
     _parameters(name)
     return name
+
+
+def _is_own(driver: Driver) -> bool:
+    return type(driver).__module__.startswith("cornercase.drivers.")
 
 
 def _parameters(driver: str) -> dict[str, float]:

@@ -54,6 +54,7 @@ class SimpleDriver(CompiledDriver):
             reaction_time,
             sight_range,
         )
+        keeping = Keeping(*map(float, keeping))
         for name, value in keeping._asdict().items():
             require_parameter(name, value, name == "reaction_time")
         self.parameters = tuple(keeping)
