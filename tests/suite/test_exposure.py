@@ -107,6 +107,8 @@ def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):
         cc.test(tmp_path / "reduced", tmp_path / "run.db", simulator="sumo", mutants=5)
     with pytest.raises(InputError, match="driver cc-human has no mutants"):
         cc.test(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cc-human"}, mutants=5)
+    with pytest.raises(InputError, match="no reference is asked about mutants"):
+        cc.test(tmp_path / "reduced", tmp_path / "run.db", require=["no collision unless rss collides"], mutants=5)
     assert not (tmp_path / "run.db").exists()
     with pytest.raises(InputError, match="`exposure`, `cover`: give one of them"):
         cc.reduce(study, tmp_path / "none", cover=0.2, exposure=find_exposure(study, 1, scenario=T), scenario=T)

@@ -66,7 +66,7 @@ Drivers = Annotated[
     typer.Option(
         "--driver",
         metavar="ENTITY=NAME",
-        help="Driver, as normal or normal:reaction_time=0.6, or package.module:Class.",
+        help="As normal, normal:horizon=4, or package.module:Class.",
     ),
 ]
 Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]

@@ -75,6 +75,7 @@ def find_exposure(
     """
     count = whole_number("mutants", mutants, 1)
     known = _requirements(texts("require", require))
+    _require_no_reference(known)
     for one in known:
         if one.pattern:
             raise InputError(
@@ -111,7 +112,12 @@ def find_exposure(
 
 
 def draw_mutants(
-    suite: SuiteContents, ego: str, drivers: Mapping[str, Any], count: int, seed: int
+    suite: SuiteContents,
+    ego: str,
+    drivers: Mapping[str, Any],
+    requirements: Sequence[Requirement],
+    count: int,
+    seed: int,
 ) -> tuple[str, tuple[Mutant, ...]]:
     """Draw mutants of the driver of the ego in a suite.
 
@@ -121,6 +127,8 @@ def draw_mutants(
     ego : str
     drivers : mapping of str to str or Driver
         Who drives, by entity, where it is not as the files say.
+    requirements : sequence of Requirement
+        What mutants are to be judged by.
     count, seed : int
         As `cornercase.drivers.mutants_of` takes them.
 
@@ -132,8 +140,9 @@ def draw_mutants(
     Raises
     ------
     InputError
-        The ego has no driver that could have mutants, or not the same in all files.
+        The ego has no driver that could have mutants, or not the same in all files, or a requirement asks a reference.
     """
+    _require_no_reference(requirements)
     driver = driver_of_ego(ego, drivers, [one.scenario for one in suite.scenarios])
     return driver, mutants_of(driver, whole_number("mutants", count, 1), seed)
 
@@ -298,6 +307,12 @@ def _failures(
             yield None
         else:
             yield any(judge(one, outcome, *who).state == "failed" for one in mine)
+
+
+def _require_no_reference(requirements: Sequence[Requirement]) -> None:
+    for one in requirements:
+        if one.reference:
+            raise InputError(f"`require` {one}: no reference is asked about mutants; leave it out, or the mutants.")
 
 
 def _requirements(given: Sequence[str]) -> list[Requirement]:

@@ -152,7 +152,7 @@ def test(
     if mutants is not None:
         # Looked at before anything is run.
         require_builtin(name)
-        drawn = draw_mutants(contents, who[0], options["drivers"], mutants, seed)
+        drawn = draw_mutants(contents, who[0], options["drivers"], known, mutants, seed)
     asked = dict.fromkeys(one.reference for one in known if one.reference)
     start = partial(
         start_simulator, name, ego=who[0], workers=workers, timeout=timeout, retries=retries, cluster=cluster
