@@ -135,3 +135,17 @@ def test_a_recording_alone_cannot_be_measured_by_it():
         Formula.parse("critical-if < 1")
     made = CriticalIf.of("collision")
     assert set(measured([made], run(1.0), "Ego", "Other")) == {made.name}
+
+
+@pytest.mark.parametrize("bound", ["ttc < 10", "clearance < 100", "delta-v > 0", "drac > 0", "thw < 10", "ttc < 9.5"])
+def test_a_bound_at_the_cap_of_its_metric_is_critical_where_it_holds_alone(bound):
+    apart = met((-X, 0.0, 0.0, -10.0), (np.full(6, 500.0), 0.0, 0.0, 0.0))
+    for text in (bound, f"{bound} and not reference:cc-human"):
+        made = CriticalIf.of(text)
+        found = made.look(apart, "Ego", "Other")
+        assert found.holds({}) is False
+        assert 0.0 < found.score({}) <= made.cap
+    # What is far beyond the bound is told from what is near it.
+    near, nearer = (CriticalIf.of(bound).look(run(gap), "Ego", "Other") for gap in (3.0, 2.0))
+    if bound.startswith(("ttc", "clearance", "thw")):
+        assert nearer.score({}) < near.score({}) < 0.0

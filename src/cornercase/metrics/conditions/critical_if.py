@@ -45,7 +45,8 @@ class CriticalIf(Metric):
     The course is how far it is from holding at each instant, if references decide for it.
 
     Searched by ``cornercase explore --critical-if``, which runs the references; a recording alone cannot be measured.
-    Cap: the farthest that a part can be from holding; 100 for a collision. Most critical value: the same below 0.
+    Cap: the farthest that a part can be from holding; 100 for a collision, and where no part can be far. Most critical
+    value: the same below 0, -100 at least.
 
     Parameters
     ----------
@@ -77,9 +78,11 @@ class CriticalIf(Metric):
         units = {spelt(one.unit) for one in self._parts.values()}
         self.unit = next(iter(self._parts.values())).unit if len(units) == 1 else "1"
         far = [abs(one.margin(self._parts[one].cap)) for one in bounds]
-        if Collision() in self._facts or not far:
+        # A bound at its metric's cap is at no distance from it.
+        if Collision() in self._facts or not any(far):
             far.append(_FAR)
-        self.cap, self.most_critical = max(far), -max(far)
+        self.cap = max(far)
+        self.most_critical = -max(self.cap, _FAR)
 
     @classmethod
     def of(cls, condition: str) -> CriticalIf:
