@@ -165,6 +165,9 @@ def reduce(
 
     if require and expose is None:
         raise InputError("--require: says what mutants have to fail; give --expose too.")
+    for option, given in (("--cover", cover), ("--archetypes", archetypes)):
+        if expose is not None and given is not None:
+            raise InputError(f"--expose, {option}: give one of them.")
     exposure = None
     if expose is not None:
         exposure = find_exposure(study, expose, require=require or (), seed=seed, scenario=scenario, progress=True)
