@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 # So many of the scenarios that expose most are named.
 _NAMED: Final = 3
+# Characters of a file name that leave room for what is said of it on 80 columns.
+_NAME: Final = 30
 
 
 @app.command(name="test")
@@ -155,7 +157,7 @@ def _print(result: SuiteResult) -> None:
     compared = result.against is not None
     last = ["recording"] if compared else []
     table = Table(
-        Column("scenario", overflow="fold"),
+        Column("scenario", overflow="fold", no_wrap=max(len(one.file) for one in result.scenarios) <= _NAME),
         Column("verdict", no_wrap=True),
         Column("why", overflow="fold"),
         *last,
