@@ -145,6 +145,8 @@ def test_options_of_a_search_stand_behind_a_colon():
         ("bayes:fill=0", "has no option 'fill'; did you mean 'filling'?"),
         ("optuna:sampler=tpa", "no sampler 'tpa'"),
         ("bayes:filling", "give options as in"),
+        ("bayes:", "ends in a colon"),
+        ("bayes:filling=0,filling=1", "the option 'filling' twice"),
     ):
         with pytest.raises(InputError, match=words):
             OPTIMIZERS.create(name, space=CUBE, seed=0)

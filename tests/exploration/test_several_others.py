@@ -104,7 +104,7 @@ def test_all_others_are_resolved_to_their_names(scenario, tmp_path):
     # The same again goes on, by star or by names; somebody else is another study.
     assert explored(scenario, tmp_path / "all.db", list(NAMES[1:]), budget=3).ended == 3
     assert explored(scenario, tmp_path / "all.db", "*", budget=3).ended == 3
-    with pytest.raises(InputError, match="another other entity"):
+    with pytest.raises(InputError, match="metrics against another entity"):
         explored(scenario, tmp_path / "all.db", ["Slow", "Parked"], budget=3)
 
 

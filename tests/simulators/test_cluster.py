@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,7 @@ import pytest
 import cornercase as cc
 from conftest import EXAMPLES, same_recording
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.version import __version__
 from cornercase.exploration import demonstration, explore_configuration
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel
 from cornercase.simulators import SIMULATORS, ClusterSimulator, start_simulator
@@ -127,6 +131,35 @@ def stored(path):
         return values, motion, [study.scores_of(row.id) for row in rows], study.meta
 
 
+def test_a_driver_of_ones_own_is_found_in_the_current_folder(tmp_path, reduced_by_hand):
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\nfrom cornercase.drivers import Driver\n\n\nclass Calm(Driver):\n"
+        "    def acceleration(self, situation):\n        return np.full(len(situation.x), -1.0)\n"
+    )
+    given = ["--driver", "Ego=mine:Calm", "--ego", "Ego", "--other", "Pedestrian", "--duration", "5"]
+    for more in ([], ["--cluster", "local"]):
+        # As the console script does it, which has not the current folder on its path.
+        script = "import sys; sys.path.remove(''); from cornercase.cli import main; main()"
+        command = [sys.executable, "-c", script, "test", "suite", *given, *more, "-o", f"{len(more)}.db"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200, check=False)
+        assert done.returncode == 0, done.stderr
+    with Study.open(tmp_path / "0.db", readonly=True) as one, Study.open(tmp_path / "2.db", readonly=True) as other:
+        assert same_recording(one.recording(1), other.recording(1))
+
+
+def test_a_driver_that_a_worker_lacks_is_told():
+    gone = b"cgone_module\nDriver\n."
+    with pytest.raises(InputError, match=r"a worker cannot load a driver of your own .*gone_module"):
+        run_job(Job("another key", __version__, "builtin", gone, None, 1), {}, [])
+
+
+@pytest.fixture
+def reduced_by_hand(tmp_path):
+    (tmp_path / "suite").mkdir()
+    for one in (X, X.with_suffix(".xodr")):
+        shutil.copy(one, tmp_path / "suite")
+
+
 def test_no_scheduler_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_ANSWERS", 0.5)
     for given in ("tcp://127.0.0.1:9", "nowhere", str(tmp_path / "none.json")):
@@ -141,7 +174,7 @@ def test_no_scheduler_is_told(tmp_path, monkeypatch):
 
 def test_a_worker_of_another_version_is_told():
     with pytest.raises(InputError, match=r"a worker has cornercase .*, and this is 0\.0\.0"):
-        run_job(Job("key", "0.0.0", "builtin", {}, None, 1), {}, [])
+        run_job(Job("key", "0.0.0", "builtin", b"", None, 1), {}, [])
 
 
 def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):

@@ -198,12 +198,26 @@ def test_a_new_version_of_a_driver_is_not_judged_by_what_the_old_one_did(reduced
 
 
 def test_no_verdicts_of_another_run_are_left_where_nothing_can_be_run(reduced, tmp_path):
-    (tmp_path / "out.xml").write_text("<testsuites/>")
+    cc.test(reduced, tmp_path / "earlier.db", junit=tmp_path / "out.xml", summary=tmp_path / "out.md")
     with pytest.raises(cc.InputError):
         cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", drivers={"Ego": "gone:Driver"})
     with pytest.raises(cc.InputError):
         cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", simulator="carla:port=1")
     assert not (tmp_path / "out.xml").exists()
+
+
+@pytest.mark.parametrize("option", ["junit", "summary"])
+def test_nothing_else_is_written_over(option, reduced, tmp_path):
+    for name in ("mine.py", "README.md", "later.db"):
+        (tmp_path / name).write_text("# Kept\n")
+        with pytest.raises(cc.InputError, match="holds something else already"):
+            cc.test(reduced, tmp_path / "run.db", **{option: tmp_path / name})
+        assert (tmp_path / name).read_text() == "# Kept\n"
+    # GitHub makes an empty one.
+    (tmp_path / "own").write_text("")
+    for _ in range(2):
+        cc.test(reduced, tmp_path / "run.db", **{option: tmp_path / "own"})
+        assert (tmp_path / "own").read_text()
 
 
 def test_what_has_run_is_judged_anew_by_other_requirements(explored, tmp_path):

@@ -99,6 +99,8 @@ class Registry(Generic[T]):
         base, _, text = name.partition(":")
         factory = self.factory(base)
         if not text:
+            if name != base:
+                raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
             return factory(**options)
         if any(one.kind is one.POSITIONAL_ONLY for one in signature(factory).parameters.values()):
             whole: Any = factory(text, **options)
@@ -106,12 +108,16 @@ class Registry(Generic[T]):
             return cast(T, whole)
         # What belongs to the name, as which preset it is, is no option.
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
+        twice: set[str] = set()
         for option in text.split(","):
             key, equals, value = (part.strip() for part in option.partition("="))
             if not (key.isidentifier() and equals):
                 raise InputError(
                     f"The {self._kind} '{name}' has the option '{option}'; give options as in '{base}:name=value'."
                 )
+            if key in twice:
+                raise InputError(f"The {self._kind} '{name}' has the option '{key}' twice; give it once.")
+            twice.add(key)
             taken = signature(factory).parameters
             unknown = key not in taken and not any(one.kind is one.VAR_KEYWORD for one in taken.values())
             if unknown or key in given:

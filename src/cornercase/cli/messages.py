@@ -11,12 +11,12 @@ from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
     "against", "archetypes", "archetypes_by", "audit", "batch", "beside", "budget", "by", "cluster",
-    "continuous", "cover", "critical", "duration",
+    "continuous", "cover", "critical", "critical_if", "duration",
     "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_seconds",
     "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repeats", "require", "requirements", "retries", "scenario",
     "seed", "share", "simulator", "size",
-    "space", "stop_when", "time_step", "timeout", "window", "within", "workers",
+    "space", "stop_when", "summary", "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {

@@ -161,6 +161,8 @@ def reduce(
       cornercase reduce study.db --size 10 --expose 40 -o reduced
     """
     from cornercase import reduction
+    from cornercase.clustering import read_analysis
+    from cornercase.study import Study
     from cornercase.suite import find_exposure
 
     if require and expose is None:
@@ -170,6 +172,9 @@ def reduce(
             raise InputError(f"--expose, {option}: give one of them.")
     exposure = None
     if expose is not None:
+        # Not after the mutants have run.
+        with Study.open(study, readonly=True) as opened:
+            read_analysis(opened, by or opened.meta.metrics[0])
         exposure = find_exposure(study, expose, require=require or (), seed=seed, scenario=scenario, progress=True)
     reduced = reduction.reduce(
         study,

@@ -8,6 +8,7 @@ import uuid
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -75,10 +76,13 @@ class ClusterSimulator(Simulator):
         self._unused = SIMULATORS.create(name, **options)
         self.settings = self._unused.settings
         self._batches = declared.takes_batches
-        self._job = Job(uuid.uuid4().hex, __version__, name, options, timeout, retries)
         self._parcels: dict[str, tuple[ScenarioParcel, Future[Any]]] = {}
         self._address = cluster
         self._client = connect(cluster, workers)
+        # It comes with Dask, and takes classes of a notebook along.
+        import cloudpickle
+
+        self._job = Job(uuid.uuid4().hex, __version__, name, cloudpickle.dumps(options), timeout, retries)
         self._lost = 0
 
     def require_means(self, scenario: Scenario) -> None:
@@ -154,11 +158,14 @@ class ClusterSimulator(Simulator):
     def close(self) -> None:
         """End the simulators on the workers, and leave the cluster; a local one ends."""
         self._unused.close()
-        if self._client.status == "running":
-            self._client.run(close_job, self._job.key, on_error="ignore")
+        # A cluster that is lost has nothing to be closed.
+        with suppress(OSError, CancelledError, TimeoutError):
+            if self._client.status == "running":
+                self._client.run(close_job, self._job.key, on_error="ignore")
         # A local cluster is one of its own, and ends with it.
         local = self._client.cluster
-        self._client.close()
+        with suppress(OSError, CancelledError, TimeoutError):
+            self._client.close()
         if local is not None:
             local.close()
 

@@ -10,14 +10,16 @@ from multiprocessing import current_process
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Condition, Lock
-from typing import Any, Final
+from typing import Final
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.texts import in_one_line
 from cornercase._common.version import __version__
 from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel, Value
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.outcomes import Outcome, outcomes_of
 from cornercase.simulators.registry import SIMULATORS
+from cornercase.simulators.worker_process import unpickled_options
 from cornercase.simulators.workers import WorkerSimulator
 
 
@@ -32,8 +34,8 @@ class Job:
     version : str
         Of the cornercase that asks.
     simulator : str
-    options : mapping of str to object
-        What to make it with.
+    options : bytes
+        What to make it with, pickled: a driver of one's own may not be known where this passes by.
     timeout : float or None
         s for each scenario.
     retries : int
@@ -42,7 +44,7 @@ class Job:
     key: str
     version: str
     simulator: str
-    options: Mapping[str, Any]
+    options: bytes
     timeout: float | None
     retries: int
 
@@ -52,6 +54,13 @@ class _Site:
 
     def __init__(self, job: Job) -> None:
         self._job = job
+        try:
+            self._options = unpickled_options(job.options)
+        except Exception as error:
+            raise InputError(
+                f"`cluster`: a worker cannot load a driver of your own ({in_one_line(error)}); install its module on"
+                " each worker, or start the workers in its folder."
+            ) from error
         self._free: list[int] = []
         self._made: list[Simulator] = []
         self._change = Condition()
@@ -80,7 +89,7 @@ class _Site:
 
     def _new(self, number: int) -> Simulator:
         job = self._job
-        options = dict(job.options) | ({"worker": number} if self._numbered else {})
+        options = self._options | ({"worker": number} if self._numbered else {})
         if self._here:
             return SIMULATORS.create(job.simulator, **options)
         if current_process().daemon:
@@ -150,7 +159,7 @@ def run_job(
             f"`cluster`: a worker has cornercase {__version__}, and this is {job.version}; install the same on each."
         )
     with _LOCK:
-        site = _SITES.setdefault(job.key, _Site(job))
+        site = _SITES[job.key] if job.key in _SITES else _SITES.setdefault(job.key, _Site(job))
     here = {key: site.unpacked(key, parcel) for key, parcel in parcels.items()}
     concretes = [ConcreteScenario(here[key][0].path, values, here[key][0]) for key, values in scenarios]
     places = {str(here[key][1]): parcel.folder for key, parcel in parcels.items()}

@@ -197,7 +197,7 @@ def _serve(connection: Connection, name: str, options: bytes) -> None:
     # Ctrl-C is handled by the main process, which lets this one finish its scenario or stops it.
     leave_terminal()
     try:
-        simulator = SIMULATORS.create(name, **_loaded(options))
+        simulator = SIMULATORS.create(name, **unpickled_options(options))
     except InputError as error:
         connection.send(error)
         return
@@ -211,8 +211,18 @@ def _serve(connection: Connection, name: str, options: bytes) -> None:
             _answer(connection, simulator, concretes)
 
 
-def _loaded(options: bytes) -> dict[str, Any]:
-    """Options with their drivers, whose modules may lie in the current folder; last, so that it hides nothing."""
+def unpickled_options(options: bytes) -> dict[str, Any]:
+    """Read the options of a simulator, with drivers of one's own, whose modules may lie in the current folder.
+
+    Parameters
+    ----------
+    options : bytes
+
+    Returns
+    -------
+    dict
+    """
+    # Last, so that the folder hides nothing.
     here = str(Path.cwd())
     sys.path.append(here)
     try:

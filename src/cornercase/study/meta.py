@@ -19,7 +19,7 @@ _DIFFERENT: Final = {
     "fingerprint": "another version of the scenario file",
     "space": "other parameter ranges",
     "ego": "another ego",
-    "other": "another other entity",
+    "other": "metrics against another entity",
     "metrics": "other metrics",
     "optimizer": "another optimizer",
     "weights": "other weights of the metrics",

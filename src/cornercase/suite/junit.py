@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from junitparser import Error, Failure, JUnitXml, Properties, Property, Skipped, TestCase, TestSuite
 from lxml import etree
@@ -12,6 +13,9 @@ from cornercase._common.files import written_whole
 from cornercase._common.texts import plain_text
 from cornercase.suite.result import ScenarioResult, SuiteResult
 from cornercase.suite.verdict import Verdict
+
+JUNIT: Final = b"<?xml version='1.0' encoding='utf-8'?>\n<testsuites "
+"""What each file begins with."""
 
 
 def write_junit(result: SuiteResult, path: Path) -> None:

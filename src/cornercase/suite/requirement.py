@@ -24,7 +24,7 @@ _PLAIN: Final = re.compile(r'[^\s"]+')
 _REACH: Final = re.compile(
     rf"reach\s+{_NUMBER}\s*,\s*{_NUMBER}(?:\s*,\s*{_NUMBER})?\s+within\s+{_NUMBER}\s*(\S*)", re.DOTALL
 )
-_UNLESS: Final = re.compile(r"no collision unless (\S+) collides", re.IGNORECASE)
+_UNLESS: Final = re.compile(r"no collision unless (?:reference:)?(\S+) collides", re.IGNORECASE)
 _FORMS: Final = (
     "'no collision', 'no collision with NAME', 'no collision at fault', 'no collision unless NAME collides', 'reach"
     " X,Y[,R] within T', or a bound such as 'ttc > 1.5'"

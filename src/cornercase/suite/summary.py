@@ -13,6 +13,9 @@ from cornercase.suite.result import SuiteResult
 # What Markdown takes for more than itself.
 _SIGNS: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")
 
+HEADING: Final = b"### "
+"""What each file begins with."""
+
 
 def write_summary(result: SuiteResult, path: Path) -> None:
     """Write a table with a row for each scenario.
@@ -40,7 +43,7 @@ def write_summary(result: SuiteResult, path: Path) -> None:
     ]
     shown = [k for k in range(len(head)) if any(row[k] for row in rows)]
     lines = [
-        f"### {_text(result.text)}",
+        f"{HEADING.decode()}{_text(result.text)}",
         "",
         _line([head[k] for k in shown]),
         _line(["---"] * len(shown)),

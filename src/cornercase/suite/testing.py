@@ -20,14 +20,14 @@ from cornercase.study import Study, StudyMeta
 from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
 from cornercase.suite.exposing import draw_mutants, expose_suite, require_builtin
-from cornercase.suite.junit import write_junit
+from cornercase.suite.junit import JUNIT, write_junit
 from cornercase.suite.origin import find_differences, find_origin
 from cornercase.suite.reading import read_suite
 from cornercase.suite.requirement import Requirement
 from cornercase.suite.requirement_files import read_requirements
 from cornercase.suite.result import ScenarioResult, SuiteResult
 from cornercase.suite.running import run_suite
-from cornercase.suite.summary import write_summary
+from cornercase.suite.summary import HEADING, write_summary
 from cornercase.suite.verdict import Verdict, worst_state
 from cornercase.suite.verdicts import judge_row
 
@@ -106,7 +106,7 @@ def test(
         Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former,
         where it lies beside the manifest or in the folder above.
     junit : path, optional
-        JUnit file to write. One that is there is removed before anything is run.
+        JUnit file to write. One that is there is removed before anything is run; anything else is refused.
     summary : path, optional
         File with a table in Markdown to write, in place of one that is there, as with `junit`.
     mutants : int, optional
@@ -186,7 +186,8 @@ def _outputs(
 ) -> list[tuple[Callable[[SuiteResult, Path], None], Path]]:
     """What is to be written besides the study, once nothing of another run stands there."""
     found: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
-    for name, given, write in (("junit", junit, write_junit), ("summary", summary, write_summary)):
+    outputs = (("junit", junit, write_junit, JUNIT), ("summary", summary, write_summary, HEADING))
+    for name, given, write, begin in outputs:
         if given is not None:
             place = path_argument(name, given)
             for one in read:
@@ -194,6 +195,7 @@ def _outputs(
             # Not after an hour of simulations.
             require_place(name, place)
             require_apart(place, study, name)
+            _require_own(name, place, begin)
             if any(place.resolve() == other.resolve() for _, other in found):
                 raise InputError(f"`{name}` {place}: is the JUnit file, too; choose another name.")
             found.append((write, place))
@@ -201,6 +203,15 @@ def _outputs(
         # What is there is of another run, and would be taken for one of this where nothing can be run.
         place.unlink(missing_ok=True)
     return found
+
+
+def _require_own(name: str, place: Path, begin: bytes) -> None:
+    """Refuse to write over a file that no earlier run wrote, as that may be somebody's only copy of what is in it."""
+    if place.exists():
+        with place.open("rb") as file:
+            content = file.read(len(begin))
+        if content and content != begin:
+            raise InputError(f"`{name}` {place}: holds something else already; choose another name, or take it away.")
 
 
 def _required(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
