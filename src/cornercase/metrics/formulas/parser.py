@@ -12,7 +12,7 @@ from cornercase.metrics.formulas.terms import Bound, Comparison, Node, Operation
 from cornercase.metrics.formulas.units import in_si, is_unit, spelt
 from cornercase.metrics.formulas.words import KEYWORDS, Word, Words, operator_meant
 
-_LONGEST: Final = 2000
+_LONGEST: Final = 10_000
 _DEEPEST: Final = 50
 _RELATIONS: Final = ("<=", ">=", "<", ">")
 _TURNED: Final[dict[str, Relation]] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
