@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from inspect import Parameter, Signature
-from typing import Final
+from typing import Any, Final, cast
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
@@ -68,14 +68,15 @@ def _with_options(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
     def build(**changed: float) -> BehaviourDriver:
         return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in changed.items()}))
 
+    made: Any = build
     # The registry reads there which options there are.
-    build.__signature__ = Signature(  # type: ignore[attr-defined]
+    made.__signature__ = Signature(
         [
             Parameter(name, Parameter.KEYWORD_ONLY, default=value, annotation=float)
             for name, value in behaviour._asdict().items()
         ]
     )
-    return build
+    return cast(Callable[..., BehaviourDriver], made)
 
 
 cautious, normal, aggressive = map(_with_options, (CAUTIOUS, NORMAL, AGGRESSIVE))
