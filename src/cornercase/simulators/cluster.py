@@ -16,10 +16,9 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.files import read_file
 from cornercase._common.version import __version__
 from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel
-from cornercase.simulators.base import Simulator
 from cornercase.simulators.cluster_tasks import Job, close_job, hand_over, run_job
+from cornercase.simulators.elsewhere import SimulatorElsewhere
 from cornercase.simulators.outcomes import Outcome
-from cornercase.simulators.registry import SIMULATORS
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -31,7 +30,7 @@ _ANSWERS, _FIRST_WORKER, _LOOKS = 20.0, 120.0, 1.0
 _MOST_LOST: Final = 5
 
 
-class ClusterSimulator(Simulator):
+class ClusterSimulator(SimulatorElsewhere):
     """Runs concrete scenarios on the workers of a Dask cluster.
 
     Each worker makes the simulator once, as `start_simulator` does on one machine. The content of the scenario's files
@@ -70,12 +69,8 @@ class ClusterSimulator(Simulator):
         timeout: float | None = None,
         retries: int = 1,
     ) -> None:
-        self.name = name
-        declared = SIMULATORS.class_of(name)
-        # This one runs nothing; it checks options, and scenarios before they are run.
-        self._unused = SIMULATORS.create(name, **options)
-        self.settings = self._unused.settings
-        self._batches = declared.takes_batches
+        super().__init__(name, options)
+        self._batches = self._declared.takes_batches
         self._parcels: dict[str, tuple[ScenarioParcel, Future[Any]]] = {}
         self._address = cluster
         self._client = connect(cluster, workers)
@@ -97,22 +92,8 @@ class ClusterSimulator(Simulator):
         InputError
             It lacks what the scenario asks for, or its files are not beside each other.
         """
-        self._unused.require_means(scenario)
+        super().require_means(scenario)
         ScenarioParcel.of(scenario)
-
-    def require_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Let the simulator refuse scenarios of which it can run none.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Raises
-        ------
-        InputError
-            None can be run, as far as that shows beforehand.
-        """
-        self._unused.require_runnable(concretes)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
         """Run scenarios.
@@ -157,7 +138,7 @@ class ClusterSimulator(Simulator):
 
     def close(self) -> None:
         """End the simulators on the workers, and leave the cluster; a local one ends."""
-        self._unused.close()
+        super().close()
         # A cluster that is lost has nothing to be closed.
         with suppress(OSError, CancelledError, TimeoutError):
             if self._client.status == "running":

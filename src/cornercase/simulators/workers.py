@@ -9,10 +9,9 @@ from multiprocessing.connection import wait
 from typing import Any, Final
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
-from cornercase.scenario import ConcreteScenario, Scenario
-from cornercase.simulators.base import Simulator
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators.elsewhere import SimulatorElsewhere
 from cornercase.simulators.outcomes import Outcome
-from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.worker_process import Raised, Task, Worker
 
 # If so many scenarios in a row end without a result, the simulator is at fault, not they.
@@ -24,7 +23,7 @@ MOST_WORKERS: Final = 1024
 """Worker processes side by side: more than there are cores anywhere, and few enough to be started."""
 
 
-class WorkerSimulator(Simulator):
+class WorkerSimulator(SimulatorElsewhere):
     """Runs concrete scenarios in worker processes, each of which starts the simulator once.
 
     A simulator that takes batches gets an equal share of the scenarios in each process, any other gets them one by
@@ -69,43 +68,11 @@ class WorkerSimulator(Simulator):
         timeout: float | None = None,
         retries: int = 1,
     ) -> None:
-        self.name = name
-        declared = SIMULATORS.class_of(name)
-        # This one runs nothing; it checks options, and scenarios before they are run.
-        self._unused = SIMULATORS.create(name, **options)
-        self.settings = self._unused.settings
-        self._batches, self._retries = declared.takes_batches, retries
-        numbered = "worker" in declared.needs
+        super().__init__(name, options)
+        self._batches, self._retries = self._declared.takes_batches, retries
+        numbered = "worker" in self._declared.needs
         self._workers = [Worker(name, options | ({"worker": k} if numbered else {}), timeout) for k in range(workers)]
         self._lost = 0
-
-    def require_means(self, scenario: Scenario) -> None:
-        """Let the simulator refuse a scenario that it cannot run.
-
-        Parameters
-        ----------
-        scenario : Scenario
-
-        Raises
-        ------
-        InputError
-            It lacks what the scenario asks for.
-        """
-        self._unused.require_means(scenario)
-
-    def require_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Let the simulator refuse scenarios of which it can run none.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Raises
-        ------
-        InputError
-            None can be run, as far as that shows beforehand.
-        """
-        self._unused.require_runnable(concretes)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
         """Run scenarios.
@@ -150,7 +117,7 @@ class WorkerSimulator(Simulator):
             worker.hang_up()
         for worker in self._workers:
             worker.wait()
-        self._unused.close()
+        super().close()
 
     def _ready(self) -> list[Worker]:
         """Wait for the workers that have an answer, and those whose time is up."""
