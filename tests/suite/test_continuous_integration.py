@@ -107,7 +107,7 @@ def test_the_job_passes_and_fails_with_a_later_planner_and_shows_both(repository
     # In the words of its README.
     name, *_, why = re.split(r"  +", next(line for line in README.splitlines() if ".xosc  failed  " in line).strip())
     cases = etree.parse("results.xml").findall(".//testcase[failure]")
-    assert [(f"{case.get('name')}.xosc", case[1].get("message")) for case in cases] == [(name, f"ttc > 0.5 s: {why}")]
+    assert [(f"{case.get('name')}.xosc", case[0].get("message")) for case in cases] == [(name, f"ttc > 0.5 s: {why}")]
     assert run("cornercase compare before.db run.db") == 1
     Path("requirements.toml").unlink()
     assert run(command_of(commands, "test")) == 2

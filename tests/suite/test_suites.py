@@ -310,8 +310,13 @@ def test_every_state_is_valid_junit(tmp_path):
     write_junit(result, tmp_path / "out.xml")
     document = etree.parse(str(tmp_path / "out.xml"))
     SCHEMA.assertValid(document)
-    counts = {name: document.getroot()[0].get(name) for name in ("tests", "failures", "errors", "skipped")}
-    assert counts == {"tests": "4", "failures": "1", "errors": "1", "skipped": "1"}
+    root = document.getroot()
+    assert [root.get(name) for name in ("tests", "failures", "errors")] == ["4", "1", "1"]
+    counts = [[each.get(name) for name in ("tests", "failures", "errors", "skipped")] for each in root]
+    assert counts == [list("1000"), list("1100"), list("1001"), list("1010")]
+    facts = {one.get("name"): one.get("value") for one in root[0].iter("property")}
+    known = ("scenario", "parameter v", "parameter text", "score ttc", "why", "simulator", "requirement 1")
+    assert [facts[name] for name in known] == ["1", "0.1", "<&>", "1.5", "a < b", "builtin", "ttc > 1"]
     assert not result.has_passed()
     assert SuiteResult(tmp_path, tmp_path, "builtin", (), scenarios[::2]).has_passed()
     assert not SuiteResult(tmp_path, tmp_path, "builtin", (), scenarios[::2]).has_passed(strict=True)

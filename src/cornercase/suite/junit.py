@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from junitparser import Error, Failure, JUnitXml, Properties, Property, Skipped, TestCase, TestSuite
+from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 from lxml import etree
 
 from cornercase._common.files import written_whole
@@ -19,7 +19,7 @@ JUNIT: Final = b"<?xml version='1.0' encoding='utf-8'?>\n<testsuites "
 
 
 def write_junit(result: SuiteResult, path: Path) -> None:
-    """Write a test case for each scenario.
+    """Write a test case for each scenario, in a test suite of its own, since schemas know properties of suites alone.
 
     What failed is a failure, what is inconclusive is skipped, and where the simulator failed is an error. The time of
     a case is that in the scenario, so that the same results give the same bytes.
@@ -35,30 +35,35 @@ def write_junit(result: SuiteResult, path: Path) -> None:
         The file cannot be written.
     """
     place = result.suite.resolve()
-    suite = TestSuite(_text(place.parent.name if place.is_file() else place.name))
-    suite.add_property("simulator", _text(result.simulator))
-    for number, requirement in enumerate(result.requirements, start=1):
-        suite.add_property(f"requirement {number}", _text(requirement))
-    suite.add_testcases([_case(one, suite.name or "suite") for one in result.scenarios])
+    name = _text(place.parent.name if place.is_file() else place.name) or "suite"
     document = JUnitXml("cornercase")
-    document.add_testsuite(suite)
+    for one in result.scenarios:
+        document.add_testsuite(_suite(one, name, result))
     document.update_statistics()
     root = etree.fromstring(document.tostring())
     # Jenkins' schema knows it of a suite, but not of all suites together, and times to the millisecond.
     del root.attrib["skipped"]
-    for timed in (root, *root):
-        timed.set("time", f"{sum(one.duration or 0.0 for one in result.scenarios):.3f}")
+    times = [one.duration or 0.0 for one in result.scenarios]
+    for timed, seconds in zip((root, *root), (sum(times), *times), strict=True):
+        timed.set("time", f"{seconds:.3f}")
     etree.indent(root)
     with written_whole(path) as temporary:
         temporary.write_bytes(etree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
-def _case(one: ScenarioResult, suite: str) -> TestCase:
+def _suite(one: ScenarioResult, name: str, result: SuiteResult) -> TestSuite:
+    suite = TestSuite(_text(Path(one.file).stem))
+    facts = _facts(one)
+    run = {"simulator": result.simulator}
+    run |= {f"requirement {number}": text for number, text in enumerate(result.requirements, start=1)}
+    for key, value in (facts | run).items():
+        suite.add_property(_text(key), _text(value))
+    suite.add_testcase(_case(one, name, facts))
+    return suite
+
+
+def _case(one: ScenarioResult, suite: str, facts: Mapping[str, str]) -> TestCase:
     case = TestCase(_text(Path(one.file).stem), suite, round(one.duration or 0.0, 3))
-    properties, facts = Properties(), _facts(one)
-    for name, value in facts.items():
-        properties.add_property(Property(_text(name), _text(value)))
-    case.append(properties)
     if one.state == "error":
         case.result = [_filled(Error(_text(one.reason), "simulator"), one.verdicts, facts)]
     elif one.state == "failed":
