@@ -13,7 +13,7 @@ _PARAMETERS: Final = (
     "against", "archetypes", "archetypes_by", "audit", "batch", "beside", "budget", "by", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
     "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_seconds",
-    "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
+    "memory", "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repeats", "require", "requirements", "retries", "scenario",
     "seed", "share", "simulator", "size",
     "space", "stop_when", "summary", "time_step", "timeout", "window", "within", "workers",

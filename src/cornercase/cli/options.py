@@ -93,6 +93,7 @@ Cluster = Annotated[
         help="Run on a Dask cluster: address of its scheduler, or the file that it wrote; local for --workers here.",
     ),
 ]
+Memory = Annotated[str, typer.Option(metavar="SIZE", help="Memory that the command may take, as 4GB or 500MB.")]
 Workers = Annotated[int, typer.Option(metavar="N", help="Simulators that run side by side.", min=1)]
 
 

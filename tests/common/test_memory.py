@@ -1,0 +1,89 @@
+import re
+
+import pytest
+
+from cornercase._common.errors import InputError
+from cornercase._common.memory import MemoryLimit, size_in_words, state_need
+
+
+@pytest.mark.parametrize(
+    ("given", "size"),
+    [
+        ("4 GB", 4e9),
+        ("4GB", 4e9),
+        (" 500 mb ", 5e8),
+        ("1.5 GB", 1.5e9),
+        ("2GiB", 2**31),
+        ("600000 kB", 6e8),
+        ("0.001 TB", 1e9),
+        ("700000000", 7e8),
+        (700_000_000, 7e8),
+        (5e9, 5e9),
+    ],
+)
+def test_sizes_are_read_as_people_write_them(given, size):
+    assert MemoryLimit.of(given).size == size
+    assert MemoryLimit.of(MemoryLimit.of(given)).size == size
+
+
+@pytest.mark.parametrize(
+    "given",
+    ["", "much", "4 GBit", "-4 GB", "4,5 GB", "1e9", "nan", "inf", 0, -1, float("nan"), float("inf"), True, None],
+)
+def test_what_is_no_size_is_refused(given):
+    with pytest.raises(InputError, match=r"^`memory` .*: give a size such as 4 GB or 500 MB\.$"):
+        MemoryLimit.of(given)
+
+
+def test_a_size_too_small_for_python_is_refused():
+    with pytest.raises(InputError, match=r"^`memory` 4 MB: give at least "):
+        MemoryLimit.of("4 MB")
+
+
+@pytest.mark.parametrize("given", ["500 MB", "4 GB", "40 GB"])
+@pytest.mark.parametrize("count", [0, 1, 7, 1000])
+def test_blocks_hold_each_row_once_and_fit(given, count):
+    limit, row = MemoryLimit.of(given), 10e6
+    blocks = list(limit.blocks(count, row, share=0.5))
+    assert [k for block in blocks for k in range(count)[block]] == list(range(count))
+    lengths = [block.stop - block.start for block in blocks]
+    assert all(length == 1 or length * row <= 0.5 * limit.free for length in lengths)
+
+
+def test_a_row_that_does_not_fit_is_a_block_of_its_own():
+    assert list(MemoryLimit.of("500 MB").blocks(3, 1e12)) == [slice(0, 1), slice(1, 2), slice(2, 3)]
+
+
+def test_data_fits_beside_python_and_what_does_not_is_refused_with_what_to_do():
+    limit = MemoryLimit.of("4 GB")
+    limit.require(limit.free, "distances", "give more")
+    assert limit.free < limit.size
+    sentence = "distances need 21 GB, which is more than `memory` 4 GB; compare fewer."
+    with pytest.raises(InputError, match=f"^{re.escape(sentence)}$"):
+        limit.require(20e9, "distances", "compare fewer")
+    # What does not fit never reads as if it did.
+    with pytest.raises(InputError, match=r"need 4\.1 GB, which is more than `memory` 4 GB"):
+        limit.require(limit.free + 1e6, "distances", "compare fewer")
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [
+        (1, "1 bytes"),
+        (1500, "1.5 kB"),
+        (999e6, "1 GB"),
+        (4e9, "4 GB"),
+        (4.01e9, "4.1 GB"),
+        (12.3e9, "13 GB"),
+        (5e13, "50 TB"),
+    ],
+)
+def test_sizes_are_said_with_two_digits_and_never_as_less(size, words):
+    assert size_in_words(size) == words
+
+
+def test_needs_are_stated_where_they_are_large(capsys):
+    state_need("Distances of 30 scenarios", 1e4)
+    assert capsys.readouterr().err == ""
+    state_need("Distances of 20,000 scenarios", 1.6e9)
+    assert re.fullmatch(r"Distances of 20,000 scenarios need about 2 GB of memory\.\n", capsys.readouterr().err)
