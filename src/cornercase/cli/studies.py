@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from rich.table import Column, Table
 
 from cornercase._common.errors import InputError
 from cornercase.cli import parsing
+from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import (
     By,
     Eps,
@@ -22,11 +23,19 @@ from cornercase.cli.options import (
     StudyFile,
     Workers,
     app,
+    err,
     out,
     tell_ending,
 )
 from cornercase.cli.profiling import Profile
 from cornercase.cli.warming import two_compile
+
+if TYPE_CHECKING:
+    from cornercase.scenario import Scenario
+    from cornercase.study import Study
+
+# Scenarios that a demonstration keeps as a suite.
+_SUITE: Final = 20
 
 
 @app.command()
@@ -306,14 +315,15 @@ def demo(
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
     profile: Profile = None,
 ) -> None:
-    """Explore, cluster, reduce and report one of the examples.
+    """Explore, cluster, reduce and report one of the examples; of the t-intersection, keep a suite of tests too.
 
     \b
     Example:
       cornercase demo x-intersection --budget 100 -o demo
+      cornercase demo t-intersection -o t
     """
     from cornercase import clustering, reduction
-    from cornercase.exploration import demonstration, explore_configuration
+    from cornercase.exploration import demonstration, explore_configuration, mutants_of_demonstration
     from cornercase.report import write_report
     from cornercase.study import Study
 
@@ -324,9 +334,27 @@ def demo(
         tell_ending(explore_configuration(configuration, study, progress=True))
         with Study.open(study) as opened:
             clustering.analyze(opened, progress=True)
+            # First, as the study remembers the last set that was kept of it.
+            if (mutants := mutants_of_demonstration(name)) is not None:
+                _keep_suite(opened, folder / "suite", mutants, configuration.logical.scenario)
             reduction.reduce(opened, folder / "reduced", scenario=configuration.logical.scenario)
             write_report(opened, folder / "report.html", scenario=configuration.logical.scenario)
     out.print(f"The report is {(folder / 'report.html').resolve()}")
+
+
+def _keep_suite(study: Study, folder: Path, mutants: int, scenario: Scenario) -> None:
+    """Keep what exposes mutants of the ego's driver, and say how it is run."""
+    from cornercase import reduction
+    from cornercase.suite import find_exposure
+
+    try:
+        exposure = find_exposure(study, mutants, scenario=scenario, progress=True)
+    except InputError as why:
+        err.print(f"There is no suite of tests: {in_words_of_the_command_line(str(why))}")
+        return
+    kept = reduction.reduce(study, folder, size=_SUITE, exposure=exposure, scenario=scenario)
+    out.print(f"{len(kept.kept)} scenarios that expose worse drivers are in {folder}; run them with another one:")
+    out.print(f'  cornercase test {folder} --driver Ego=aggressive --require "no collision"', soft_wrap=True)
 
 
 @app.command()

@@ -2,6 +2,7 @@ from .alike import tell_alike as tell_alike
 from .configuration import Configuration as Configuration
 from .demonstrations import demonstration as demonstration
 from .demonstrations import examples as examples
+from .demonstrations import mutants_of_demonstration as mutants_of_demonstration
 from .drawing import ProbabilityEstimator as ProbabilityEstimator
 from .estimating import estimate as estimate
 from .estimation import Estimation as Estimation

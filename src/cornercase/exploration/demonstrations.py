@@ -27,6 +27,9 @@ _DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
     },
 }
 
+# The T-intersection is the paper's example of drivers that differ.
+_MUTANTS: Final = {"t-intersection": 20}
+
 
 def demonstration(
     name: str,
@@ -72,6 +75,21 @@ def demonstration(
         **_DEMONSTRATIONS[name],
     )
     return configuration if budget is None else replace(configuration, budget=budget)
+
+
+def mutants_of_demonstration(name: str) -> int | None:
+    """How many mutants of the ego's driver choose the suite of tests that a demonstration keeps.
+
+    Parameters
+    ----------
+    name : {"x-intersection", "t-intersection"}
+
+    Returns
+    -------
+    int or None
+        None where it keeps none.
+    """
+    return _MUTANTS.get(name)
 
 
 def examples() -> Path:
