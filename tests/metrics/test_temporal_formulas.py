@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import cornercase as cc
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Formula, Signals
-from cornercase.metrics.formulas.terms import Comparison
+from cornercase.metrics.formulas.terms import Predicate
 from oracle import actor, recorded
 
 rtamt = pytest.importorskip("rtamt", reason="it is there for Python up to 3.12")
@@ -33,7 +33,7 @@ def robustness(text, given):
 
 def defined(node, margins, time):
     """Robustness from the definition: of each instant by itself, over the times in the interval, not by steps."""
-    if isinstance(node, Comparison):
+    if isinstance(node, Predicate):
         return margins[node]
     found = [defined(one, margins, time) for one in node.operands]
     if node.operator == "not":

@@ -24,7 +24,7 @@ from command_line import cornercase
 from conftest import moving, private, same_recording, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
 from cornercase.cli import app
-from cornercase.exploration import demonstration, explore_configuration
+from cornercase.exploration import demonstration, examples, explore_configuration
 from cornercase.study import Study
 from cornercase.suite import Difference, ScenarioResult, SuiteResult, Verdict, find_difference, verdicts_of
 from cornercase.suite.junit import write_junit
@@ -125,6 +125,23 @@ def test_its_report_tells_the_verdicts_of_each_scenario(explored, ran, tmp_path)
     for one in ran.scenarios:
         row = [str(one.id), one.file, one.kind, one.state, "no collision", one.reason]
         assert [html.unescape(cell) for cell in next(each for each in cells if one.file in each)] == row
+
+
+def test_of_several_others_it_is_told_whom_each_score_is_against(ran, tmp_path):
+    folder, junit = tmp_path / "files", tmp_path / "out.xml"
+    folder.mkdir()
+    for kind in ("xosc", "xodr"):
+        shutil.copy(examples() / "x_intersection" / f"x_intersection.{kind}", folder)
+    result = cc.test(folder, tmp_path / "run.db", ego="Ego", other="*", metrics=["wttc"], junit=junit)
+    with Study.open(result.study, readonly=True) as study:
+        assert len(study.meta.others) > 1
+        whom = study.against("wttc")[1]
+    assert whom is not None
+    (one,) = result.scenarios
+    assert one.others == result.to_json()["scenarios"][0]["others"] == {"wttc": whom}
+    (named,) = etree.parse(str(junit)).iterfind(".//property[@name='score wttc against']")
+    assert named.get("value") == whom
+    assert not any(one.others for one in ran.scenarios)
 
 
 def test_requirements_of_a_kind_are_those_of_its_scenarios(explored, ran, tmp_path):

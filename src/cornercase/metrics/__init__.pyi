@@ -27,7 +27,7 @@ from .following import Thw as Thw
 from .formulas.formula import Formula as Formula
 from .formulas.signals import Signals as Signals
 from .formulas.signals import signals_of as signals_of
-from .formulas.terms import Comparison as Comparison
+from .formulas.terms import Predicate as Predicate
 from .gap_time import GapTime as GapTime
 from .gap_time import SquaredGapTime as SquaredGapTime
 from .lateral import LateralAcceleration as LateralAcceleration

@@ -35,7 +35,7 @@ def name_others(other: object, ego: str, known: Sequence[str]) -> tuple[str, ...
     Raises
     ------
     InputError
-        It is something else, there is none, or the ego is among them.
+        It is something else, there is none, the ego is among them, or names stand in one text with commas between.
 
     Examples
     --------
@@ -47,6 +47,10 @@ def name_others(other: object, ego: str, known: Sequence[str]) -> tuple[str, ...
         raise InputError("`other`: there is none; name an entity, or * for all but the ego.")
     if ego in given:
         raise InputError(f"`other` {ego}: is the ego itself; name the entity that it meets.")
+    for name in given:
+        parts = [part.strip() for part in name.split(",")]
+        if name not in known and len(parts) > 1 and set(parts) <= set(known):
+            raise InputError(f"`other` {name}: is no entity; name one at a time, several times.")
     everyone = [name for name in known if name != ego]
     if EVERYBODY in given and not everyone:
         raise InputError(f"`other` {EVERYBODY}: there is nobody but {ego}.")

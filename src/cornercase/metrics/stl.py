@@ -11,7 +11,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.formulas.formula import Formula
 from cornercase.metrics.formulas.signals import is_metric, signals_of
-from cornercase.metrics.formulas.terms import Bound, Comparison
+from cornercase.metrics.formulas.terms import Bound, Predicate
 from cornercase.metrics.registry import METRICS
 from cornercase.recordings import Recording
 
@@ -71,14 +71,14 @@ class Stl(Metric):
         return float(self.capped(course[:1])[0])
 
 
-def _cap(comparison: Comparison) -> float:
+def _cap(comparison: Predicate) -> float:
     name, bound = comparison.left.name, comparison.right
     if not isinstance(bound, Bound) or not is_metric(name):
         return _FAR
     return abs(METRICS.create(name).cap - bound.value)
 
 
-def _beyond(comparison: Comparison) -> Iterator[float]:
+def _beyond(comparison: Predicate) -> Iterator[float]:
     name, bound = comparison.left.name, comparison.right
     if isinstance(bound, Bound) and is_metric(name):
         worst = METRICS.create(name).most_critical

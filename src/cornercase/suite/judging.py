@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.texts import quoted_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import ReferenceOutcome
-from cornercase.metrics import Comparison, Formula, Signals, others_there, signals_of
+from cornercase.metrics import Formula, Predicate, Signals, others_there, signals_of
 from cornercase.recordings import Collision, Recording
 from cornercase.suite.fault import is_at_fault
 from cornercase.suite.requirement import Kind, Requirement
@@ -189,7 +189,7 @@ def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals)
     return Verdict(state, requirement.text, reason, at, value)
 
 
-def _judge_bound(requirement: Requirement, bound: Comparison, signals: Signals, failed: bool) -> Verdict:
+def _judge_bound(requirement: Requirement, bound: Predicate, signals: Signals, failed: bool) -> Verdict:
     margin, values = bound.margin(signals), bound.left.values(signals)
     worst = int(np.nanargmin(margin))
     at, value = float(signals.time[worst]), float(values[worst])

@@ -87,6 +87,7 @@ def _facts(one: ScenarioResult) -> dict[str, str]:
     facts = {"file": one.file, "scenario": str(one.id)}
     facts |= {f"parameter {name}": _number(value) for name, value in one.values.items()}
     facts |= {f"score {name}": _number(value) for name, value in one.scores.items()}
+    facts |= {f"score {name} against": whom for name, whom in one.others.items()}
     facts |= {"kind": one.kind, "role": one.role, "why": one.why}
     if one.difference is not None:
         facts["recording"] = "the same" if one.difference.same else "another"

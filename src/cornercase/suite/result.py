@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -39,6 +39,8 @@ class ScenarioResult:
         Id in the study that it was kept from.
     difference : Difference or None
         From the earlier recording; None where there is none.
+    others : mapping of str to str
+        Of several others, whom each score is against, by metric; metrics that are against none of them are left out.
     """
 
     id: int
@@ -53,6 +55,7 @@ class ScenarioResult:
     why: str = ""
     origin: int | None = None
     difference: Difference | None = None
+    others: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def reason(self) -> str:

@@ -341,6 +341,7 @@ def _result(
     suite: SuiteContents, study: Study, requirements: list[Requirement], origin: Path | None, why_not: str
 ) -> SuiteResult:
     differences = {} if origin is None else find_differences(suite, origin, study)
+    against = {name: study.against(name) for name in study.meta.metrics if len(study.meta.others) > 1}
     scenarios = []
     for row, one in zip(study.rows(), suite.scenarios, strict=True):
         verdicts = judge_row(study, row, requirements)
@@ -365,6 +366,7 @@ def _result(
                 why=one.why,
                 origin=one.origin,
                 difference=differences.get(row.id),
+                others={name: whom for name, of in against.items() if (whom := of.get(row.id)) is not None},
             )
         )
     return SuiteResult(

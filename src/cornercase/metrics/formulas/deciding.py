@@ -8,12 +8,12 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.metrics.formulas.robustness import follow
-from cornercase.metrics.formulas.terms import Comparison, Node
+from cornercase.metrics.formulas.terms import Node, Predicate
 
 
 def find_decisive(
-    root: Node, margins: Mapping[Comparison, FloatArray], time: FloatArray
-) -> tuple[Comparison, int] | None:
+    root: Node, margins: Mapping[Predicate, FloatArray], time: FloatArray
+) -> tuple[Predicate, int] | None:
     """Find what the robustness from the first instant on is the margin of.
 
     Several instants may have that margin by chance, also some that the formula does not look at. The one that decides
@@ -21,16 +21,16 @@ def find_decisive(
 
     Parameters
     ----------
-    root : Comparison or Operation
+    root : Predicate or Operation
         The formula.
-    margins : mapping of Comparison to ndarray of float64, shape (T,)
+    margins : mapping of Predicate to ndarray of float64, shape (T,)
         Of its comparisons.
     time : ndarray of float64, shape (T,)
         s.
 
     Returns
     -------
-    tuple of Comparison and int, or None
+    tuple of Predicate and int, or None
         None where the robustness is infinite.
     """
     robustness = follow(root, dict(margins), time)[0]
@@ -50,9 +50,9 @@ def find_decisive(
 def _first(
     candidates: IntArray,
     towards: float,
-    one: Comparison,
+    one: Predicate,
     root: Node,
-    margins: Mapping[Comparison, FloatArray],
+    margins: Mapping[Predicate, FloatArray],
     time: FloatArray,
 ) -> int | None:
     """Last of the fewest first candidates with which the robustness changes when their margins do so a little."""

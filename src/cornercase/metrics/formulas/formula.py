@@ -12,7 +12,7 @@ from cornercase.metrics.formulas.parser import parse
 from cornercase.metrics.formulas.robustness import follow
 from cornercase.metrics.formulas.signals import Signals, is_metric
 from cornercase.metrics.formulas.temporal import require_rtamt
-from cornercase.metrics.formulas.terms import Comparison, Node, comparisons_in, is_temporal
+from cornercase.metrics.formulas.terms import Node, Predicate, comparisons_in, is_temporal
 from cornercase.metrics.formulas.units import spelt
 
 
@@ -25,7 +25,7 @@ class Formula:
 
     Attributes
     ----------
-    root : Comparison or Operation
+    root : Predicate or Operation
         What it is made of; `Formula.parse` makes it.
 
     See Also
@@ -80,14 +80,14 @@ class Formula:
         return self.root.text
 
     @property
-    def comparisons(self) -> tuple[Comparison, ...]:
+    def comparisons(self) -> tuple[Predicate, ...]:
         """Comparisons in it, from left to right."""
         return tuple(comparisons_in(self.root))
 
     @property
-    def bound(self) -> Comparison | None:
+    def bound(self) -> Predicate | None:
         """The comparison that it is, where it is one alone."""
-        return self.root if isinstance(self.root, Comparison) else None
+        return self.root if isinstance(self.root, Predicate) else None
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -175,7 +175,7 @@ class Formula:
         held = {one: one.holds(signals) for one in self.comparisons}
         return follow(self.root, held, signals.time, for_good=False) > 0.0
 
-    def decisive(self, signals: Signals) -> tuple[Comparison, int] | None:
+    def decisive(self, signals: Signals) -> tuple[Predicate, int] | None:
         """Find which comparison, at which instant, decides whether it holds from the first instant on.
 
         Parameters
@@ -184,7 +184,7 @@ class Formula:
 
         Returns
         -------
-        tuple of Comparison and int, or None
+        tuple of Predicate and int, or None
             The margin there is the robustness, or behind a ``not`` its negative. None where the robustness is infinite.
 
         Raises

@@ -8,7 +8,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase.metrics.formulas.signals import unit_of
-from cornercase.metrics.formulas.terms import Bound, Comparison, Node, Operation, Relation, Signal
+from cornercase.metrics.formulas.terms import Bound, Node, Operation, Predicate, Relation, Signal
 from cornercase.metrics.formulas.units import in_si, is_unit, spelt
 from cornercase.metrics.formulas.words import KEYWORDS, Word, Words, operator_meant
 
@@ -36,7 +36,7 @@ def parse(text: str) -> Node:
 
     Returns
     -------
-    Comparison or Operation
+    Predicate or Operation
 
     Raises
     ------
@@ -48,7 +48,7 @@ def parse(text: str) -> Node:
     return _Parser(Words(text)).whole()
 
 
-def read_comparison(words: Words) -> Comparison:
+def read_comparison(words: Words) -> Predicate:
     """Read a comparison, and leave what follows it.
 
     Parameters
@@ -57,7 +57,7 @@ def read_comparison(words: Words) -> Comparison:
 
     Returns
     -------
-    Comparison
+    Predicate
 
     Raises
     ------
@@ -148,7 +148,7 @@ class _Parser:
             self.words.refuse(f"the interval ends at {end:g} s, before it begins at {begin:g} s.", opening)
         return begin, end
 
-    def comparison(self) -> Comparison:
+    def comparison(self) -> Predicate:
         left, place = self.term()
         relation = self.words.next
         if not self.words.take_if(*_RELATIONS):
@@ -158,10 +158,10 @@ class _Parser:
             self.words.refuse("compare two at a time, as in 1 < ttc and ttc < 5.")
         name = cast(Relation, relation.text)
         if isinstance(left, Signal):
-            return Comparison(left, name, self._compared(left, right, second))
+            return Predicate(left, name, self._compared(left, right, second))
         if isinstance(right, Signal):
             bound = self._compared(right, left, place)
-            return Comparison(right, _TURNED[name], bound)
+            return Predicate(right, _TURNED[name], bound)
         self.words.refuse("two numbers are compared; name a signal, such as ego.speed.", place)
 
     def term(self) -> _Term:

@@ -8,10 +8,10 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.formulas.temporal import always, eventually, until
-from cornercase.metrics.formulas.terms import Comparison, Node, Operation, is_temporal
+from cornercase.metrics.formulas.terms import Node, Operation, Predicate, is_temporal
 
 
-def follow(root: Node, margins: Mapping[Comparison, FloatArray], time: FloatArray, for_good: bool = True) -> FloatArray:
+def follow(root: Node, margins: Mapping[Predicate, FloatArray], time: FloatArray, for_good: bool = True) -> FloatArray:
     """Say how far a formula holds from each instant on.
 
     Quantitative semantics of Fainekos and Pappas 2009, Donzé and Maler 2010: the least of what has to hold together and
@@ -19,8 +19,8 @@ def follow(root: Node, margins: Mapping[Comparison, FloatArray], time: FloatArra
 
     Parameters
     ----------
-    root : Comparison or Operation
-    margins : mapping of Comparison to ndarray of float64, shape (T,)
+    root : Predicate or Operation
+    margins : mapping of Predicate to ndarray of float64, shape (T,)
         How far each comparison holds at each instant; NaN where it is not defined.
     time : ndarray of float64, shape (T,)
         s, increasing.
@@ -44,7 +44,7 @@ def follow(root: Node, margins: Mapping[Comparison, FloatArray], time: FloatArra
 class _Follower:
     """Goes through a formula with negations moved inwards, so that it is known what each comparison is there for."""
 
-    def __init__(self, margins: Mapping[Comparison, FloatArray], time: FloatArray) -> None:
+    def __init__(self, margins: Mapping[Predicate, FloatArray], time: FloatArray) -> None:
         self.margins, self.time = margins, time
         self.defined = {one: ~np.isnan(margin) for one, margin in margins.items()}
 
@@ -59,7 +59,7 @@ class _Follower:
 
     def values(self, node: Node, negated: bool, left_out: float) -> FloatArray:
         """Values of a part or of its negation; `left_out` is what an instant counts for that is not defined."""
-        if isinstance(node, Comparison):
+        if isinstance(node, Predicate):
             defined, margin = self.defined[node], self.margins[node]
             # What is never defined violates nothing, wherever it stands.
             otherwise = left_out if defined.any() else np.inf

@@ -85,7 +85,7 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Predicate:
     """A signal compared with a number or another signal.
 
     Attributes
@@ -172,7 +172,7 @@ class Operation:
     Attributes
     ----------
     operator : {"not", "and", "or", "->", "always", "eventually", "until"}
-    operands : tuple of Comparison or Operation
+    operands : tuple of Predicate or Operation
     interval : tuple of two float, optional
         Begin and end in s, of temporal operators; inf for the end of the recording. None without an interval.
     """
@@ -190,25 +190,25 @@ class Operation:
             name += f"[{begin:.15g}:{'' if end == np.inf else f'{end:.15g}'}]"
         if len(self.operands) == 1:
             return f"{name}({self.operands[0].text})"
-        inner = (one.text if isinstance(one, Comparison) or _alone(one) else f"({one.text})" for one in self.operands)
+        inner = (one.text if isinstance(one, Predicate) or _alone(one) else f"({one.text})" for one in self.operands)
         return f" {name} ".join(inner)
 
 
-Node: TypeAlias = Comparison | Operation
+Node: TypeAlias = Predicate | Operation
 
 
-def comparisons_in(node: Node) -> Iterator[Comparison]:
+def comparisons_in(node: Node) -> Iterator[Predicate]:
     """Go through the comparisons, from left to right.
 
     Parameters
     ----------
-    node : Comparison or Operation
+    node : Predicate or Operation
 
     Yields
     ------
-    Comparison
+    Predicate
     """
-    if isinstance(node, Comparison):
+    if isinstance(node, Predicate):
         yield node
         return
     for operand in node.operands:
@@ -220,7 +220,7 @@ def is_temporal(node: Node) -> bool:
 
     Parameters
     ----------
-    node : Comparison or Operation
+    node : Predicate or Operation
 
     Returns
     -------
