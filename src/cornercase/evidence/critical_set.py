@@ -377,17 +377,15 @@ class CriticalSet:
         if not self._critical.any():
             return self.unvisited(size)
         _, weights, drawn, _ = self._joint
-        edges = self._edges
-        ran = np.broadcast_to(self._critical[:, None], (len(self._critical), _DRAWS))
-        weights = np.concatenate([weights, np.zeros(len(ran))])
+        edges, regions = self._edges
+        weights = np.concatenate([weights, np.zeros(regions)])
         overlooked = 0
-        for one in np.concatenate([drawn, ran]).T:
+        for one in np.concatenate([drawn, np.ones((regions, _DRAWS), dtype=np.bool_)]).T:
             kept = edges[:, one[edges[0]] & one[edges[1]]]
-            graph = coo_array((np.ones(kept.shape[1]), (kept[0], kept[1])), shape=(len(one), len(one)))
-            label = connected_components(graph, directed=False)[1]
+            label = _regions(kept, len(one))
             sizes = np.bincount(label, weights=weights * one, minlength=label.max() + 1)
             hit = np.zeros(len(sizes), dtype=np.bool_)
-            hit[label[len(drawn) :][self._critical]] = True
+            hit[label[len(drawn) :]] = True
             overlooked += bool(((sizes >= size) & ~hit).any())
         return overlooked / _DRAWS
 
@@ -414,12 +412,33 @@ class CriticalSet:
             return self._places.empty(self._ran)
 
     @cached_property
-    def _edges(self) -> IntArray:
-        """Pairs of neighbours among the places and the scenarios that were run, shape (2, E)."""
-        nodes = np.concatenate([self._places.encoded[self._joint[0]], self._ran])
+    def _edges(self) -> tuple[IntArray, int]:
+        """Pairs of neighbours, shape (2, E), among the places and the regions that were met, and how many of these.
+
+        Critical scenarios that were run are neighbours of each other in each draw: what they connect is one node, of
+        which there are few where there are many scenarios.
+        """
+        places = self._places.encoded[self._joint[0]]
+        nodes = np.concatenate([places, self._ran])
         found = cKDTree(nodes).query(nodes, k=min(2 * nodes.shape[1] + 1, len(nodes)))[1]
         near = np.asarray(found, dtype=np.int64)[:, 1:]
-        return np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
+        edges = np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
+        there = np.concatenate([np.ones(len(places), dtype=np.bool_), self._critical])
+        edges = edges[:, there[edges[0]] & there[edges[1]]]
+        ran = edges >= len(places)
+        region = _regions(edges[:, ran.all(axis=0)] - len(places), len(self._ran))
+        node = np.concatenate([np.arange(len(places)), len(places) + region])
+        edges = np.unique(np.sort(node[edges[:, ~ran.all(axis=0)]], axis=0), axis=1)
+        # Those that no place is near to say nothing.
+        met, at = np.unique(edges[edges >= len(places)], return_inverse=True)
+        edges[edges >= len(places)] = len(places) + at
+        return edges, len(met)
+
+
+def _regions(edges: IntArray, count: int) -> IntArray:
+    """Number the connected parts of so many nodes; of each node that of its part, shape (count,)."""
+    graph = coo_array((np.ones(edges.shape[1]), (edges[0], edges[1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _deviate(probability: FloatArray) -> FloatArray:

@@ -22,6 +22,8 @@ MOST_EXACT = 512
 
 # Points among which those are chosen that stand for all, and how many at a time.
 _AMONG, _AT_ONCE = 2048, 32
+# Values that are taken in at a time, so that memory does not grow with their number.
+_BLOCK = 8192
 # Added to the variance of the points that stand for all, and of all values, as a share of it, so that it is inverted.
 _JITTER, _LITTLE = 1e-7, 1e-10
 # How often ten times as much is added where that is not enough.
@@ -137,11 +139,12 @@ class SparsePosterior:
         else:
             self.points, self._whiten = before.points, before._whiten
             self._precision, self._moment = before._precision, before._moment
-        rows, root = self._rows(points)
-        rows /= root[:, None]
-        # Its lower half, which is all that is looked at.
-        self._precision = self._precision + products_of_rows(rows.T)
-        self._moment = self._moment + rows.T @ (values / root)
+        for these in _blocks(len(points)):
+            rows, root = self._rows(points[these])
+            rows /= root[:, None]
+            # Its lower half, which is all that is looked at.
+            self._precision = self._precision + products_of_rows(rows.T)
+            self._moment = self._moment + rows.T @ (values[these] / root)
         lower = cholesky(self._precision, lower=True)
         self._mean = cho_solve((lower, True), self._moment)
         self._narrowed = np.asarray(dtrtri(lower, lower=1)[0])
@@ -174,12 +177,18 @@ class SparsePosterior:
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value by the process of all others, both of shape (n,)."""
-        rows, root = self._rows(self._known)
+        each = [self._left_out(self._known[these], self._values[these]) for these in _blocks(len(self._known))]
+        mean, deviation = map(np.concatenate, zip(*each, strict=True))
+        return mean, deviation
+
+    def _left_out(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As `leave_one_out`, of some of the values that are known."""
+        rows, root = self._rows(points)
         left = times_lower_transposed(rows, self._narrowed)
         explained = np.einsum("ij,ij->i", left, left)
         precision = (1.0 - explained / root**2) / root**2
-        error = (self._values - rows @ self._mean) / root**2 / precision
-        return self._values - error, 1.0 / np.sqrt(precision)
+        error = (values - rows @ self._mean) / root**2 / precision
+        return values - error, 1.0 / np.sqrt(precision)
 
     def _rows(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Process at points in terms of independent variables, and the deviation of what they leave open."""
@@ -190,6 +199,11 @@ class SparsePosterior:
 
 
 Posterior = ExactPosterior | SparsePosterior
+
+
+def _blocks(count: int) -> list[slice]:
+    """Parts of so many values that are worked through one after the other; one of no more than 8192."""
+    return [slice(first, first + _BLOCK) for first in range(0, count, _BLOCK)] or [slice(0, 0)]
 
 
 def positive_factor(covariance: FloatArray, slack: float) -> FloatArray:

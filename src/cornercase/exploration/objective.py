@@ -240,12 +240,23 @@ def on_front(values: FloatArray) -> BoolArray:
     Returns
     -------
     ndarray of bool, shape (m,)
+
+    Notes
+    -----
+    Source: H. T. Kung, F. Luccio, F. P. Preparata, "On finding the maxima of a set of vectors", Journal of the ACM 22
+    (1975); implemented in moocore.
     """
     known = np.isfinite(values).all(axis=1)
+    if not known.any():
+        return np.asarray(known)
     front = known.copy()
-    for i in np.flatnonzero(known):
-        better = (values[known] <= values[i]).all(axis=1) & (values[known] < values[i]).any(axis=1)
-        front[i] = not better.any()
+    if values.shape[1] == 1:
+        front[known] = values[known, 0] == values[known].min()
+    else:
+        # Slow to import, and only fronts need it.
+        from moocore import is_nondominated
+
+        front[known] = is_nondominated(values[known], keep_weakly=True)
     return np.asarray(front)
 
 
@@ -274,6 +285,8 @@ class Best:
         values = values[np.isfinite(values).all(axis=1)]
         if not len(values):
             return False
+        if values.shape[1] == 1:
+            return self._add_single(values)
         before = self._front if len(self._front) else np.full((1, values.shape[1]), np.inf)
         worse = (before[:, None] <= values).all(axis=2) & (before[:, None] < values).any(axis=2)
         same = (before[:, None] == values).all(axis=2).any(axis=0)
@@ -281,6 +294,13 @@ class Best:
         news = ~worse.any(axis=0) & ~(same & capped)
         everyone = np.unique(np.concatenate([self._front.reshape(-1, values.shape[1]), values]), axis=0)
         self._front = everyone[on_front(everyone)]
+        return bool(news.any())
+
+    def _add_single(self, values: FloatArray) -> bool:
+        """As `add`, of one score each: it is called for each scenario, and a front is its lowest score."""
+        best = float(self._front[0, 0]) if len(self._front) else np.inf
+        news = (values <= best) & ~((values == best) & (values >= self._objective.uncritical))
+        self._front = np.full((1, 1), min(best, float(values.min())))
         return bool(news.any())
 
     @property

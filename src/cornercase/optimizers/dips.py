@@ -13,7 +13,7 @@ from cornercase._common.typing import FloatArray
 _MOST: Final = 3.0
 
 
-def below_dips(at: FloatArray, scores: FloatArray, threshold: float) -> FloatArray:
+def below_dips(at: FloatArray, scores: FloatArray, threshold: float, most: int | None = None) -> FloatArray:
     """Places that are likely to be lower than the scenarios that are lower than all those about them.
 
     A process of all scores, most of which may be flat, does not tell such a scenario from noise, and a search for a
@@ -30,11 +30,13 @@ def below_dips(at: FloatArray, scores: FloatArray, threshold: float) -> FloatArr
     scores : ndarray of float64, shape (n,)
         Oriented; NaN for a scenario that failed, which counts as the highest.
     threshold : float
+    most : int, optional
+        How many are looked for; by default all.
 
     Returns
     -------
     ndarray of float64, shape (m, e)
-        First from where the score is nearest to the threshold by that measure.
+        At most so many; first from where the score is nearest to the threshold by that measure.
     """
     count = 2 * at.shape[1]
     if len(at) <= count:
@@ -45,7 +47,7 @@ def below_dips(at: FloatArray, scores: FloatArray, threshold: float) -> FloatArr
     height, depth = scores - threshold, np.median(about, axis=1) - scores
     lowest = (height > 0.0) & (scores < about.min(axis=1)) & (height <= _MOST * depth)
     dips = np.flatnonzero(lowest)
-    dips = dips[np.argsort(height[dips] / depth[dips], kind="stable")]
+    dips = dips[np.argsort(height[dips] / depth[dips], kind="stable")][:most]
     places = np.empty((len(dips), at.shape[1]))
     for k, i in enumerate(dips):
         others = near[i, 1:]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.optimizers.base import Optimizer
 from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.optimizers.unseen import Unseen
@@ -82,7 +82,8 @@ class EvolutionaryOptimizer(Optimizer):
 
         assert self._scores is not None
         rng = np.random.default_rng([self._seed, len(self._points)])
-        known = np.isfinite(self._scores).all(axis=1)
+        known = np.flatnonzero(np.isfinite(self._scores).all(axis=1))
+        known = known[_best(self._scores[known], self._population)]
         problem = Problem(n_var=self._space.dimension, n_obj=self._scores.shape[1], xl=0.0, xu=1.0)
         everyone = Population.new(X=self._points[known], F=self._scores[known])
         parents = RankAndCrowding().do(problem, everyone, n_survive=self._population, random_state=rng)
@@ -102,6 +103,16 @@ class EvolutionaryOptimizer(Optimizer):
         new = rng.random(children.shape)
         mutates = rng.random(children.shape) < 1.0 / children.shape[1]
         return np.where(self._named, np.where(mutates, new, inherited), children)
+
+
+def _best(scores: FloatArray, count: int) -> BoolArray:
+    """Tell which rows of scores, shape (m, k), lie on the first fronts that hold so many together, shape (m,)."""
+    if scores.shape[1] == 1:
+        return np.asarray(scores[:, 0] <= np.partition(scores[:, 0], count - 1)[count - 1])
+    from moocore import pareto_rank
+
+    rank = np.asarray(pareto_rank(scores))
+    return np.asarray(rank <= np.partition(rank, count - 1)[count - 1])
 
 
 def _better(population: Any, pairs: Any, random_state: Any = None, **_: Any) -> Any:

@@ -125,7 +125,7 @@ class LevelSetOptimizer(CandidateOptimizer):
         most = min(math.floor(_FOLLOWING * (told + n)) - math.floor(_FOLLOWING * told), n)
         if most == 0:
             return filling[:0]
-        places = below_dips(encoded(self._space, self._points), self._scores, self.threshold)[:most]
+        places = below_dips(encoded(self._space, self._points), self._scores, self.threshold, most)
         return self._unseen.left(self._everywhere[self._tree.query(places)[1]], besides=filling)
 
     def _at_boundary(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:

@@ -156,7 +156,7 @@ def read_report_data(study: Study) -> ReportData:
         times[scenario] = known.setdefault(recording.time.tobytes(), recording.time)
         for one in metrics:
             courses[one.name][scenario] = one.capped(each[one.name]).astype(np.float32)
-        touched[scenario] = touched_by_ego(study.meta, recording)
+        touched[scenario] = touched_by_ego(study.meta, recording.collisions)
         region = _joined(region, recorded_region([recording]))
     summary = summarize_with(study, list(touched.values()))
     return ReportData(

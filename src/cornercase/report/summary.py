@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
 from cornercase.exploration import Objective, tell_alike
 from cornercase.metrics import METRICS
-from cornercase.recordings import Recording
+from cornercase.recordings import Collision
 from cornercase.reduction import ReducedSet, read_reduction
 from cornercase.report.knowledge import Knowledge, find_knowledge
 from cornercase.report.references import ReferenceCount, count_references
@@ -147,26 +147,26 @@ def summarize(study: Study | Path | str) -> Summary:
     cornercase.write_report : The same with figures, for a person.
     """
     with open_study(study, readonly=True) as opened:
-        touched = [touched_by_ego(opened.meta, opened.recording(row.id)) for row in opened.done()]
+        touched = [touched_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
         return summarize_with(opened, touched)
 
 
-def touched_by_ego(meta: StudyMeta, recording: Recording) -> frozenset[str]:
-    """Find everybody whom the ego collides with in a recording.
+def touched_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:
+    """Find everybody whom the ego collides with in a scenario.
 
     Parameters
     ----------
     meta : StudyMeta
         Says who the ego is.
-    recording : Recording
-        Of a scenario.
+    collisions : iterable of Collision
+        Of the scenario.
 
     Returns
     -------
     frozenset of str
         Their names.
     """
-    hits = (one.entities for one in recording.collisions if meta.ego in one.entities)
+    hits = (one.entities for one in collisions if meta.ego in one.entities)
     return frozenset(name for pair in hits for name in pair if name != meta.ego)
 
 

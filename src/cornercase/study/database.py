@@ -193,6 +193,36 @@ class Database:
         """
         return int(self.found("PRAGMA data_version")[0][0]) if self._sees_others else None
 
+    def each(self, question: str) -> Iterator[Any]:
+        """Give the rows that a query finds one after the other, where all at once would take much memory.
+
+        Parameters
+        ----------
+        question : str
+            SQL.
+
+        Yields
+        ------
+        tuple
+
+        Raises
+        ------
+        InputError
+            The file is closed, or cannot be read.
+        """
+        self._require_open()
+        with _sentences(self.path):
+            yield from self.connection.execute(question)
+
+    def written(self) -> tuple[int, int]:
+        """Count what others wrote, and what was written here: the same again where all queries find the same.
+
+        Returns
+        -------
+        tuple of (int, int)
+        """
+        return int(self.found("PRAGMA data_version")[0][0]), self.connection.total_changes
+
     @contextmanager
     def snapshot(self) -> Iterator[None]:
         """Let all queries within the block see the file as it is at one moment.

@@ -12,8 +12,8 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import ReferenceOutcome
 from cornercase.metrics import METRICS
-from cornercase.recordings import Recording
-from cornercase.study.codec import unpack_arrays, unpack_recording
+from cornercase.recordings import Collision, Recording
+from cornercase.study.codec import unpack_arrays, unpack_collisions, unpack_recording
 from cornercase.study.damage import damage_told, loaded, require
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
@@ -48,6 +48,7 @@ class ScenarioContents:
         self.path = database.path
         self.meta = self.stored_meta()
         self.space = self.meta.space
+        self._known: tuple[tuple[int, int], list[Row]] | None = None
 
     @property
     def readonly(self) -> bool:
@@ -87,15 +88,19 @@ class ScenarioContents:
         list of Row
             In the order in which they were proposed.
         """
-        found = self._database.found("SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id")
-        with damage_told(self.path):
-            rows = [self._row(*one) for one in found]
-            require(len({row.id for row in rows}) == len(rows), "a scenario is there twice")
-            return rows
+        # Checking each of 50,000 takes seconds: it is done again only where somebody has written since.
+        written = self._database.written()
+        if self._known is None or self._known[0] != written:
+            found = self._database.found("SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id")
+            with damage_told(self.path):
+                rows = [self._row(*one) for one in found]
+                require(len({row.id for row in rows}) == len(rows), "a scenario is there twice")
+            self._known = written, rows
+        return list(self._known[1])
 
     def _row(self, number: int, turn: int, point: bytes, values: str, state: str, error: str | None) -> Row:
         require(isinstance(number, int) and number > 0, f"a scenario is numbered {str(number)[:60]!r}")
-        row = Row(number, turn, np.frombuffer(point, "<f8").copy(), loaded(values), state, error)
+        row = Row(number, turn, np.frombuffer(point, "<f8"), loaded(values), state, error)
         require(row.point.shape == (self.space.dimension,), f"the scenario {number} has another number of parameters")
         require(bool(np.isfinite(row.point).all()), f"the scenario {number} lies nowhere in the space")
         plain = all(isinstance(one, str | int | float) for one in row.values.values())
@@ -441,6 +446,18 @@ class ScenarioContents:
             raise InputError(f"{self.path}: the scenario {one} was not run.")
         with damage_told(self.path):
             return unpack_recording(found[0][0])
+
+    def collisions(self) -> dict[int, tuple[Collision, ...]]:
+        """Find who collides in the scenarios that were run, without reading the rest of their recordings.
+
+        Returns
+        -------
+        dict of int to tuple of Collision
+            By id, in the order in which they were proposed.
+        """
+        question = "SELECT id, recording FROM scenarios WHERE state = 'done' ORDER BY id"
+        with damage_told(self.path):
+            return {scenario: unpack_collisions(packed) for scenario, packed in self._database.each(question)}
 
     def outcomes(self) -> dict[int, str]:
         """How scenarios ended, in words.

@@ -83,7 +83,7 @@ class Digester:
             row,
             scores,
             self._is_critical(scores),
-            not touched_by_ego(meta, recording).isdisjoint(meta.others),
+            not touched_by_ego(meta, recording.collisions).isdisjoint(meta.others),
             (float(time[0]), float(time[-1])),
             courses,
             study.against_of(row.id),
