@@ -77,6 +77,11 @@ def test_what_is_put_in_comes_out(study):
             reader.scores("pet")
 
 
+def test_who_collides_is_read_without_the_rest_of_the_recordings(study):
+    study.finish(3, replace(recording(1), collisions=()), courses(1))
+    assert study.collisions() == {1: recording().collisions, 3: ()}
+
+
 def test_a_reader_sees_each_scenario_as_soon_as_it_has_ended(study):
     with Study.open(study.path, readonly=True) as reader:
         assert len(reader.done()) == 1
