@@ -6,7 +6,7 @@ import math
 import os
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -193,8 +193,10 @@ class Database:
         """
         return int(self.found("PRAGMA data_version")[0][0]) if self._sees_others else None
 
-    def each(self, question: str) -> Iterator[Any]:
+    def each(self, question: str) -> Generator[Any, None, None]:
         """Give the rows that a query finds one after the other, where all at once would take much memory.
+
+        To be closed before the file is.
 
         Parameters
         ----------

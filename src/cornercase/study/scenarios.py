@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import closing
 from typing import Final
 
 import numpy as np
@@ -456,8 +457,8 @@ class ScenarioContents:
             By id, in the order in which they were proposed.
         """
         question = "SELECT id, recording FROM scenarios WHERE state = 'done' ORDER BY id"
-        with damage_told(self.path):
-            return {scenario: unpack_collisions(packed) for scenario, packed in self._database.each(question)}
+        with damage_told(self.path), closing(self._database.each(question)) as found:
+            return {scenario: unpack_collisions(packed) for scenario, packed in found}
 
     def outcomes(self) -> dict[int, str]:
         """How scenarios ended, in words.
