@@ -11,12 +11,14 @@ import typer
 from rich.table import Column, Table
 
 from cornercase._common.errors import InputError
+from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase.cli import parsing
 from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import (
     By,
     Eps,
     Gamma,
+    Memory,
     MinSamples,
     Seed,
     SimulatorName,
@@ -221,6 +223,7 @@ def report(
             metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
         ),
     ] = None,
+    memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
     """Write one self-contained page.
@@ -232,7 +235,14 @@ def report(
     """
     from cornercase.report import write_report
 
-    page = write_report(study, output, figures=figures if figures_in is None else figures_in, scenario=scenario)
+    page = write_report(
+        study,
+        output,
+        figures=figures if figures_in is None else figures_in,
+        scenario=scenario,
+        memory=memory,
+        progress=True,
+    )
     out.print(f"The report is {page.resolve()}")
 
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 import math
-import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import numpy as np
-
-from cornercase._common.typing import Float32Array, FloatArray
 from cornercase.clustering import Analysis
 from cornercase.exploration import Objective
 from cornercase.metrics import METRICS
 from cornercase.report.answers import find_default_aspect, page_answers, tell_about
 from cornercase.report.captions import page_captions
+from cornercase.report.course_lines import pack_courses
 from cornercase.report.curves import coverage_curves, hull_edges, search_curve, sensitivity_bars
 from cornercase.report.data import ReportData
 from cornercase.report.words import judge_clusters, name_kind, tell_compared
@@ -24,10 +20,6 @@ from cornercase.study import Row, StudyMeta
 
 FORMAT: Final = 1
 """Version of what `page_contents` returns."""
-
-COURSE_POINTS: Final = 48
-"""Points of a course in the page's lines; the replay has all."""
-_GREATEST: Final = 65534
 
 
 def page_contents(data: ReportData) -> dict[str, Any]:
@@ -218,91 +210,12 @@ def _kinds(analysis: Analysis, place: Mapping[int, int], count: int) -> dict[str
 
 
 def _courses(data: ReportData, name: str, rows: Sequence[Row]) -> dict[str, Any]:
-    known = data.courses[name]
-    lower = next(one.lower_is_critical for one in data.metrics if one.name == name)
-    spans, found = [], []
+    known = data.lines[name]
+    spans = []
     for row in rows:
-        course, (begin, end) = None, (0.0, 0.0)
-        if row.id in known:
-            time = data.times[row.id]
-            begin, end = float(time[0]), float(time[-1])
-            course = draw_course(time, known[row.id], lower)
-        spans.append((begin, end))
-        found.append(course)
-    return pack_courses(found, spans)
-
-
-def draw_course(time: FloatArray, course: Float32Array, lower_is_critical: bool) -> FloatArray:
-    """Thin a course out to evenly spread times.
-
-    Parameters
-    ----------
-    time : ndarray of float64, shape (T,)
-        s.
-    course : ndarray of float32, shape (T,)
-        Capped.
-    lower_is_critical : bool
-
-    Returns
-    -------
-    ndarray of float64, shape (COURSE_POINTS,)
-        With its most critical value at the time that is nearest to it, so that a course that is critical for an instant
-        is drawn so.
-    """
-    begin, end = float(time[0]), float(time[-1])
-    found = np.interp(np.linspace(begin, end, COURSE_POINTS), time, course)
-    worst = int(course.argmin() if lower_is_critical else course.argmax())
-    nearest = round((float(time[worst]) - begin) / (end - begin) * (COURSE_POINTS - 1)) if end > begin else 0
-    found[nearest] = course[worst]
-    return found
-
-
-def pack_courses(courses: Sequence[FloatArray | None], spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """Pack courses at evenly spread times of each scenario, as whole numbers of 16 bits.
-
-    Parameters
-    ----------
-    courses : sequence of (ndarray of float64, shape (COURSE_POINTS,), or None), length n
-        Of each scenario; None where there is none.
-    spans : sequence of (float, float), length n
-        Begin and end of each, in s.
-
-    Returns
-    -------
-    dict of str to object
-        What ``courses`` of the page's contents holds of a metric; 65535 stands for no value.
-    """
-    known = [one for one in courses if one is not None]
-    low = min((float(np.nanmin(one)) for one in known), default=0.0)
-    high = max((float(np.nanmax(one)) for one in known), default=1.0)
-    found = np.full((len(courses), COURSE_POINTS), _GREATEST + 1, dtype="<u2")
-    for k, one in enumerate(courses):
-        if one is not None:
-            found[k] = np.rint((one - low) / max(high - low, 1e-12) * _GREATEST)
-    return {
-        "points": COURSE_POINTS,
-        "low": low,
-        "high": high,
-        "begin": [begin for begin, _ in spans],
-        "end": [end for _, end in spans],
-        "values": pack(found.tobytes()),
-    }
-
-
-def pack(data: bytes) -> str:
-    """Compress bytes, and write them as text.
-
-    Parameters
-    ----------
-    data : bytes
-        The bytes.
-
-    Returns
-    -------
-    str
-        In zlib's format, in base64.
-    """
-    return base64.b64encode(zlib.compress(data, 9)).decode()
+        time = data.times.get(row.id)
+        spans.append((0.0, 0.0) if time is None else (float(time[0]), float(time[-1])))
+    return pack_courses([known.get(row.id) for row in rows], spans)
 
 
 def plain_score(value: float) -> float | None:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
+from cornercase._common.memory import MemoryLimit
 from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.clustering import Analysis, read_distances
 from cornercase.exploration import Objective
 from cornercase.metrics import METRICS, Metric
 from cornercase.recordings import Recording
 from cornercase.reduction import Gaps, measure_gaps
+from cornercase.report.course_lines import COURSE_POINTS, draw_course
 from cornercase.report.knowledge import MissedAfter, find_missed
 from cornercase.report.roads import recorded_region
 from cornercase.report.summary import Summary, summarize_with, touched_by_ego
@@ -20,6 +23,9 @@ from cornercase.roads import Region
 from cornercase.scenario import Parameter
 from cornercase.study import Row, Study
 from cornercase.suite import Verdict, verdicts_of
+
+# Bytes that the rows, instants and contents of a scenario take until the page is written, as measured.
+_PER_SCENARIO: Final = 12_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +48,10 @@ class ReportData:
         By metric and id, whom of several others a score is against; empty where there is one.
     times : mapping of int to ndarray of float64, shape (T,)
         Instants of each recording by id, in s.
+    lines : mapping of str to mapping of int to ndarray of float64, shape (COURSE_POINTS,)
+        By metric and id, the capped courses as the page draws them.
     courses : mapping of str to mapping of int to ndarray of float32, shape (T,)
-        Capped courses by metric and id.
+        Capped courses by metric and id; empty where no figures are drawn of them.
     touched : mapping of int to frozenset of str
         By id, whom the ego collides with.
     examples : mapping of int to Recording
@@ -77,6 +85,7 @@ class ReportData:
     other: str
     against: Mapping[str, Mapping[int, str | None]]
     times: Mapping[int, FloatArray]
+    lines: Mapping[str, Mapping[int, FloatArray]]
     courses: Mapping[str, Mapping[int, Float32Array]]
     touched: Mapping[int, frozenset[str]]
     examples: Mapping[int, Recording]
@@ -128,18 +137,35 @@ class ReportData:
         return np.array([place[scenario] for scenario in ids], dtype=np.int64)
 
 
-def read_report_data(study: Study) -> ReportData:
+def read_report_data(
+    study: Study,
+    *,
+    figures: bool = False,
+    memory: MemoryLimit | None = None,
+    tell: Callable[[int], None] | None = None,
+) -> ReportData:
     """Read everything that a report shows.
 
     Parameters
     ----------
     study : Study
         In which a scenario was run.
+    figures : bool, default False
+        Read what the figures draw beyond that: whole courses.
+    memory : MemoryLimit, optional
+        What it may take; by default whatever it takes.
+    tell : callable, optional
+        Called with the number of recordings that have been read.
 
     Returns
     -------
     ReportData
         Everything at once.
+
+    Raises
+    ------
+    InputError
+        It does not fit into the memory.
     """
     rows = study.done()
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
@@ -147,17 +173,25 @@ def read_report_data(study: Study) -> ReportData:
     values = np.array([[one.read_number(row.values) for one in study.space.parameters] for row in rows])
     times: dict[int, FloatArray] = {}
     known: dict[bytes, FloatArray] = {}
+    lines: dict[str, dict[int, FloatArray]] = {one.name: {} for one in metrics}
     courses: dict[str, dict[int, Float32Array]] = {one.name: {} for one in metrics}
     touched: dict[int, frozenset[str]] = {}
     region: Region | None = None
     # One recording after the other: all of a large study would not fit into memory.
-    for scenario, recording, each in study.recorded():
+    for count, (scenario, recording, each) in enumerate(study.recorded()):
+        if not count and memory is not None:
+            _require_room(memory, len(rows), len(metrics), len(recording.time) if figures else 0)
         # Most scenarios have the same instants.
         times[scenario] = known.setdefault(recording.time.tobytes(), recording.time)
         for one in metrics:
-            courses[one.name][scenario] = one.capped(each[one.name]).astype(np.float32)
+            course = one.capped(each[one.name]).astype(np.float32)
+            lines[one.name][scenario] = draw_course(recording.time, course, one.lower_is_critical)
+            if figures:
+                courses[one.name][scenario] = course
         touched[scenario] = touched_by_ego(study.meta, recording.collisions)
         region = _joined(region, recorded_region([recording]))
+        if tell is not None:
+            tell(count + 1)
     summary = summarize_with(study, list(touched.values()))
     return ReportData(
         study=study.path.name,
@@ -169,6 +203,7 @@ def read_report_data(study: Study) -> ReportData:
         other=study.main_other(),
         against={name: study.against(name) for name in scores if len(study.meta.others) > 1},
         times=times,
+        lines=lines,
         courses=courses,
         touched=touched,
         examples=_examples(study, summary.analyses),
@@ -182,6 +217,13 @@ def read_report_data(study: Study) -> ReportData:
         missed=tuple(find_missed(study, summary.knowledge)),
         region=region,
     )
+
+
+def _require_room(memory: MemoryLimit, scenarios: int, metrics: int, instants: int) -> None:
+    """Refuse more scenarios than fit, each with lines of its metrics and so many instants of whole courses."""
+    need = scenarios * (_PER_SCENARIO + metrics * (8 * COURSE_POINTS + 4 * instants))
+    instead = "give more, or leave out `figures`" if instants else "give more"
+    memory.require(need, f"what a report shows of {scenarios:,} scenarios", instead)
 
 
 def _joined(one: Region | None, two: Region | None) -> Region | None:

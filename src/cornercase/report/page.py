@@ -6,7 +6,8 @@ import base64
 import importlib.resources
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,6 +18,8 @@ from markupsafe import Markup
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
+from cornercase._common.progress import ProgressBar
 from cornercase._common.texts import plain_text
 from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
@@ -80,6 +83,7 @@ _SCRIPTS: Final = (
     "main.js",
 )
 _ENDINGS: Final = (".html", ".htm")
+_WORTH_A_BAR: Final = 2_000
 POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
@@ -93,6 +97,8 @@ def write_report(
     *,
     figures: Path | str | bool = False,
     scenario: Path | str | Scenario | None = None,
+    memory: str | float = DEFAULT_MEMORY,
+    progress: bool = False,
 ) -> Path:
     """Write one page without outside references.
 
@@ -109,6 +115,10 @@ def write_report(
     scenario : path or Scenario, optional
         File that was explored, whose road is drawn. By default it is looked for beside the study and in the current
         folder, and known by its fingerprint; where it is not found the page says so, and draws no road.
+    memory : str or float, default "4 GB"
+        Memory that the process may take, as ``"500 MB"`` or in bytes.
+    progress : bool, default False
+        Show a bar where there are thousands of recordings to read.
 
     Returns
     -------
@@ -118,8 +128,8 @@ def write_report(
     Raises
     ------
     InputError
-        No scenario has ended without failing, the page is the study itself, something cannot be written, or `scenario`
-        is not what was explored.
+        No scenario has ended without failing, the page is the study itself, something cannot be written, `scenario`
+        is not what was explored, or the study needs more memory.
 
     See Also
     --------
@@ -127,6 +137,7 @@ def write_report(
     """
     path = arguments.path("path", path)
     folder = path.with_name(f"{path.stem}-figures") if figures is True else figures
+    limit = MemoryLimit.of(memory)
     with open_study(study, readonly=True) as opened:
         require_other_file(path, opened.path)
         if path.suffix.lower() not in _ENDINGS:
@@ -134,7 +145,8 @@ def write_report(
         if not opened.done():
             _tell_why_empty(opened)
         begun = time.monotonic()
-        data = read_report_data(opened)
+        with _told(len(opened.done()), progress) as tell:
+            data = read_report_data(opened, figures=folder is not False, memory=limit, tell=tell)
         packed = pack_most(opened, data)
         sketch, missing = find_roads(opened, data.region, scenario, data.rows[0].values)
         rerun = tell_rerun(opened, scenario)
@@ -150,6 +162,19 @@ def write_report(
     with written_whole(path) as temporary:
         temporary.write_text(fill_page(data, packed, roads), encoding="utf-8", newline="\n")
     return path
+
+
+@contextmanager
+def _told(count: int, progress: bool) -> Iterator[Callable[[int], None] | None]:
+    """A bar for so many recordings, where there are so many that somebody waits for them."""
+    if not progress or count < _WORTH_A_BAR:
+        yield None
+        return
+    bar = ProgressBar(count, "reading", "recordings")
+    try:
+        yield lambda done: bar.update(done, "")
+    finally:
+        bar.stop()
 
 
 def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, Any]) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.exploration import Objective
-from cornercase.report.contents import draw_course, pack_courses, plain_score, plain_values, tell_against
+from cornercase.report.contents import plain_score, plain_values, tell_against
+from cornercase.report.course_lines import draw_course, pack_courses
 from cornercase.report.summary import touched_by_ego
 from cornercase.study import Row, Study, StudyMeta
 
