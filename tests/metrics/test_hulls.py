@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from cornercase._common.box_tree import box_tree
 from cornercase._common.geometry import box_axes, box_corners, separation
-from cornercase.metrics._parts.hulls import fill_axes, find_meetings, least_gap
+from cornercase._common.meetings import Meetings
+from cornercase.metrics._parts.hulls import fill_axes, fill_bounds, find_meetings, least_gap
 
 
 def moved(rng, count):
@@ -27,14 +29,20 @@ def test_hulls_meet_where_no_axis_separates_them():
     fill_axes(b, axes_b)
     np.testing.assert_allclose(axes_a, axes_of(a), rtol=0.0, atol=1e-14)
     gap = separation(a[:, None], axes_a[:, None], b, axes_b)
-    meets = np.empty((30, 40), dtype=np.bool_)
+    bounds = np.empty((40, 4))
+    fill_bounds(b, bounds)
+    tree = box_tree(bounds)
     far = np.full(30, 100.0), np.full(40, 100.0)
-    find_meetings(a, axes_a, a.mean(1), far[0], b, axes_b, b.mean(1), far[1], meets)
+
+    def meeting(reach):
+        found = Meetings(find_meetings(a, axes_a, a.mean(1), reach[0], b, axes_b, b.mean(1), reach[1], tree), (30, 40))
+        return np.array([found.met_by(i) for i in range(30)])
+
+    meets = meeting(far)
     assert 0 < meets.sum() < meets.size
     np.testing.assert_array_equal(meets, gap <= 0.0)
     # Circles that lie apart hold nothing that meets.
-    find_meetings(a, axes_a, a.mean(1), 0.0 * far[0], b, axes_b, b.mean(1), 0.0 * far[1], meets)
-    assert not meets.any()
+    assert not meeting((0.0 * far[0], 0.0 * far[1])).any()
 
 
 def test_gap_to_the_nearest_hull_on_the_way():

@@ -10,13 +10,15 @@ of the time. It also carries ways on after the end of a recording, which no scor
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import label
 
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.box_tree import box_tree
+from cornercase._common.meetings import Meetings
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.crossing_kernels import find_overlaps, touching_share
 from cornercase.recordings import Recording
 
@@ -134,25 +136,18 @@ def find_crossing(one: Way, other: Way) -> Crossing | None:
     """
     if not len(one.time) or not len(other.time) or _far_apart(one, other):
         return None
-    meets = np.empty((len(one.time), len(other.time)), dtype=np.bool_)
-    find_overlaps(one.poses, one.size, other.poses, other.size, meets)
-    rows, columns = np.flatnonzero(meets.any(axis=1)), np.flatnonzero(meets.any(axis=0))
-    if not len(rows):
-        return None
-    mine, its = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    places, count = label(meets[mine, its], structure=np.ones((3, 3)))
-    found = []
-    for k in range(1, count + 1):
-        meet = places == k
-        # Compiled code is made for each layout of arrays.
-        found.append(
-            Crossing(
-                *_stay(one, rows[0], meet, np.ascontiguousarray(other.poses[:, its]), other.size),
-                *_stay(
-                    other, columns[0], np.ascontiguousarray(meet.T), np.ascontiguousarray(one.poses[:, mine]), one.size
-                ),
-            )
+    centres = box_tree(np.tile(other.poses[:2].T, 2))
+    runs = find_overlaps(one.poses, one.size, other.poses, other.size, centres)
+    met = Meetings(runs, (len(one.time), len(other.time)))
+    found = [
+        Crossing(
+            *_stay(one, place.steps(), place.met_by, other),
+            *_stay(other, place.others(), place.meeting, one),
         )
+        for place in met.places()
+    ]
+    if not found:
+        return None
     return min(found, key=lambda place: min(place.enters, place.other_enters))
 
 
@@ -176,15 +171,14 @@ def _filled(time: FloatArray, poses: FloatArray, close: float) -> tuple[FloatArr
     return np.interp(place, known, time), np.stack([x, y, cos / norm, sin / norm])
 
 
-def _stay(way: Way, begin: int, meets: BoolArray, others: FloatArray, size: FloatArray) -> tuple[float, float]:
-    """When a way is at a place: of its boxes from `begin` on, each with a row in `meets`, those that meet others."""
-    at = np.flatnonzero(meets.any(axis=1))
+def _stay(way: Way, at: IntArray, met_by: Callable[[int], BoolArray], other: Way) -> tuple[float, float]:
+    """When a way is at a place: its boxes there, and which ones of the other each meets."""
 
     def touch(before: int, after: int) -> float:
-        share = touching_share(way.poses, way.size, before, after, others, size, meets[after - begin])
+        share = touching_share(way.poses, way.size, before, after, other.poses, other.size, met_by(after))
         return float(way.time[before] + share * (way.time[after] - way.time[before]))
 
-    first, last = begin + int(at[0]), begin + int(at[-1])
+    first, last = int(at[0]), int(at[-1])
     enters = touch(first - 1, first) if first > 0 else float(way.time[first])
     leaves = touch(last + 1, last) if last + 1 < len(way.time) else float(way.time[last])
     return enters, leaves

@@ -7,28 +7,47 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from cornercase._common.box_tree import next_near, node_after
 from cornercase._common.compiling import kernel
+
+_MARGIN = 1e-3
+"""m by which bounds are wider than the circles of boxes, far more than rounding."""
 
 _HALVINGS = 20
 """So often a step is halved to find the instant of a touch: a millionth of it."""
 
 
-@kernel(error_model="numpy", _nrt=False)
-def find_overlaps(a, size_a, b, size_b, out):
-    """Which boxes of `a` overlap which of `b`, (n, m).
+@kernel(error_model="numpy")
+def find_overlaps(a, size_a, b, size_b, tree):
+    """Which boxes of `a` overlap which of `b`, as `Meetings.runs`.
 
     `a`, (4, n), and `b`, (4, m), have rows of x, y, and the cosine and sine of the heading; sizes are length and width.
+    `tree` is the `box_tree` of the centres of `b`.
     """
     reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
+    wide = reach + _MARGIN
+    leaves, count = len(tree) // 2, 0
+    runs = np.empty((64, 3), dtype=np.int64)
     for i in range(a.shape[1]):
-        # By itself, as the processor does it for several boxes at once.
-        for j in range(b.shape[1]):
+        low_x, low_y, high_x, high_y = a[0, i] - wide, a[1, i] - wide, a[0, i] + wide, a[1, i] + wide
+        last = -2
+        node = next_near(tree, 1, low_x, low_y, high_x, high_y)
+        while node > 0:
+            j = node - leaves
             x, y = b[0, j] - a[0, i], b[1, j] - a[1, i]
-            out[i, j] = x * x + y * y <= reach * reach
-        for j in range(b.shape[1]):
-            if out[i, j]:
-                x, y = b[0, j] - a[0, i], b[1, j] - a[1, i]
-                out[i, j] = _overlap(x, y, a[2, i], a[3, i], size_a, b[2, j], b[3, j], size_b)
+            if x * x + y * y <= reach * reach and _overlap(x, y, a[2, i], a[3, i], size_a, b[2, j], b[3, j], size_b):
+                if j != last + 1:
+                    if count == len(runs):
+                        grown = np.empty((2 * count, 3), dtype=np.int64)
+                        grown[:count] = runs
+                        runs = grown
+                    runs[count, 0], runs[count, 1] = i, j
+                    count += 1
+                runs[count - 1, 2] = last = j
+            node = next_near(tree, node_after(node), low_x, low_y, high_x, high_y)
+    return runs[:count]
 
 
 @kernel(error_model="numpy", _nrt=False)

@@ -25,7 +25,7 @@ from cornercase.study import Row, Study
 from cornercase.suite import Verdict, verdicts_of
 
 # Bytes that the rows, instants and contents of a scenario take until the page is written, as measured.
-_PER_SCENARIO: Final = 12_000
+_PER_SCENARIO: Final = 10_000
 
 
 @dataclass(frozen=True, eq=False)

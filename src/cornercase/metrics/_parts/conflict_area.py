@@ -7,17 +7,19 @@ own that looks at boxes (``cornercase.clustering.crossing``), and a test holds t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import label
 from scipy.optimize import brentq
 
+from cornercase._common.box_tree import box_tree
 from cornercase._common.errors import InputError
 from cornercase._common.geometry import box_corners
+from cornercase._common.meetings import Meetings
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.metrics._parts.boxes import boxes
-from cornercase.metrics._parts.hulls import fill_axes, find_meetings, least_gap
+from cornercase.metrics._parts.hulls import fill_axes, fill_bounds, find_meetings, least_gap
 from cornercase.recordings import Recording
 
 Area = tuple[float, float, float, float, float]
@@ -153,11 +155,12 @@ class _Sweep:
         )
 
 
-def _meeting(a: _Sweep, b: _Sweep) -> BoolArray:
-    """Which step of `a` meets which of `b`, (n, m)."""
-    meets = np.empty((len(a.corners), len(b.corners)), dtype=np.bool_)
-    find_meetings(a.corners, a.axes, *_circle(a), b.corners, b.axes, *_circle(b), meets)
-    return meets
+def _meeting(a: _Sweep, b: _Sweep) -> Meetings:
+    """Which step of `a` meets which of `b`."""
+    bounds = np.empty((len(b.corners), 4))
+    fill_bounds(b.corners, bounds)
+    runs = find_meetings(a.corners, a.axes, *_circle(a), b.corners, b.axes, *_circle(b), box_tree(bounds))
+    return Meetings(runs, (len(a.corners), len(b.corners)))
 
 
 def _circle(sweep: _Sweep) -> tuple[FloatArray, FloatArray]:
@@ -168,33 +171,36 @@ def _circle(sweep: _Sweep) -> tuple[FloatArray, FloatArray]:
 
 def _stays(a: _Sweep, b: _Sweep) -> list[tuple[Stay, Stay]]:
     """Visits of `a` to what `b` sweeps and of `b` to what `a` sweeps, for each connected stretch of both."""
-    labels, count = label(_meeting(a, b), structure=np.ones((3, 3)))
-    stretches: list[BoolArray] = [labels == k for k in range(1, count + 1)]
-    pairs = [(_stay(a, b, meets), _stay(b, a, meets.T)) for meets in stretches]
+    pairs = [
+        (_stay(a, b, meets.steps(), meets.met_by), _stay(b, a, meets.others(), meets.meeting))
+        for meets in _meeting(a, b).places()
+    ]
     return [(one, two) for one, two in pairs if one is not None and two is not None]
 
 
-def _stay(sweep: _Sweep, area: _Sweep, meets: BoolArray) -> Stay | None:
-    """When the box that makes `sweep` touches the steps of `area` that it meets."""
-    steps = np.flatnonzero(meets.any(1))
-    entry = _first_touch(sweep, steps, area, meets, backwards=False)
-    exit_ = _first_touch(sweep, steps[::-1], area, meets, backwards=True)
+def _stay(sweep: _Sweep, area: _Sweep, steps: IntArray, met_by: Callable[[int], BoolArray]) -> Stay | None:
+    """When the box that makes `sweep` touches the steps of `area` that its own steps meet."""
+    entry = _first_touch(sweep, steps, area, met_by, backwards=False)
+    exit_ = _first_touch(sweep, steps[::-1], area, met_by, backwards=True)
     if entry is None or exit_ is None:
         return None
     left = exit_ < sweep.time[-1, 1] - TOUCH
     return Stay(entry, exit_, left, not left and bool(sweep.speed[-1, 1] <= _STILL))
 
 
-def _first_touch(sweep: _Sweep, steps: IntArray, area: _Sweep, meets: BoolArray, backwards: bool) -> float | None:
+def _first_touch(
+    sweep: _Sweep, steps: IntArray, area: _Sweep, met_by: Callable[[int], BoolArray], backwards: bool
+) -> float | None:
     """Time of the first touch in the given order of steps; None where only hulls of curved steps met."""
-    for step in steps:
-        fine, around = sweep.divided(np.array([step])), area.divided(np.flatnonzero(meets[step]))
+    for step in steps.tolist():
+        fine, around = sweep.divided(np.array([step])), area.divided(np.flatnonzero(met_by(step)))
         fine = fine.backwards() if backwards else fine
         hits = _meeting(fine, around)
-        touched = np.flatnonzero(hits.any(1))
+        touched = hits.steps()
         if len(touched):
-            part = touched[0]
-            share = _share(fine.corners[part], around.corners[hits[part]], around.axes[hits[part]])
+            part = int(touched[0])
+            hit = hits.met_by(part)
+            share = _share(fine.corners[part], around.corners[hit], around.axes[hit])
             return float(_interpolate(fine.time[part], fine.speed[part], np.array(share))[0])
     return None
 

@@ -9,7 +9,11 @@ import math
 
 import numpy as np
 
+from cornercase._common.box_tree import next_near, node_after
 from cornercase._common.compiling import kernel
+
+_MARGIN = 1e-3
+"""m by which bounds are wider than a hull."""
 
 
 @kernel(error_model="numpy")
@@ -55,15 +59,49 @@ def _unit(x, y):
 
 
 @kernel(error_model="numpy")
-def find_meetings(corners_a, axes_a, middle_a, reach_a, corners_b, axes_b, middle_b, reach_b, out):
-    """Which hulls of `a` share a point with which of `b`, (n, m); each lies in a circle of some middle and reach."""
+def find_meetings(corners_a, axes_a, middle_a, reach_a, corners_b, axes_b, middle_b, reach_b, tree):
+    """Which hulls of `a` share a point with which of `b`, as `Meetings.runs`.
+
+    Each hull lies in a circle of some middle and reach; `tree` is the `box_tree` of bounds of those of `b`.
+    """
+    leaves, count = len(tree) // 2, 0
+    runs = np.empty((64, 3), dtype=np.int64)
     for i in range(len(corners_a)):
-        for j in range(len(corners_b)):
+        low_x, low_y, high_x, high_y = _bounds(corners_a[i])
+        last = -2
+        node = next_near(tree, 1, low_x, low_y, high_x, high_y)
+        while node > 0:
+            j = node - leaves
             away = math.hypot(middle_b[j, 0] - middle_a[i, 0], middle_b[j, 1] - middle_a[i, 1])
-            out[i, j] = (
+            if (
                 away <= reach_a[i] + reach_b[j]
                 and _widest_gap(corners_a[i], axes_a[i], corners_b[j], axes_b[j], True) <= 0.0
-            )
+            ):
+                if j != last + 1:
+                    if count == len(runs):
+                        grown = np.empty((2 * count, 3), dtype=np.int64)
+                        grown[:count] = runs
+                        runs = grown
+                    runs[count, 0], runs[count, 1] = i, j
+                    count += 1
+                runs[count - 1, 2] = last = j
+            node = next_near(tree, node_after(node), low_x, low_y, high_x, high_y)
+    return runs[:count]
+
+
+@kernel(error_model="numpy")
+def fill_bounds(corners, out):
+    """Least x and y, and greatest x and y, (n, 4), of hulls, (n, 8, 2)."""
+    for i in range(len(corners)):
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = _bounds(corners[i])
+
+
+@kernel(error_model="numpy")
+def _bounds(corners):
+    low_x, high_x = _range(1.0, 0.0, corners)
+    low_y, high_y = _range(0.0, 1.0, corners)
+    # Far more than rounding: what touches along another direction is never left out.
+    return low_x - _MARGIN, low_y - _MARGIN, high_x + _MARGIN, high_y + _MARGIN
 
 
 @kernel(error_model="numpy")
