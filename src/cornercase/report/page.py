@@ -145,7 +145,7 @@ def write_report(
         if not opened.done():
             _tell_why_empty(opened)
         begun = time.monotonic()
-        with _told(len(opened.done()), progress) as tell:
+        with _bar_of(len(opened.done()), progress) as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, tell=tell)
         packed = pack_most(opened, data)
         sketch, missing = find_roads(opened, data.region, scenario, data.rows[0].values)
@@ -165,7 +165,7 @@ def write_report(
 
 
 @contextmanager
-def _told(count: int, progress: bool) -> Iterator[Callable[[int], None] | None]:
+def _bar_of(count: int, progress: bool) -> Iterator[Callable[[int], None] | None]:
     """A bar for so many recordings, where there are so many that somebody waits for them."""
     if not progress or count < _WORTH_A_BAR:
         yield None
