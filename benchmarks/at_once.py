@@ -30,6 +30,7 @@ class AtOnceSimulator(Simulator):
         self._answer = answer
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording]:
+        """Give the recording for each."""
         for _ in concretes:
             yield self._answer.recording
 

@@ -5,9 +5,9 @@
 
 Each command runs in a process of its own: seconds of CPU (of the process and those that it started), of the clock, and
 the most memory of any of them, in 10^9 bytes. The scenarios are those of the X-intersection, with the metrics ``wttc``
-and ``trajectory-distance``, searched by ``sobol`` in rounds of 500; ``explore, level-set`` is a search of its own by
-``level-set`` with the default settings, for the sizes of ``--level-set``. What is in FOLDER already is not explored again, and has no time
-then. Commands run one after the other on as many cores as there are.
+and ``trajectory-distance``, searched by ``sobol`` in rounds of 500; ``explore, level-set`` is a search by ``level-set``
+for what is critical by the metric's own threshold, of the sizes of ``--level-set``. What is in FOLDER already is not
+explored again, and has no time then. Commands run one after the other on as many cores as there are.
 
 The exponent of a command is the slope of a straight line through the logarithms of time or memory from 1,000
 scenarios on; below that the start of Python counts for most.
@@ -29,6 +29,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,9 @@ def measured(arguments: list[str]) -> dict[str, float]:
     said = process.stderr.read()
     _, status, used = os.wait4(process.pid, 0)
     if status != 0:
-        raise SystemExit(f"cornercase {' '.join(arguments)}: {said.strip().splitlines()[-1] if said.strip() else status}")
+        raise SystemExit(
+            f"cornercase {' '.join(arguments)}: {said.strip().splitlines()[-1] if said.strip() else status}"
+        )
     return {"CPU s": used.ru_utime + used.ru_stime, "clock s": time.monotonic() - begun, "GB": most_memory(used)}
 
 
@@ -65,7 +68,7 @@ def explored(path: Path, count: int, search: str) -> dict[str, float] | None:
     """Explore so many scenarios, if that was not done before."""
     if path.exists():
         return None
-    rounds = ["--batch", "500"] if search == "sobol" else ["--critical", "1.0"]
+    rounds = ["--batch", "500"] if search == "sobol" else []
     return measured(
         ["explore", f"{EXAMPLE}.xosc", "--space", f"{EXAMPLE}.space.xosc", "--ego", "Ego", "--other", "Pedestrian",
          "--metric", "wttc", "--metric", "trajectory-distance", "--optimizer", search, "--seed", "1",
@@ -122,7 +125,7 @@ def scaled(folder: Path, sizes: list[int], searched: list[int], memory: str) -> 
         chosen = commands(folder, count, memory) if count in sizes else {}
         if count in searched:
             path = folder / f"level-set{count}.db"
-            chosen["explore, level-set"] = lambda path=path, count=count: explored(path, count, "level-set")
+            chosen["explore, level-set"] = partial(explored, path, count, "level-set")
         for command, run in chosen.items():
             found = run()
             if found is not None:
@@ -137,16 +140,16 @@ def cluster_overhead(tasks: int) -> dict[str, float]:
     here = str(Path(__file__).resolve().parent)
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))
     import psutil
-    from at_once import Answer, AtOnceSimulator
-    from distributed.protocol import to_serialize
+    from distributed.protocol.serialize import to_serialize
     from distributed.protocol.core import dumps
 
     import cornercase as cc
+    from at_once import Answer, AtOnceSimulator  # type: ignore[import-not-found]
     from cornercase.simulators import ClusterSimulator, start_simulator
 
     logical = cc.LogicalScenario.read(f"{EXAMPLE}.xosc", f"{EXAMPLE}.space.xosc")
     points = np.random.default_rng(0).random((tasks, logical.space.dimension))
-    concretes = [logical.scenario.concrete(logical.space.decode(one)) for one in points]
+    concretes = [logical.concrete(one) for one in logical.space.values(points)]
     begun = time.process_time()
     with start_simulator("builtin", {}) as builtin:
         recordings = list(builtin.run(concretes[:200]))

@@ -17,6 +17,7 @@ import pytest
 from command_line import cornercase
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
+from cornercase._common.memory import MemoryLimit
 from cornercase._common.version import __version__
 from cornercase.clustering import analyze
 from cornercase.recordings import Collision, Recording
@@ -383,3 +384,17 @@ def test_no_folder_of_the_machine_is_told(tmp_path):
 def test_a_report_is_a_page(path, tmp_path):
     with pytest.raises(InputError, match=r"ends with \.html"):
         write_report(path, tmp_path / "report.pdf")
+
+
+def test_what_does_not_fit_into_the_memory_is_refused(path):
+    with Study.open(path, readonly=True) as study:
+        run = len(study.done())
+        told = f"^what a report shows of {run} scenarios need .*, which is more than `memory` .*; give more.$"
+        with pytest.raises(InputError, match=told):
+            read_report_data(study, memory=MemoryLimit(400_000_001))
+
+
+def test_a_size_that_is_none_ends_the_command(path, tmp_path):
+    ended = cornercase("report", path, "-o", tmp_path / "r.html", "--memory", "4 potatoes")
+    assert ended.returncode == 2
+    assert ended.stderr == "cornercase: --memory 4 potatoes: give a size such as 4 GB or 500 MB.\n"

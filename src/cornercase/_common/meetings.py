@@ -34,7 +34,8 @@ class Meetings:
         ndarray of int64
             In order.
         """
-        return np.unique(self.runs[:, 0])
+        steps: IntArray = np.unique(self.runs[:, 0])
+        return steps
 
     def others(self) -> IntArray:
         """List the others that any step meets.
@@ -103,6 +104,6 @@ class Meetings:
             return [self]
         mine = np.repeat(np.arange(len(step)), counts)
         theirs = np.arange(len(mine)) - np.repeat(counts.cumsum() - counts, counts) + np.repeat(begins, counts)
-        touching = coo_matrix((np.ones(len(mine), dtype=np.bool_), (mine, theirs)), shape=(len(step), len(step)))
+        touching = coo_matrix((np.ones(len(mine), dtype=np.int8), (mine, theirs)), shape=(len(step), len(step)))
         count, place = connected_components(touching, directed=False)
         return [Meetings(self.runs[place == k], self.shape) for k in range(count)]
