@@ -140,8 +140,8 @@ def cluster_overhead(tasks: int) -> dict[str, float]:
     here = str(Path(__file__).resolve().parent)
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))
     import psutil
-    from distributed.protocol.serialize import to_serialize
     from distributed.protocol.core import dumps
+    from distributed.protocol.serialize import to_serialize
 
     import cornercase as cc
     from at_once import Answer, AtOnceSimulator  # type: ignore[import-not-found]
