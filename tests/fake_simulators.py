@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -63,6 +64,8 @@ class FailingSimulator(Simulator):
         what = plan[min(tries, len(plan)) - 1]
         if what == "crash":
             os._exit(3)
+        elif what == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
         elif what == "hang":
             time.sleep(600)
         elif what == "raise":
@@ -108,6 +111,13 @@ class BatchSimulator(FailingSimulator):
             file.write(f"{len(concretes)} ")
         found = [self._outcome(int(concrete.values["k"])) for concrete in concretes]
         yield from found[: found.index(END)] if END in found else found
+
+
+class InsideSimulator(BatchSimulator):
+    """Runs in the process that asks for it, as the builtin simulator does, so that it takes this with it."""
+
+    name = "inside"
+    in_process = True
 
 
 class NoisySimulator(Simulator):
@@ -169,3 +179,4 @@ if "noisy" not in SIMULATORS.names():
 if "failing" not in SIMULATORS.names():
     SIMULATORS.register("failing", FailingSimulator)
     SIMULATORS.register("batches", BatchSimulator)
+    SIMULATORS.register("inside", InsideSimulator)

@@ -5,25 +5,27 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import cornercase as cc
 from conftest import EXAMPLES, same_recording
+from cornercase._common import dask_client
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.version import __version__
 from cornercase.exploration import demonstration, explore_configuration
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel
 from cornercase.simulators import SIMULATORS, ClusterSimulator, start_simulator
-from cornercase.simulators import cluster as module
-from cornercase.simulators.cluster_tasks import Job, close_job, run_job
+from cornercase.simulators.cluster_tasks import Attempt, Job, run_job
 from cornercase.study import Study
+from cornercase.suite import find_exposure
 from fake_simulators import Plan
 
 distributed = pytest.importorskip("distributed")
@@ -33,23 +35,14 @@ X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 
 @pytest.fixture(scope="module")
 def client():
-    made = module.connect("local", 2)
-    yield made
-    local: Any = made.cluster
-    made.close()
-    local.close()
-
-
-@pytest.fixture
-def shared(client, monkeypatch):
     """Clusters take long to start, so that these tests have one together."""
-    monkeypatch.setattr(module, "connect", lambda *_: client)
-    monkeypatch.setattr(ClusterSimulator, "close", lambda simulator: client.run(close_job, simulator._job.key))
+    with dask_client.connected("local", 2) as made:
+        yield made
 
 
 @pytest.fixture
-def on_cluster(shared):
-    return lambda name, options, **given: ClusterSimulator(name, options, "local", **given)
+def on_cluster(client):
+    return lambda name, options, **given: ClusterSimulator(name, options, client, **given)
 
 
 def fakes(count):
@@ -103,6 +96,27 @@ def test_a_worker_that_is_killed_costs_nothing(on_cluster, client):
             assert same_recording(one, other)
 
 
+def test_a_scenario_that_kills_two_workers_is_failed_and_costs_no_third(on_cluster, tmp_path):
+    plan = Plan(tmp_path, {1: ["kill"], 3: ["kill", "well"]})
+    with on_cluster("inside", {"plan": plan}) as simulator:
+        # One at a time, as those with less time than scenarios do, and all in a batch for each of two workers.
+        one_by_one = [places(simulator.run([one]))[0] for one in fakes(4)]
+    assert one_by_one == [0, "2 workers were lost while running the scenario", 2, 3]
+    assert [(tmp_path / f"tries-{k}").stat().st_size for k in range(4)] == [1, 2, 1, 2]
+
+
+def test_a_batch_that_costs_its_worker_is_run_one_by_one(on_cluster, tmp_path):
+    with on_cluster("inside", {"plan": Plan(tmp_path, {1: ["kill"]})}) as simulator:
+        found = places(simulator.run(fakes(4)))
+    assert found == [0, "2 workers were lost while running the scenario", 2, 3]
+    assert (tmp_path / "tries-1").stat().st_size == 2
+
+
+def test_more_retries_are_more_workers(on_cluster, tmp_path):
+    with on_cluster("inside", {"plan": Plan(tmp_path, {0: ["kill", "kill", "well"]})}, retries=2) as simulator:
+        assert places(simulator.run(fakes(1))) == [0]
+
+
 def test_what_the_simulator_refuses_names_the_files_of_the_user(on_cluster, tmp_path):
     (tmp_path / "roadless.xosc").write_text(X.read_text().replace("x_intersection.xodr", "gone.xodr"))
     scenario = Scenario.read(tmp_path / "roadless.xosc")
@@ -111,16 +125,45 @@ def test_what_the_simulator_refuses_names_the_files_of_the_user(on_cluster, tmp_
     assert str(tmp_path / "gone.xodr") in str(caught.value)
 
 
-def test_a_study_and_a_suite_are_those_of_one_process(shared, tmp_path):
+def test_a_study_and_a_suite_are_those_of_one_process(client, tmp_path):
     configuration = replace(demonstration("x-intersection", budget=12), duration=10.0, batch=4)
     explore_configuration(configuration, tmp_path / "here.db")
-    explore_configuration(replace(configuration, cluster="local", workers=2), tmp_path / "there.db")
+    explore_configuration(replace(configuration, cluster=client), tmp_path / "there.db")
     assert stored(tmp_path / "here.db") == stored(tmp_path / "there.db")
     for place in ("here", "there"):
         cc.analyze(tmp_path / f"{place}.db", ["wttc"])
         cc.reduce(tmp_path / f"{place}.db", tmp_path / place, size=3, scenario=X)
-    result = cc.test(tmp_path / "there", tmp_path / "run.db", cluster="local", workers=2)
+    result = cc.test(tmp_path / "there", tmp_path / "run.db", cluster=client)
     assert all(one.difference is not None and one.difference.same for one in result.scenarios)
+
+
+def test_an_analysis_and_a_reduced_set_are_those_of_one_process(client, tmp_path):
+    """By the bytes of the study and of all files that are kept, mutants included."""
+    configuration = replace(demonstration("x-intersection", budget=16), duration=10.0, batch=16)
+    explore_configuration(configuration, tmp_path / "here.db")
+    shutil.copy(tmp_path / "here.db", tmp_path / "there.db")
+    for place, cluster in (("here", None), ("there", client)):
+        study = tmp_path / f"{place}.db"
+        cc.analyze(study, ["wttc", "ego-trajectory"], cluster=cluster)
+        exposure = find_exposure(study, 3, scenario=X, cluster=cluster)
+        cc.reduce(study, tmp_path / place, size=4, scenario=X, exposure=exposure)
+    found = [analysed(tmp_path / f"{place}.db") for place in ("here", "there")]
+    assert found[0] == found[1]
+    assert sum(name == "distances" for _, name, _ in found[0]) == 2
+    kept = [{one.name: one.read_bytes() for one in (tmp_path / place).iterdir()} for place in ("here", "there")]
+    assert kept[0] == kept[1]
+
+
+def analysed(path):
+    with closing(sqlite3.connect(path)) as study:
+        return study.execute("SELECT analysis, name, data FROM arrays ORDER BY analysis, name, part").fetchall()
+
+
+def test_processes_of_no_cluster_are_refused(tmp_path):
+    configuration = replace(demonstration("x-intersection", budget=2), duration=2.0)
+    explore_configuration(configuration, tmp_path / "study.db")
+    with pytest.raises(InputError, match="`workers`: are those of a local cluster"):
+        cc.analyze(tmp_path / "study.db", workers=2)
 
 
 def stored(path):
@@ -150,7 +193,7 @@ def test_a_driver_of_ones_own_is_found_in_the_current_folder(tmp_path, reduced_b
 def test_a_driver_that_a_worker_lacks_is_told():
     gone = b"cgone_module\nDriver\n."
     with pytest.raises(InputError, match=r"a worker cannot load a driver of your own .*gone_module"):
-        run_job(Job("another key", __version__, "builtin", gone, None, 1), {}, [])
+        run_job(Job("another key", __version__, "builtin", gone, None, 1), Attempt("one", 2), {}, [])
 
 
 @pytest.fixture
@@ -161,7 +204,7 @@ def reduced_by_hand(tmp_path):
 
 
 def test_no_scheduler_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_ANSWERS", 0.5)
+    monkeypatch.setattr(dask_client, "_ANSWERS", 0.5)
     for given in ("tcp://127.0.0.1:9", "nowhere", str(tmp_path / "none.json")):
         with pytest.raises(InputError, match="no scheduler answers there"):
             start_simulator("builtin", {}, cluster=given)
@@ -174,7 +217,7 @@ def test_no_scheduler_is_told(tmp_path, monkeypatch):
 
 def test_a_worker_of_another_version_is_told():
     with pytest.raises(InputError, match=r"a worker has cornercase .*, and this is 0\.0\.0"):
-        run_job(Job("key", "0.0.0", "builtin", b"", None, 1), {}, [])
+        run_job(Job("key", "0.0.0", "builtin", b"", None, 1), Attempt("one", 2), {}, [])
 
 
 def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):

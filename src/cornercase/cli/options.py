@@ -84,8 +84,14 @@ MinSamples = Annotated[str, typer.Option(metavar="N|auto", help="DBSCAN's least 
 SimulatorName = Annotated[str, typer.Option("--simulator", metavar="NAME", help="What runs the scenarios.")]
 Timeout = Annotated[float | None, typer.Option(metavar="S", help="Give a scenario up after this time in s.")]
 Retries = Annotated[
-    int, typer.Option(metavar="N", help="Run a scenario again so often after the simulator died or hung.", min=0)
+    int,
+    typer.Option(
+        metavar="N",
+        help="Run a scenario again so often after the simulator died or hung, or a worker was lost.",
+        min=0,
+    ),
 ]
+LocalWorkers = Annotated[int, typer.Option("--workers", metavar="N", help="Processes of --cluster local.", min=1)]
 Cluster = Annotated[
     str | None,
     typer.Option(

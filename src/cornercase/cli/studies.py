@@ -16,8 +16,10 @@ from cornercase.cli import parsing
 from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import (
     By,
+    Cluster,
     Eps,
     Gamma,
+    LocalWorkers,
     Memory,
     MinSamples,
     Seed,
@@ -58,6 +60,8 @@ def analyze(
     keep: Annotated[
         bool, typer.Option("--keep", help="Keep the clusters that are there; new scenarios join them.")
     ] = False,
+    workers: LocalWorkers = 1,
+    cluster: Cluster = None,
     profile: Profile = None,
 ) -> None:
     """Cluster what was run, by behaviour and by criticality.
@@ -81,6 +85,8 @@ def analyze(
         method=None if method is None else parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
         window=window,
         keep=keep,
+        workers=workers,
+        cluster=cluster,
         progress=True,
     )
     table = Table(
@@ -162,6 +168,8 @@ def reduce(
             metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
         ),
     ] = None,
+    workers: LocalWorkers = 1,
+    cluster: Cluster = None,
     profile: Profile = None,
 ) -> None:
     """Keep the few concrete scenarios that matter, as files that run by themselves.
@@ -178,6 +186,8 @@ def reduce(
 
     if require and expose is None:
         raise InputError("--require: says what mutants have to fail; give --expose too.")
+    if cluster is not None and expose is None:
+        raise InputError("--cluster: runs mutants; give --expose too.")
     for option, given in (("--cover", cover), ("--archetypes", archetypes)):
         if expose is not None and given is not None:
             raise InputError(f"--expose, {option}: give one of them.")
@@ -186,7 +196,16 @@ def reduce(
         # Not after the mutants have run.
         with Study.open(study, readonly=True) as opened:
             read_analysis(opened, by or opened.meta.metrics[0])
-        exposure = find_exposure(study, expose, require=require or (), seed=seed, scenario=scenario, progress=True)
+        exposure = find_exposure(
+            study,
+            expose,
+            require=require or (),
+            seed=seed,
+            scenario=scenario,
+            workers=workers,
+            cluster=cluster,
+            progress=True,
+        )
     reduced = reduction.reduce(
         study,
         output,

@@ -6,11 +6,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from cornercase._common.arguments import texts
+from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.agreement import agree_with_facts, find_facts
@@ -35,6 +36,9 @@ from cornercase.clustering.traits import measure_traits
 from cornercase.dtw import distance_matrix
 from cornercase.study import Study, open_study
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 
 def analyze(
     study: Study | Path | str,
@@ -46,6 +50,8 @@ def analyze(
     method: ClusteringMethod | None = None,
     window: float | None = None,
     keep: bool = False,
+    workers: int = 1,
+    cluster: str | Client | None = None,
     progress: bool = False,
 ) -> dict[str, Analysis]:
     """Cluster the scenarios of a study by behaviour and by criticality, and store the result in it.
@@ -72,6 +78,11 @@ def analyze(
     keep : bool, default False
         Keep the clusters that the study has, and let the scenarios that were run since join them, as in
         `ScenarioClustering.predict`.
+    workers : int, default 1
+        Processes of a local cluster.
+    cluster : str or distributed.Client, optional
+        Dask cluster that computes the distances: ``"local"`` for `workers` processes here, the address of a scheduler,
+        the file that a scheduler wrote, or a connection, which stays open. The result is the same to the bit.
     progress : bool, default False
         Show a progress bar.
 
@@ -109,7 +120,8 @@ def analyze(
                 "`keep`: kept clusters keep their settings;"
                 " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."
             )
-        return _analyzed(opened, aspects, model, window, keep, progress)
+        with connected(cluster, workers, else_none=True) as client:
+            return _analyzed(opened, aspects, model, window, keep, client, progress)
 
 
 def _analyzed(
@@ -118,6 +130,7 @@ def _analyzed(
     model: ScenarioClustering,
     window: float | None,
     keep: bool,
+    client: Client | None,
     progress: bool,
 ) -> dict[str, Analysis]:
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
@@ -153,7 +166,7 @@ def _analyzed(
         series = seen.pop(by) if by in seen else series_of(study, by)
         # In single precision, several times as fast: the seventh digit of a distance decides nothing here.
         distances = distance_matrix(
-            series, window=instants_within(times, within), dtype="float32", progress=progress
+            series, window=instants_within(times, within), dtype="float32", client=client, progress=progress
         ).astype(np.float64)
         measured = time.monotonic()
         if before is not None:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import hashlib
 import mmap
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,10 @@ import numpy.typing as npt
 from cornercase._common.errors import InputError
 from cornercase.dtw import pairs
 from cornercase.dtw.pairs import Settings
+from cornercase.dtw.tiles import Tiles
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 # Series along one side of a square: some seconds of work, and 16 MB of the file with its mirror image.
 SIDE = 1024
@@ -35,6 +39,7 @@ def distance_matrix(
     resume: bool,
     settings: Settings,
     advance: Callable[[int], None],
+    client: Client | None = None,
 ) -> FloatMap:
     """Fill a matrix on disk from checked series.
 
@@ -48,6 +53,8 @@ def distance_matrix(
     settings : Settings
     advance : callable
         Called with the number of cells that are settled since the last call.
+    client : distributed.Client, optional
+        Cluster that computes the squares; this process writes them.
 
     Returns
     -------
@@ -75,7 +82,7 @@ def distance_matrix(
     try:
         done = _begun(journal, fingerprint)
         view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not done)
-        _fill(view, series, journal, done, settings, advance)
+        _fill(view, series, journal, done, settings, advance, client)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
     return view
@@ -88,27 +95,46 @@ def _fill(
     done: set[tuple[int, int]],
     settings: Settings,
     advance: Callable[[int], None],
+    client: Client | None,
 ) -> None:
     bands = [range(first, min(first + SIDE, len(series))) for first in range(0, len(series), SIDE)]
+    parts = [[series[i] for i in band] for band in bands]
+    wanted = []
+    for a in range(len(bands)):
+        for b in range(a, len(bands)):
+            if (a, b) in done:
+                advance(pairs.cells(parts[a], None if a == b else parts[b]))
+            else:
+                wanted.append((a, b))
     with journal.open("ab") as notes:
-        for a, rows in enumerate(bands):
-            for b, columns in enumerate(bands[a:], a):
-                upper = [series[i] for i in rows]
-                right = None if a == b else [series[j] for j in columns]
-                if (a, b) in done:
-                    advance(pairs.cells(upper, right))
-                    continue
-                square = pairs.distances(upper, right, settings, advance)
-                pairs.refuse_infinite(square, rows.start, columns.start)
-                # A map of its own for each square: what is unmapped no longer counts as this process's memory.
-                part = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
-                part[rows.start : rows.stop, columns.start : columns.stop] = square
-                part[columns.start : columns.stop, rows.start : rows.stop] = square.T
-                part.flush()
-                del part
-                notes.write(f"{a} {b}\n".encode())
-                notes.flush()
-                os.fsync(notes.fileno())
+        for a, b, square in _squares(parts, wanted, settings, advance, client):
+            rows, columns = bands[a], bands[b]
+            pairs.refuse_infinite(square, rows.start, columns.start)
+            # A map of its own for each square: what is unmapped no longer counts as this process's memory.
+            part = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
+            part[rows.start : rows.stop, columns.start : columns.stop] = square
+            part[columns.start : columns.stop, rows.start : rows.stop] = square.T
+            part.flush()
+            del part
+            notes.write(f"{a} {b}\n".encode())
+            notes.flush()
+            os.fsync(notes.fileno())
+
+
+def _squares(
+    parts: Sequence[Sequence[Floats]],
+    wanted: Sequence[tuple[int, int]],
+    settings: Settings,
+    advance: Callable[[int], None],
+    client: Client | None,
+) -> Iterator[tuple[int, int, Floats]]:
+    if client is None:
+        for a, b in wanted:
+            yield a, b, pairs.distances(parts[a], None if a == b else parts[b], settings, advance)
+        return
+    for a, b, square in Tiles(client, settings, parts).squares(wanted):
+        yield a, b, square
+        advance(pairs.cells(parts[a], None if a == b else parts[b]))
 
 
 def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:

@@ -10,15 +10,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from cornercase._common.dask_client import require_client
 from cornercase._common.errors import InputError
 from cornercase._common.platform import available_cpus
-from cornercase.dtw import disk, pairs
+from cornercase.dtw import disk, pairs, tiles
 from cornercase.dtw.pairs import Settings
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["distance_matrix", "distances_to", "kernel_matrix"]
 
@@ -36,6 +40,7 @@ def distance_matrix(
     progress: bool = False,
     out: str | os.PathLike[str] | disk.FloatMap | None = None,
     resume: bool = False,
+    client: Client | None = None,
 ) -> npt.NDArray[np.floating[Any]]:
     """Dynamic time warping distance between all pairs of series.
 
@@ -67,6 +72,9 @@ def distance_matrix(
     resume : bool
         Go on with `out` where an earlier call with the same series and options was ended, however it was. What
         is in the file already is not computed again; nothing there is nothing done.
+    client : distributed.Client, optional
+        Dask cluster whose workers compute, on all of their cores; with it, `n_jobs` has no effect. The result is the
+        same to the bit. Needs the extra `cluster`.
 
     Returns
     -------
@@ -85,7 +93,7 @@ def distance_matrix(
     >>> distance_matrix([[0.0, 1.0, 1.0], [0.0, 1.0], [2.0, 2.0]]).tolist()
     [[0.0, 0.0, 4.0], [0.0, 0.0, 3.0], [4.0, 3.0, 0.0]]
     """
-    settings = _settings(local_cost, window, dtype, n_jobs, device)
+    settings = _settings(local_cost, window, dtype, n_jobs, device, client)
     arrays = _checked(series)
     if resume and out is None:
         raise InputError("resume is for a matrix on disk; give out.")
@@ -94,14 +102,14 @@ def distance_matrix(
     arrays = _centred(arrays, settings.dtype, len(arrays))
     with _shown(progress, pairs.cells(arrays, None)) as advance:
         if out is None:
-            found = pairs.distances(arrays, None, settings, advance)
+            found = _computed(arrays, None, settings, client, advance)
             pairs.refuse_infinite(found)
             return found
         if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
             raise InputError("out is an array in memory; give a path or a numpy.memmap.")
         if not arrays:
             raise InputError("There are no series to fill out from.")
-        return disk.distance_matrix(arrays, out, resume=resume, settings=settings, advance=advance)
+        return disk.distance_matrix(arrays, out, resume=resume, settings=settings, advance=advance, client=client)
 
 
 def distances_to(
@@ -114,6 +122,7 @@ def distances_to(
     n_jobs: int | None = None,
     device: Literal["cpu", "cuda"] = "cpu",
     progress: bool = False,
+    client: Client | None = None,
 ) -> npt.NDArray[np.floating[Any]]:
     """Dynamic time warping distance of each series to each landmark.
 
@@ -130,6 +139,7 @@ def distances_to(
     n_jobs : int, optional
     device : {"cpu", "cuda"}, default "cpu"
     progress : bool, default False
+    client : distributed.Client, optional
 
     Returns
     -------
@@ -145,7 +155,7 @@ def distances_to(
     >>> distances_to([[0.0, 1.0, 1.0], [0.0, 1.0]], [[2.0, 2.0]]).tolist()
     [[4.0], [3.0]]
     """
-    settings = _settings(local_cost, window, dtype, n_jobs, device)
+    settings = _settings(local_cost, window, dtype, n_jobs, device, client)
     rows = _checked(series)
     columns = _checked(landmarks, "Landmark", rows[0].shape[1] if rows else None)
     if not rows or not columns:
@@ -153,7 +163,7 @@ def distances_to(
     both = _centred([*rows, *columns], settings.dtype, len(rows))
     rows, columns = both[: len(rows)], both[len(rows) :]
     with _shown(progress, pairs.cells(rows, columns)) as advance:
-        found = pairs.distances(rows, columns, settings, advance)
+        found = _computed(rows, columns, settings, client, advance)
     pairs.refuse_infinite(found, columns="landmark ")
     return found
 
@@ -215,7 +225,30 @@ def kernel_matrix(
     return kernel
 
 
-def _settings(local_cost: str, window: int | None, dtype: npt.DTypeLike, n_jobs: int | None, device: str) -> Settings:
+def _computed(
+    rows: list[npt.NDArray[np.float64]],
+    columns: list[npt.NDArray[np.float64]] | None,
+    settings: Settings,
+    client: Client | None,
+    advance: Callable[[int], None],
+) -> npt.NDArray[np.floating[Any]]:
+    if client is None:
+        return pairs.distances(rows, columns, settings, advance)
+    return tiles.distances(rows, columns, settings, client, advance)
+
+
+def _settings(
+    local_cost: str,
+    window: int | None,
+    dtype: npt.DTypeLike,
+    n_jobs: int | None,
+    device: str,
+    client: Client | None = None,
+) -> Settings:
+    if client is not None:
+        require_client(client)
+        if device != "cpu":
+            raise InputError("`client`: its workers compute on their CPUs; leave out `device`, or `client`.")
     if local_cost not in ("euclidean", "squared"):
         raise InputError(f"local_cost is {local_cost!r}; choose 'euclidean' or 'squared'.")
     if device not in ("cpu", "cuda"):

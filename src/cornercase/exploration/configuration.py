@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from cornercase._common.arguments import by_name, flag, number, shown, text, texts, whole_number
+from cornercase._common.dask_client import cluster_argument
 from cornercase._common.errors import InputError
 from cornercase.drivers import Driver, is_driver
 from cornercase.exploration.objective import Objective
@@ -16,6 +17,9 @@ from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import MOST_WORKERS
 from cornercase.study import MOST_AUDITS, StudyMeta
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 # Whole numbers, and the least that each may be.
 _LEAST: Final = {"budget": 1, "batch": 1, "patience": 1, "seed": 0, "retries": 0, "repeats": 1}
@@ -56,7 +60,7 @@ class Configuration:
     simulator : str
     workers : int
         Simulators side by side.
-    cluster : str or None
+    cluster : str, distributed.Client or None
         Dask cluster that they run on, as `cornercase.simulators.ClusterSimulator` takes it.
     timeout : float or None
         Time in s after which a scenario is given up.
@@ -95,7 +99,7 @@ class Configuration:
     seed: int = 0
     simulator: str = "builtin"
     workers: int = 1
-    cluster: str | None = None
+    cluster: str | Client | None = None
     timeout: float | None = None
     retries: int = 1
     repeats: int = 1
@@ -130,7 +134,7 @@ class Configuration:
         if self.critical is not None:
             taken["critical"] = number("critical", self.critical)
         if self.cluster is not None:
-            taken["cluster"] = text("cluster", self.cluster)
+            taken["cluster"] = cluster_argument(self.cluster)
         if self.max_seconds is not None:
             taken["max_seconds"] = number("max_seconds", self.max_seconds, least=0.0)
         if self.timeout is not None:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from cornercase.exploration.exploring import configured_simulator
 from cornercase.scenario import LogicalScenario, Scenario
 from cornercase.simulators import Simulator
 from cornercase.study import Study, StudyMeta, explored_scenario
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 _LEARN_SHARE: Final = 0.4
 _FEWEST: Final = 100
@@ -47,7 +50,7 @@ def estimate(
     simulator: str | None = None,
     drivers: Mapping[str, str | Driver] | None = None,
     workers: int = 1,
-    cluster: str | None = None,
+    cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
     progress: bool = False,
@@ -82,9 +85,9 @@ def estimate(
         Drivers of your own, by entity, where the study has some; presets are those of the study.
     workers : int, default 1
         Simulators side by side.
-    cluster : str, optional
-        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, or the file that
-        a scheduler wrote.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the file that a
+        scheduler wrote, or a connection, which stays open.
     timeout : float, optional
         Time in s after which a scenario is given up.
     retries : int, default 1

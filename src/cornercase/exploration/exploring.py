@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cornercase._common.arguments import flag, path, texts
+from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
 from cornercase._common.ledger import Notice, warn_of
 from cornercase.drivers import Driver, told_driver
@@ -18,6 +20,9 @@ from cornercase.optimizers import create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import SIMULATORS, Simulator, start_simulator
 from cornercase.study import Study
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 # Its parameters are the options of the command.
@@ -44,7 +49,7 @@ def explore(
     seed: int = 0,
     simulator: str = "builtin",
     workers: int = 1,
-    cluster: str | None = None,
+    cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
     repeats: int = 1,
@@ -105,9 +110,9 @@ def explore(
     simulator : str, default "builtin"
     workers : int, default 1
         Simulators side by side.
-    cluster : str, optional
-        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, or the file that
-        a scheduler wrote.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the file that a
+        scheduler wrote, or a connection, which stays open.
     timeout : float, optional
         Time in s after which a scenario is given up.
     retries : int, default 1
@@ -212,7 +217,11 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
     optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
     if one.pareto and not optimizer.takes_several:
         raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
-    with configured_simulator(one) as simulator, started_references(one) as references:
+    with (
+        _on_one_cluster(one) as there,
+        configured_simulator(there) as simulator,
+        started_references(there) as references,
+    ):
         # Asked before a study is made, since without these means no scenario can be run.
         simulator.require_means(one.logical.scenario)
         some = one.logical.space.values(one.logical.space.samples())
@@ -250,6 +259,13 @@ def configured_simulator(one: Configuration) -> Simulator:
         To be closed.
     """
     return _started(one, one.drivers)
+
+
+@contextmanager
+def _on_one_cluster(one: Configuration) -> Iterator[Configuration]:
+    """Connect with the cluster once, for the simulator and all references."""
+    with connected(one.cluster, one.workers) as client:
+        yield one if client is None else replace(one, cluster=client, workers=1)
 
 
 @contextmanager

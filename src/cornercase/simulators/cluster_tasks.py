@@ -10,7 +10,7 @@ from multiprocessing import current_process
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Condition, Lock
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.texts import in_one_line
@@ -21,6 +21,9 @@ from cornercase.simulators.outcomes import Outcome, outcomes_of
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.worker_process import unpickled_options
 from cornercase.simulators.workers import WorkerSimulator
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,22 @@ class Job:
     options: bytes
     timeout: float | None
     retries: int
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What is counted of scenarios that are run together.
+
+    Attributes
+    ----------
+    name : str
+        Different for each.
+    lives : int
+        How many workers may begin them; where all of these were lost, no other one does.
+    """
+
+    name: str
+    lives: int
 
 
 class _Site:
@@ -133,21 +152,25 @@ def hand_over(parcel: ScenarioParcel) -> ScenarioParcel:
 
 
 def run_job(
-    job: Job, parcels: Mapping[str, ScenarioParcel], scenarios: Sequence[tuple[str, Mapping[str, Value]]]
-) -> list[Outcome]:
+    job: Job,
+    attempt: Attempt,
+    parcels: Mapping[str, ScenarioParcel],
+    scenarios: Sequence[tuple[str, Mapping[str, Value]]],
+) -> list[Outcome] | None:
     """Run scenarios in this process, or in one that it keeps.
 
     Parameters
     ----------
     job : Job
+    attempt : Attempt
     parcels : mapping of str to ScenarioParcel
     scenarios : sequence of (str, mapping of str to float or str)
         The parcel of each, and its values.
 
     Returns
     -------
-    list of Recording or SimulationError
-        One for each, in order.
+    list of Recording or SimulationError, or None
+        One for each, in order; None where too many workers were lost with them.
 
     Raises
     ------
@@ -163,12 +186,40 @@ def run_job(
     here = {key: site.unpacked(key, parcel) for key, parcel in parcels.items()}
     concretes = [ConcreteScenario(here[key][0].path, values, here[key][0]) for key, values in scenarios]
     places = {str(here[key][1]): parcel.folder for key, parcel in parcels.items()}
-    try:
-        with site.simulator() as simulator:
-            found = list(outcomes_of(simulator, concretes))
-    except InputError as error:
-        raise InputError(_with_own_paths(str(error), places)) from None
+    with _begun(attempt) as may_run:
+        if not may_run:
+            return None
+        try:
+            with site.simulator() as simulator:
+                found = list(outcomes_of(simulator, concretes))
+        except InputError as error:
+            raise InputError(_with_own_paths(str(error), places)) from None
     return [type(one)(_with_own_paths(str(one), places)) if isinstance(one, SimulationError) else one for one in found]
+
+
+@contextmanager
+def _begun(attempt: Attempt) -> Iterator[bool]:
+    """Note at the scheduler that an attempt begins, for as long as it lasts, and say whether it may.
+
+    A worker that is lost leaves its note, so that the next one knows; `forget` takes them away. Dask itself counts lost
+    workers for each task too (``allowed-failures``), but with one bound for the whole cluster, and also those that had
+    not begun it.
+    """
+    from distributed import Event, get_client
+
+    client = get_client()
+    for life in range(attempt.lives):
+        note = Event(f"{attempt.name}-{life}", client)
+        if not note.is_set():
+            break
+    else:
+        yield False
+        return
+    note.set()
+    try:
+        yield True
+    finally:
+        note.clear()
 
 
 def _with_own_paths(words: str, places: Mapping[str, str]) -> str:
@@ -176,6 +227,20 @@ def _with_own_paths(words: str, places: Mapping[str, str]) -> str:
     for here, there in places.items():
         words = words.replace(here, there)
     return words
+
+
+def forget(attempt: Attempt, client: Client) -> None:
+    """Take away what lost workers have left of an attempt.
+
+    Parameters
+    ----------
+    attempt : Attempt
+    client : distributed.Client
+    """
+    from distributed import Event
+
+    for life in range(attempt.lives):
+        Event(f"{attempt.name}-{life}", client).clear()
 
 
 def close_job(key: str) -> None:

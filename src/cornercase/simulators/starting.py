@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cornercase._common.arguments import number, text, whole_number
-from cornercase._common.errors import InputError
 from cornercase.simulators.base import Simulator
-from cornercase.simulators.cluster import LOCAL, ClusterSimulator
+from cornercase.simulators.cluster import ClusterSimulator
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.workers import MOST_WORKERS, WorkerSimulator
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 def start_simulator(
@@ -21,7 +23,7 @@ def start_simulator(
     workers: int = 1,
     timeout: float | None = None,
     retries: int = 1,
-    cluster: str | None = None,
+    cluster: str | Client | None = None,
 ) -> Simulator:
     """Make a simulator that runs where it has to.
 
@@ -43,8 +45,9 @@ def start_simulator(
         s after which a scenario is given up.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
-    cluster : str, optional
-        Dask cluster to run on: ``"local"``, the address of a scheduler, or the file that a scheduler wrote.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run on: ``"local"``, the address of a scheduler, the file that a scheduler wrote, or a
+        connection that stays open.
 
     Returns
     -------
@@ -69,10 +72,7 @@ def start_simulator(
     declared = SIMULATORS.class_of(text("simulator", name))
     given = dict(options or {}) | ({"ego": ego} if "ego" in declared.needs else {})
     if cluster is not None:
-        place = text("cluster", cluster)
-        if workers > 1 and place != LOCAL:
-            raise InputError("`workers`: are those of the cluster; leave it out.")
-        return ClusterSimulator(name, given, place, workers, timeout, retries)
+        return ClusterSimulator(name, given, cluster, workers, timeout, retries)
     if declared.in_process and workers == 1 and timeout is None:
         return SIMULATORS.create(name, **given)
     return WorkerSimulator(name, given, workers, timeout, retries)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from cornercase._common.arguments import flag, texts, whole_number
+from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.progress import ProgressBar
@@ -17,11 +18,14 @@ from cornercase.drivers import Driver, Mutant, mutants_of, name_driver
 from cornercase.recordings import Recording
 from cornercase.reduction import Exposure
 from cornercase.scenario import ConcreteScenario, Scenario
-from cornercase.simulators import BuiltinSimulator, outcomes_of
+from cornercase.simulators import Simulator, outcomes_of, start_simulator
 from cornercase.study import Study, explored_scenario, open_study
 from cornercase.suite.contents import SuiteContents
 from cornercase.suite.judging import judge
 from cornercase.suite.requirement import Requirement
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 MOST_CANDIDATES: Final = 2000
 """Of more scenarios of a study, so many are run with mutants."""
@@ -40,6 +44,8 @@ def find_exposure(
     require: Sequence[str] = (),
     seed: int = 0,
     scenario: Path | str | Scenario | None = None,
+    workers: int = 1,
+    cluster: str | Client | None = None,
     progress: bool = False,
 ) -> Exposure:
     """Find which scenarios of a study expose which mutants of the ego's driver.
@@ -59,6 +65,11 @@ def find_exposure(
         The same seed gives the same mutants, as `cornercase.drivers.mutants_of` draws them.
     scenario : path or Scenario, optional
         File that was explored; by default it is looked for beside the study and in the current folder.
+    workers : int, default 1
+        Processes of a local cluster.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run the mutants on: ``"local"`` for `workers` processes here, the address of a scheduler, the
+        file that a scheduler wrote, or a connection, which stays open.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -101,7 +112,10 @@ def find_exposure(
     for name, one in options["drivers"].items():
         if not isinstance(one, str):
             raise InputError(f"`mutants`: a driver of somebody's own drove {name}, and a study does not hold it.")
-    failed, exposed = run_mutants(concretes, who, (driver, drawn), [known] * len(rows), options, progress=progress)
+    with connected(cluster, workers, else_none=True) as client:
+        failed, exposed = run_mutants(
+            concretes, who, (driver, drawn), [known] * len(rows), options, client=client, progress=progress
+        )
     choosing, judging = slice(0, count), slice(count, None)
 
     def part(which: slice, held_out: Exposure | None) -> Exposure:
@@ -154,6 +168,7 @@ def expose_suite(
     requirements: Sequence[Requirement],
     options: Mapping[str, Any],
     *,
+    client: Client | None = None,
     progress: bool = False,
 ) -> Exposure:
     """Find which scenarios of a suite expose which mutants of the ego's driver.
@@ -169,6 +184,8 @@ def expose_suite(
         Without any, no collision.
     options : mapping of str to object
         Of the builtin simulator: ``time_step`` and ``duration`` in s, ``on_collision``, ``drivers``.
+    client : distributed.Client, optional
+        Dask cluster to run on.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -184,6 +201,7 @@ def expose_suite(
         drivers,
         [[each for each in known if each.concerns(one.file, one.kind)] for one in suite.scenarios],
         options,
+        client=client,
         progress=progress,
     )
     ids = tuple(range(1, len(suite.scenarios) + 1))
@@ -248,6 +266,7 @@ def run_mutants(
     requirements: Sequence[Sequence[Requirement]],
     options: Mapping[str, Any],
     *,
+    client: Client | None = None,
     progress: bool = False,
 ) -> tuple[BoolArray, BoolArray]:
     """Run scenarios with a driver at the ego's wheel, and with mutants of it.
@@ -263,6 +282,8 @@ def run_mutants(
         Those of each scenario.
     options : mapping of str to object
         Of the builtin simulator; with the drivers of all others.
+    client : distributed.Client, optional
+        Dask cluster to run on.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -282,9 +303,9 @@ def run_mutants(
         with noted_interrupts() as check:
             for k, name in enumerate(names):
                 at_wheel: dict[str, str | Driver] = {**options["drivers"], who[0]: name}
-                simulator = BuiltinSimulator(**{**options, "drivers": at_wheel})
-                for i, verdict in enumerate(_failures(simulator, concretes, who, requirements)):
-                    broken[k, i], failed[k, i] = verdict is None, verdict is True
+                with start_simulator(_BUILTIN, {**options, "drivers": at_wheel}, cluster=client) as simulator:
+                    for i, verdict in enumerate(_failures(simulator, concretes, who, requirements)):
+                        broken[k, i], failed[k, i] = verdict is None, verdict is True
                 check()
                 if bar is not None:
                     bar.update(k + 1, "")
@@ -296,7 +317,7 @@ def run_mutants(
 
 
 def _failures(
-    simulator: BuiltinSimulator,
+    simulator: Simulator,
     concretes: Sequence[ConcreteScenario],
     who: tuple[str, Sequence[str]],
     requirements: Sequence[Sequence[Requirement]],

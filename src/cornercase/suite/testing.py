@@ -7,10 +7,11 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from cornercase._common.arguments import by_name, flag, shown, text, texts, whole_number
 from cornercase._common.arguments import path as path_argument
+from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_apart, require_other_file, require_place
 from cornercase.drivers import Driver, is_driver, told_driver
@@ -31,6 +32,9 @@ from cornercase.suite.summary import HEADING, write_summary
 from cornercase.suite.verdict import Verdict, worst_state
 from cornercase.suite.verdicts import judge_row
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 _PLAIN: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
 _BUILTIN: Final = "builtin"
 _RAN: Final = "runs"
@@ -48,7 +52,7 @@ def test(
     metrics: Sequence[str] = (),
     simulator: str | None = None,
     workers: int = 1,
-    cluster: str | None = None,
+    cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
     time_step: float | None = None,
@@ -89,9 +93,9 @@ def test(
         By default that of the manifest; without one the builtin simulator.
     workers : int, default 1
         Simulators side by side.
-    cluster : str, optional
-        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, or the file that
-        a scheduler wrote.
+    cluster : str or distributed.Client, optional
+        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the file that a
+        scheduler wrote, or a connection, which stays open.
     timeout : float, optional
         Time in s after which a scenario is given up.
     retries : int, default 1
@@ -154,23 +158,24 @@ def test(
         require_builtin(name)
         drawn = draw_mutants(contents, who[0], options["drivers"], known, mutants, seed)
     asked = dict.fromkeys(one.reference for one in known if one.reference)
-    start = partial(
-        start_simulator, name, ego=who[0], workers=workers, timeout=timeout, retries=retries, cluster=cluster
-    )
-    with start(options) as started, ExitStack() as stack:
-        references = {one: stack.enter_context(_with_reference(start, options, who[0], one)) for one in asked}
-        meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings)
-        at_once = workers if cluster is None else None
-        before = run_suite(contents, meta, started, path, at_once, flag("progress", progress))
-        if references:
-            with Study.open(path) as opened:
-                ask_references(contents, opened, known, references)
-    with Study.open(path, readonly=True) as opened:
-        result = replace(_result(contents, opened, known, found, why_not), ran_before=before)
-    for write, place in outputs:
-        write(result, place)
-    if mutants is not None:
-        result = replace(result, exposure=expose_suite(contents, who, drawn, known, options, progress=progress))
+    with connected(cluster, workers) as client:
+        start: Callable[..., Simulator] = partial(start_simulator, name, ego=who[0], timeout=timeout, retries=retries)
+        start = partial(start, workers=workers) if client is None else partial(start, cluster=client)
+        with start(options) as started, ExitStack() as stack:
+            references = {one: stack.enter_context(_with_reference(start, options, who[0], one)) for one in asked}
+            meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings)
+            side_by_side = workers if client is None else None
+            before = run_suite(contents, meta, started, path, side_by_side, flag("progress", progress))
+            if references:
+                with Study.open(path) as opened:
+                    ask_references(contents, opened, known, references)
+        with Study.open(path, readonly=True) as opened:
+            result = replace(_result(contents, opened, known, found, why_not), ran_before=before)
+        for write, place in outputs:
+            write(result, place)
+        if mutants is not None:
+            exposure = expose_suite(contents, who, drawn, known, options, client=client, progress=progress)
+            result = replace(result, exposure=exposure)
     return result
 
 

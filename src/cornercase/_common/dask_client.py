@@ -1,0 +1,276 @@
+"""Connections with a Dask cluster."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from cornercase._common.arguments import text
+from cornercase._common.errors import InputError
+from cornercase._common.files import read_file
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+LOCAL: Final = "local"
+"""The cluster that is started on this machine."""
+
+# s in which a scheduler has to answer, for which a cluster may be without workers, and between two looks at both.
+_ANSWERS, _FIRST_WORKER, _LOOKS = 20.0, 120.0, 1.0
+
+
+def cluster_argument(cluster: object) -> str | Client:
+    """Take a cluster that was given as an argument.
+
+    Parameters
+    ----------
+    cluster : object
+
+    Returns
+    -------
+    str or distributed.Client
+
+    Raises
+    ------
+    InputError
+        It is neither.
+    """
+    # Who has a client has loaded Dask.
+    dask = sys.modules.get("distributed")
+    if dask is not None and isinstance(cluster, dask.Client):
+        client: Client = cluster
+        return client
+    return text("cluster", cluster)
+
+
+def require_client(client: object) -> None:
+    """Refuse what is no connection with a Dask cluster.
+
+    Parameters
+    ----------
+    client : object
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    if isinstance(cluster_argument(client), str):
+        raise InputError(f"`client` {client}: give a distributed.Client, of pip install 'cornercase[cluster]'.")
+
+
+def connect(cluster: str | Client, workers: int = 1) -> Client:
+    """Connect with a Dask cluster.
+
+    Parameters
+    ----------
+    cluster : str or distributed.Client
+        ``"local"``, the address of a scheduler, the file that a scheduler wrote, or a connection that there is already.
+    workers : int, default 1
+        Processes of a local cluster; any other has its own.
+
+    Returns
+    -------
+    distributed.Client
+        To be left with `leave`, unless it is the one that was given.
+
+    Raises
+    ------
+    InputError
+        Dask is not installed, no scheduler answers, or `workers` are given for a cluster that has its own.
+    """
+    cluster = cluster_argument(cluster)
+    if workers > 1 and cluster != LOCAL:
+        raise InputError("`workers`: are those of the cluster; leave it out.")
+    if not isinstance(cluster, str):
+        return cluster
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise InputError("Dask is not installed; it comes with pip install 'cornercase[cluster]'.") from error
+    # What of it concerns a user is told by cornercase.
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        if cluster == LOCAL:
+            # A worker that is being started anew as this time is over would be given up for good.
+            dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"})
+            # Simulators may run in processes of their own, which daemons cannot have.
+            with dask.config.set({"distributed.worker.daemon": False}):
+                local = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    # Only a free port is none that somebody else may want.
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
+                return Client(local)
+        address = json.loads(read_file(cluster))["address"] if Path(cluster).is_file() else cluster
+        return Client(str(address), timeout=_ANSWERS)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise InputError(
+            f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
+            " as tcp://host:8786, or the file that a scheduler wrote."
+        ) from error
+
+
+def leave(client: Client) -> None:
+    """Close a connection; a local cluster ends with it.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    """
+    local: Any = client.cluster
+    # One that is lost has nothing to be closed.
+    with suppress(OSError, TimeoutError):
+        client.close()
+    if local is not None:
+        local.close()
+
+
+@contextmanager
+def connected(cluster: str | Client | None, workers: int = 1, *, else_none: bool = False) -> Iterator[Client | None]:
+    """Be connected with a Dask cluster for as long as the block lasts.
+
+    Parameters
+    ----------
+    cluster : str, distributed.Client or None
+        As `connect` takes it; None for no cluster. A connection that is given stays open.
+    workers : int, default 1
+        Processes of a local cluster.
+    else_none : bool, default False
+        Whether there are no such processes without a cluster, so that saying how many is a mistake.
+
+    Yields
+    ------
+    distributed.Client or None
+
+    Raises
+    ------
+    InputError
+        As by `connect`.
+    """
+    if cluster is None:
+        if else_none and workers > 1:
+            raise InputError("`workers`: are those of a local cluster; give `cluster` 'local' too.")
+        yield None
+        return
+    client = connect(cluster, workers)
+    try:
+        yield client
+    finally:
+        if client is not cluster:
+            leave(client)
+
+
+def name_cluster(client: Client) -> str:
+    """Say in messages which cluster it is.
+
+    Parameters
+    ----------
+    client : distributed.Client
+
+    Returns
+    -------
+    str
+        ``"tcp://10.0.0.1:8786"``, or ``"local"``.
+    """
+    if client.cluster is not None:
+        return LOCAL
+    known: Any = client.scheduler
+    return str(known.address) if known is not None else "of Dask"
+
+
+def workers_of(client: Client) -> list[dict[str, Any]]:
+    """Wait until a cluster has workers, and tell of them.
+
+    Parameters
+    ----------
+    client : distributed.Client
+
+    Returns
+    -------
+    list of dict
+        At least one, as `distributed.Client.scheduler_info` tells of them: ``"nthreads"``, ``"resources"``, and more.
+
+    Raises
+    ------
+    InputError
+        There are none for two minutes.
+    """
+    try:
+        client.wait_for_workers(1, timeout=_FIRST_WORKER)
+        return list(client.scheduler_info(n_workers=-1)["workers"].values())
+    except TimeoutError as error:
+        raise _without_workers(client) from error
+
+
+def ended(client: Client, running: Collection[Future[Any]]) -> list[Future[Any]]:
+    """Wait for the first tasks that have ended.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    running : collection of distributed.Future
+        At least one.
+
+    Returns
+    -------
+    list of distributed.Future
+        At least one, with a result or an error.
+
+    Raises
+    ------
+    InputError
+        The scheduler is lost, or there are no workers for two minutes.
+    """
+    from distributed import wait
+
+    since = time.monotonic()
+    while True:
+        # What was lost after it had ended is run again by Dask.
+        found = [one for one in running if one.status not in ("pending", "lost")]
+        if client.status != "running" or any(one.status == "cancelled" for one in found):
+            raise disconnected(client)
+        if found:
+            return found
+        try:
+            wait(list(running), timeout=_LOOKS, return_when="FIRST_COMPLETED")
+        except TimeoutError:
+            if client.scheduler_info(n_workers=1)["workers"]:
+                since = time.monotonic()
+            elif time.monotonic() - since > _FIRST_WORKER:
+                raise _without_workers(client) from None
+
+
+def _without_workers(client: Client) -> InputError:
+    return InputError(
+        f"`cluster` {name_cluster(client)}: has no workers; start some, and run the same command again to go on."
+    )
+
+
+def disconnected(client: Client) -> InputError:
+    """Say that a scheduler is gone.
+
+    Parameters
+    ----------
+    client : distributed.Client
+
+    Returns
+    -------
+    InputError
+        To be raised.
+    """
+    return InputError(
+        f"`cluster` {name_cluster(client)}: the connection to its scheduler is lost; run the same command again to go"
+        " on."
+    )

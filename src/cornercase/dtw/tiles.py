@@ -1,0 +1,242 @@
+"""Distances by the workers of a Dask cluster, square by square."""
+
+from __future__ import annotations
+
+import uuid
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from cornercase._common.dask_client import disconnected, ended, name_cluster, workers_of
+from cornercase._common.errors import InputError
+from cornercase._common.platform import available_cpus
+from cornercase._common.version import __version__
+from cornercase.dtw import pairs
+from cornercase.dtw.pairs import Floats, Settings
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+# So many squares are with each thread of the workers at a time: enough that none waits, and few to be kept.
+_AHEAD: Final = 2
+
+# Series along one side of a square in memory, at least and at most, and so many squares at least where that leaves a
+# choice.
+_SIDES: Final = (64, 1024)
+_BANDS: Final = 12
+
+
+class Tiles:
+    """Squares of a matrix of distances, each computed by a worker of a cluster.
+
+    The series are sent once, in bands; a square needs two of them. What is computed is what `pairs.distances` gives
+    here, to the last bit.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    settings : Settings
+    bands : sequence of sequence of ndarray, shape (T_i, k)
+    """
+
+    def __init__(self, client: Client, settings: Settings, bands: Sequence[Sequence[Floats]]) -> None:
+        self._client, self._settings, self._bands = client, settings, bands
+        self._sent: dict[int, Future[Any]] = {}
+
+    def squares(self, wanted: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, Floats]]:
+        """Compute squares.
+
+        Parameters
+        ----------
+        wanted : iterable of (int, int)
+            The bands that are the rows and columns of each; the same twice for a square on the diagonal.
+
+        Yields
+        ------
+        rows, columns : int
+            Bands.
+        distances : ndarray
+            In the order in which they are done.
+
+        Raises
+        ------
+        InputError
+            The workers cannot compute them, or the cluster is lost.
+        """
+        waiting = deque(wanted)
+        running: dict[Future[Any], tuple[int, int]] = {}
+        try:
+            while waiting or running:
+                while waiting and len(running) < _AHEAD * self._threads():
+                    square = waiting.popleft()
+                    running[self._submit(*square)] = square
+                for future in ended(self._client, list(running)):
+                    found = self._found(future)
+                    yield *running.pop(future), found
+        except (OSError, CancelledError) as error:
+            raise disconnected(self._client) from error
+        finally:
+            if self._client.status == "running":
+                self._client.cancel([*running, *self._sent.values()])
+
+    def _threads(self) -> int:
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
+
+    def _submit(self, rows: int, columns: int) -> Future[Any]:
+        machines: dict[str, int] = {}
+        for worker in workers_of(self._client):
+            machines[worker["host"]] = machines.get(worker["host"], 0) + worker["nthreads"]
+        return self._client.submit(
+            compute_square,
+            __version__,
+            self._settings,
+            machines,
+            self._band(rows),
+            None if rows == columns else self._band(columns),
+            key=f"cornercase-square-{uuid.uuid4().hex}",
+            pure=False,
+        )
+
+    def _band(self, number: int) -> Future[Any]:
+        if number not in self._sent or self._sent[number].status not in ("pending", "finished", "lost"):
+            with warnings.catch_warnings():
+                # That it is large is known; as the task of itself it can be made again where its worker is lost.
+                warnings.filterwarnings("ignore", message="Sending large graph")
+                self._sent[number] = self._client.submit(
+                    _itself, self._bands[number], key=f"cornercase-band-{uuid.uuid4().hex}", pure=False
+                )
+        return self._sent[number]
+
+    def _found(self, future: Future[Any]) -> Floats:
+        error = future.exception()
+        if isinstance(error, InputError):
+            raise error
+        if error is not None:
+            words = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+            raise InputError(
+                f"`client` {name_cluster(self._client)}: its workers cannot compute distances ({words}); install the"
+                " same versions on each as here, and run the same again to go on."
+            ) from error
+        found: Floats = future.result()
+        # Dask computes again what a lost worker held for as long as somebody asks for it.
+        future.release()
+        return found
+
+
+def _itself(band: Sequence[Floats]) -> Sequence[Floats]:
+    return band
+
+
+def compute_square(
+    version: str,
+    settings: Settings,
+    machines: dict[str, int],
+    rows: Sequence[Floats],
+    columns: Sequence[Floats] | None,
+) -> Floats:
+    """Compute a square of distances on a worker.
+
+    Parameters
+    ----------
+    version : str
+        Of the cornercase that asks.
+    settings : Settings
+    machines : dict of str to int
+        How many threads the workers of each machine have together, by its address.
+    rows : sequence of ndarray, shape (T_i, k)
+    columns : sequence of ndarray, shape (T_j, k), or None
+        None: the rows again.
+
+    Returns
+    -------
+    ndarray, shape (len(rows), len(columns))
+
+    Raises
+    ------
+    InputError
+        This process has another version of cornercase.
+    """
+    if version != __version__:
+        raise InputError(
+            f"`client`: a worker has cornercase {__version__}, and this is {version}; install the same on each."
+        )
+    from distributed import get_worker
+
+    host = get_worker().address.rpartition("://")[2].rpartition(":")[0].strip("[]")
+    # The threads of a machine share its cores.
+    threads = max(1, available_cpus() // max(1, machines.get(host, 1)))
+    return pairs.distances(rows, columns, replace(settings, n_jobs=threads), _unseen)
+
+
+def _unseen(done: int) -> None:
+    del done
+
+
+def distances(
+    rows: Sequence[Floats],
+    columns: Sequence[Floats] | None,
+    settings: Settings,
+    client: Client,
+    advance: Callable[[int], None],
+) -> Floats:
+    """Distances of checked series, as `pairs.distances` gives them.
+
+    Parameters
+    ----------
+    rows : sequence of ndarray, shape (T_i, k)
+    columns : sequence of ndarray, shape (T_j, k), or None
+        None: the rows again.
+    settings : Settings
+    client : distributed.Client
+    advance : callable
+        Called with the number of cells that are settled since the last call.
+
+    Returns
+    -------
+    ndarray, shape (len(rows), len(columns))
+
+    Raises
+    ------
+    InputError
+        As by `Tiles.squares`.
+    """
+    of_rows = bands_of(len(rows))
+    parts: list[Sequence[Floats]] = [[rows[i] for i in band] for band in of_rows]
+    if columns is None:
+        found = np.zeros((len(rows), len(rows)), dtype=settings.dtype)
+        wanted = [(a, b) for a in range(len(parts)) for b in range(a, len(parts))]
+    else:
+        found = np.zeros((len(rows), len(columns)), dtype=settings.dtype)
+        wanted = [(a, len(of_rows)) for a in range(len(of_rows))]
+        parts.append(columns)
+    for a, b, square in Tiles(client, settings, parts).squares(wanted):
+        i = slice(of_rows[a].start, of_rows[a].stop)
+        if columns is None:
+            j = slice(of_rows[b].start, of_rows[b].stop)
+            found[i, j], found[j, i] = square, square.T
+        else:
+            found[i] = square
+        advance(pairs.cells(parts[a], None if a == b else parts[b]))
+    return found
+
+
+def bands_of(size: int) -> list[range]:
+    """Divide series into bands, so that the squares are many and not too small.
+
+    Parameters
+    ----------
+    size : int
+        Number of series.
+
+    Returns
+    -------
+    list of range
+    """
+    side = min(max(-(-size // _BANDS), _SIDES[0]), _SIDES[1])
+    return [range(first, min(first + side, size)) for first in range(0, size, side)]
