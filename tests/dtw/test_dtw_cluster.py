@@ -73,7 +73,8 @@ def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypat
 
 
 def test_progress_counts_every_cell(client):
-    series, seen = [np.arange(float(k % 7 + 1))[:, None] for k in range(80)], []
+    series = [np.arange(float(k % 7 + 1))[:, None] for k in range(80)]
+    seen: list[int] = []
     settings = Settings(False, None, np.dtype("float64"), 1, "cpu")
     tiles.distances(series, None, settings, client, seen.append)
     assert sum(seen) == pairs.cells(series, None)

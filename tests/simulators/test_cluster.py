@@ -140,17 +140,19 @@ def test_a_study_and_a_suite_are_those_of_one_process(client, tmp_path):
 def test_an_analysis_and_a_reduced_set_are_those_of_one_process(client, tmp_path):
     """By the bytes of the study and of all files that are kept, mutants included."""
     configuration = replace(demonstration("x-intersection", budget=16), duration=10.0, batch=16)
-    explore_configuration(configuration, tmp_path / "here.db")
-    shutil.copy(tmp_path / "here.db", tmp_path / "there.db")
     for place, cluster in (("here", None), ("there", client)):
-        study = tmp_path / f"{place}.db"
+        study = tmp_path / place / "study.db"
+        study.parent.mkdir()
+        explore_configuration(configuration, study)
         cc.analyze(study, ["wttc", "ego-trajectory"], cluster=cluster)
         exposure = find_exposure(study, 3, scenario=X, cluster=cluster)
-        cc.reduce(study, tmp_path / place, size=4, scenario=X, exposure=exposure)
-    found = [analysed(tmp_path / f"{place}.db") for place in ("here", "there")]
+        cc.reduce(study, tmp_path / place / "kept", size=4, scenario=X, exposure=exposure)
+    found = [analysed(tmp_path / place / "study.db") for place in ("here", "there")]
     assert found[0] == found[1]
     assert sum(name == "distances" for _, name, _ in found[0]) == 2
-    kept = [{one.name: one.read_bytes() for one in (tmp_path / place).iterdir()} for place in ("here", "there")]
+    kept = [
+        {one.name: one.read_bytes() for one in (tmp_path / place / "kept").iterdir()} for place in ("here", "there")
+    ]
     assert kept[0] == kept[1]
 
 
