@@ -23,8 +23,10 @@ LONGEST_MODULE, LONGEST_FUNCTION, MOST_PARAMETERS = 500, 80, 10
 LARGE = {
     "cli/estimating.py estimate": "one parameter for each option of the command",
     "cli/running.py explore": "one parameter for each option of the command",
+    "cli/studies.py analyze": "one parameter for each option of the command",
     "cli/studies.py reduce": "one parameter for each option of the command",
     "cli/testing.py test_": "one parameter for each option of the command",
+    "clustering/analyzing.py analyze": "part of the API: one parameter for each option of the command",
     "dtw/cpu.py _four_rows": "compiled: machine code takes numbers and arrays, no objects",
     "dtw/cpu.py _one_row": "compiled: machine code takes numbers and arrays, no objects",
     "exploration/estimating.py estimate": "part of the API: one parameter for each option of the command",

@@ -7,6 +7,7 @@ import logging
 import sys
 import time
 from collections.abc import Collection, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -208,8 +209,12 @@ def workers_of(client: Client) -> list[dict[str, Any]]:
         There are none for two minutes.
     """
     try:
-        client.wait_for_workers(1, timeout=_FIRST_WORKER)
-        return list(client.scheduler_info(n_workers=-1)["workers"].values())
+        found: list[dict[str, Any]] = []
+        # One that has come may be lost before it is told of.
+        while not found:
+            client.wait_for_workers(1, timeout=_FIRST_WORKER)
+            found = list(client.scheduler_info(n_workers=-1)["workers"].values())
+        return found
     except TimeoutError as error:
         raise _without_workers(client) from error
 
@@ -250,6 +255,41 @@ def ended(client: Client, running: Collection[Future[Any]]) -> list[Future[Any]]
                 since = time.monotonic()
             elif time.monotonic() - since > _FIRST_WORKER:
                 raise _without_workers(client) from None
+
+
+def take(client: Client, future: Future[Any]) -> tuple[Any, Exception | None]:
+    """Take what came of a task, and let go of it.
+
+    Dask runs a task again whose result was on a lost worker, for as long as somebody asks for it.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    future : distributed.Future
+        One that has ended.
+
+    Returns
+    -------
+    result : object
+        None where there is an error.
+    error : Exception or None
+        Raised by the task, or `distributed.scheduler.KilledWorker`.
+
+    Raises
+    ------
+    InputError
+        The scheduler is lost.
+    """
+    try:
+        return future.result(), None
+    except CancelledError as error:
+        raise disconnected(client) from error
+    except Exception as error:
+        if client.status != "running":
+            raise disconnected(client) from error
+        return None, error
+    finally:
+        future.release()
 
 
 def _without_workers(client: Client) -> InputError:

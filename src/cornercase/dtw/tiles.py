@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from cornercase._common.dask_client import disconnected, ended, name_cluster, workers_of
+from cornercase._common.dask_client import disconnected, ended, name_cluster, take, workers_of
 from cornercase._common.errors import InputError
 from cornercase._common.platform import available_cpus
 from cornercase._common.version import __version__
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 # So many squares are with each thread of the workers at a time: enough that none waits, and few to be kept.
 _AHEAD: Final = 2
+
+# So often a square is given to the workers again after several of them were lost with it.
+_MOST_LOST: Final = 5
 
 # Series along one side of a square in memory, at least and at most, and so many squares at least where that leaves a
 # choice.
@@ -68,7 +71,10 @@ class Tiles:
         InputError
             The workers cannot compute them, or the cluster is lost.
         """
+        from distributed.scheduler import KilledWorker
+
         waiting = deque(wanted)
+        lost: list[tuple[int, int]] = []
         running: dict[Future[Any], tuple[int, int]] = {}
         try:
             while waiting or running:
@@ -76,8 +82,15 @@ class Tiles:
                     square = waiting.popleft()
                     running[self._submit(*square)] = square
                 for future in ended(self._client, list(running)):
-                    found = self._found(future)
-                    yield *running.pop(future), found
+                    square = running.pop(future)
+                    found, error = take(self._client, future)
+                    if error is None:
+                        yield *square, found
+                    elif isinstance(error, KilledWorker) and lost.count(square) < _MOST_LOST:
+                        lost.append(square)
+                        waiting.append(square)
+                    else:
+                        raise self._refused(error) from error
         except (OSError, CancelledError) as error:
             raise disconnected(self._client) from error
         finally:
@@ -113,20 +126,14 @@ class Tiles:
                 )
         return self._sent[number]
 
-    def _found(self, future: Future[Any]) -> Floats:
-        error = future.exception()
+    def _refused(self, error: Exception) -> InputError:
         if isinstance(error, InputError):
-            raise error
-        if error is not None:
-            words = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-            raise InputError(
-                f"`client` {name_cluster(self._client)}: its workers cannot compute distances ({words}); install the"
-                " same versions on each as here, and run the same again to go on."
-            ) from error
-        found: Floats = future.result()
-        # Dask computes again what a lost worker held for as long as somebody asks for it.
-        future.release()
-        return found
+            return error
+        words = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        return InputError(
+            f"`client` {name_cluster(self._client)}: its workers cannot compute distances ({words}); install the same"
+            " versions on each as here, and run the same again to go on."
+        )
 
 
 def _itself(band: Sequence[Floats]) -> Sequence[Floats]:

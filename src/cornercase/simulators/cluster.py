@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from cornercase._common.dask_client import connect, disconnected, ended, leave, name_cluster, workers_of
+from cornercase._common.dask_client import connect, disconnected, ended, leave, name_cluster, take, workers_of
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.version import __version__
 from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel
@@ -192,10 +192,7 @@ class ClusterSimulator(SimulatorElsewhere):
     def _take(self, future: Future[Any], task: _Task, waiting: deque[_Task], done: dict[int, Outcome]) -> None:
         from distributed.scheduler import KilledWorker
 
-        error = future.exception()
-        found = None if error is not None else future.result()
-        # Dask runs again what a lost worker held for as long as somebody asks for it.
-        future.release()
+        found, error = take(self._client, future)
         if error is None:
             self._settle(found, task, waiting, done)
         elif isinstance(error, InputError):
