@@ -71,6 +71,22 @@ def test_of_many_scenarios_its_processes_know_those_that_tell_most(monkeypatch):
     assert wrong.mean() < 0.1
 
 
+def test_of_many_scenarios_its_trees_know_those_that_tell_most(monkeypatch):
+    points = SobolOptimizer(CUBE, 1).ask(400)
+    scores, told = outcome(points)
+    monkeypatch.setattr(committee, "MOST_GROWN", 200)
+    some = Committee(THRESHOLD, FEATURES).fit(points, scores, told)
+    recall, precision = agreement(some.predict(EVERYWHERE)[0] > 0.5, outcome(EVERYWHERE)[0] <= THRESHOLD)
+    assert recall > 0.75
+    assert precision > 0.75
+    wrong = (some.out_of_fold() > 0.5) != (scores <= THRESHOLD)
+    assert wrong.shape == (400,)
+    assert wrong.mean() < 0.1
+    # Those that come next are known to the same kernels.
+    some.know(points[:300], scores[:300], told[:300])
+    assert some.out_of_fold().shape == (300,)
+
+
 def test_without_features_it_finds_both_regions():
     points = explored(CommitteeOptimizer(CUBE, 0, THRESHOLD), 150, function=two_regions)
     critical, _ = Committee(THRESHOLD).fit(points, two_regions(points)).predict(EVERYWHERE)

@@ -9,6 +9,7 @@ from .gaussian_process import boundary_process as boundary_process
 from .gaussian_process import encoded as encoded
 from .gaussian_process import near_threshold as near_threshold
 from .gaussian_process import nearness as nearness
+from .kernel import evenly as evenly
 from .mixture import Mixture as Mixture
 from .probability import Probability as Probability
 from .probability import of_all as of_all

@@ -13,11 +13,14 @@ from sklearn.model_selection import StratifiedKFold
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.foretold import Foretold
 from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process, near_threshold
-from cornercase.evidence.kernel import evenly
+from cornercase.evidence.kernel import Kernel, chosen, evenly
 from cornercase.metrics import Feature
 
 MOST_KNOWN: Final = 2000
 """Scenarios that the processes of features know at most."""
+
+MOST_GROWN: Final = 4000
+"""Scenarios that trees are grown from at most."""
 
 _TREES: Final = 64
 _FOLDS: Final = 5
@@ -45,7 +48,9 @@ class Committee:
     weighed mean is most likely.
 
     `fit` does all; `know` takes further scenarios in for less. Of more than 2,000 scenarios the processes of features
-    know 2,000: half of them next to the threshold, the others evenly apart among the rest.
+    know 2,000: half of them next to the threshold, the others evenly apart among the rest. Trees are grown from 4,000
+    at most: half of them next to the threshold, and of the rest those first that are rarer, critical or not. So what it
+    takes does not grow further; the `boundary_process` knows all.
 
     Parameters
     ----------
@@ -92,7 +97,6 @@ class Committee:
             Itself.
         """
         self.process = boundary_process(points, scores, self._threshold)
-        self._foretold = Foretold(points, self._learned_from(scores, features), known=self._known_by_processes(scores))
         self._grow(points, scores, features)
         self._weights = _weights(self._left_out(_FEW_TREES), self._critical)
         return self
@@ -113,13 +117,22 @@ class Committee:
             Itself.
         """
         self.process.know_scores(points, scores, self._threshold)
-        learned_from, known = self._learned_from(scores, features), self._known_by_processes(scores)
-        self._foretold = Foretold(points, learned_from, self._foretold.kernels, known)
-        self._grow(points, scores, features)
+        self._grow(points, scores, features, self._foretold.kernels)
         return self
 
-    def _grow(self, points: FloatArray, scores: FloatArray, features: FloatArray | None) -> None:
-        """Grow the trees, of all scenarios that are known now."""
+    def _grow(
+        self,
+        points: FloatArray,
+        scores: FloatArray,
+        features: FloatArray | None,
+        kernels: Sequence[Kernel | None] | None = None,
+    ) -> None:
+        """Grow the trees, of all scenarios that are known now or of many of them; kernels of features are learned."""
+        self._every, self._some = points, self._known_by_trees(scores)
+        points, scores = points[self._some], scores[self._some]
+        features = None if features is None else features[self._some]
+        learned_from, known = self._learned_from(scores, features), self._known_by_processes(scores)
+        self._foretold = Foretold(points, learned_from, kernels, known)
         self._points, self._columns = points, np.hstack([points, self._foretold.left_out])
         self._critical, self._kinds = scores <= self._threshold, self._kinds_of(scores, features)
         self._trees, self._forest = self._grown(np.arange(len(points)), _TREES)
@@ -138,13 +151,17 @@ class Committee:
         branch : ndarray of float64, shape (m,)
             Probability of the likeliest way that it can go, of those that the features tell apart.
         """
-        kinds = self._trees.predict_proba(np.hstack([points, self._foretold.predict(points)]))
         mean, deviation = self.process.predict(points)
-        noisy = np.hypot(deviation, self.process.kernel.noise)
-        by_member = [_of_kinds(self._trees, kinds), _of_sides(self._forest, points), ndtr(-mean / noisy)]
+        critical, kinds = self._together(points, mean / np.hypot(deviation, self.process.kernel.noise))
         ways = self._trees.classes_ // 2
         by_way = np.stack([kinds[:, ways == way].sum(axis=1) for way in np.unique(ways)])
-        return np.asarray(self._weights @ np.stack(by_member)), np.minimum(by_way.max(axis=0), 1.0)
+        return critical, np.minimum(by_way.max(axis=0), 1.0)
+
+    def _together(self, points: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Weighed probability of being critical, and that of each kind; the process is t deviations above 0."""
+        kinds = self._trees.predict_proba(np.hstack([points, self._foretold.predict(points)]))
+        by_member = [_of_kinds(self._trees, kinds), _of_sides(self._forest, points), ndtr(-t)]
+        return np.asarray(self._weights @ np.stack(by_member)), kinds
 
     def out_of_fold(self) -> FloatArray:
         """Tell of each scenario that is known by others whether it is critical.
@@ -155,12 +172,18 @@ class Committee:
             Probability that it is critical: by trees that were grown without a fifth of the scenarios in which it is,
             and by the process of all others.
         """
-        found: FloatArray = self._left_out(_TREES) @ self._weights
+        found = np.empty(len(self._every))
+        found[self._some] = self._left_out(_TREES) @ self._weights
+        # What the trees were not grown from they tell without it anyway.
+        rest = np.setdiff1d(np.arange(len(found)), self._some)
+        if len(rest):
+            mean, deviation = self.process.leave_one_out(rest)
+            found[rest] = self._together(self._every[rest], mean / deviation)[0]
         return found
 
     def _left_out(self, count: int) -> FloatArray:
-        """What each member says of each scenario, told by others, shape (n, 3); `count` trees each."""
-        mean, deviation = self.process.leave_one_out()
+        """What each member says of scenarios that trees know, told by others, shape (n, 3); `count` trees each."""
+        mean, deviation = self.process.leave_one_out(self._some)
         found: FloatArray = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
         for rest, some in self._folds():
             trees, forest = self._grown(rest, count)
@@ -184,6 +207,16 @@ class Committee:
         trees = ExtraTreesClassifier(count, max_features=None, random_state=self._seed)
         forest = RandomForestClassifier(count, random_state=self._seed)
         return trees.fit(self._columns[some], self._kinds[some]), forest.fit(self._points[some], self._critical[some])
+
+    def _known_by_trees(self, scores: FloatArray) -> IntArray:
+        """Scenarios that trees are grown from: of many those next to the threshold, and others, rare ones first."""
+        if len(scores) <= MOST_GROWN:
+            return np.arange(len(scores))
+        order = np.argsort(np.abs(scores - self._threshold), kind="stable")
+        near, rest = order[: MOST_GROWN // 2], np.sort(order[MOST_GROWN // 2 :])
+        critical = scores[rest] <= self._threshold
+        rare = critical if 2 * critical.sum() < len(critical) else ~critical
+        return np.sort(np.concatenate([near, rest[chosen(len(rest), MOST_GROWN - len(near), rare)]]))
 
     def _known_by_processes(self, scores: FloatArray) -> IntArray | None:
         """Scenarios that the processes of features know: of many those next to the threshold, and evenly others."""

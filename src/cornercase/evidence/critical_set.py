@@ -140,11 +140,11 @@ class CriticalSet:
     def _learned(self) -> Correction:
         """Learn from predictions of what the search did not choose by what it knew."""
         if self._committee is not None:
-            t = _deviate(self._committee.out_of_fold())
+            t = _deviate(self._committee.out_of_fold())[self._filling]
         else:
-            mean, deviation = self._process.leave_one_out()
+            mean, deviation = self._process.leave_one_out(np.flatnonzero(self._filling))
             t = mean / deviation
-        t, critical = t[self._filling], self._critical[self._filling]
+        critical = self._critical[self._filling]
         if len(self._audits):
             t = np.concatenate([t, self._foretold(encoded(self._space, self._audits))[1]])
             critical = np.concatenate([critical, self._audited])

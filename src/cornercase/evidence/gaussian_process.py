@@ -12,9 +12,10 @@ from scipy.special import log_ndtr
 
 from cornercase._common.platform import available_cpus
 from cornercase._common.threads import one_thread
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.kernel import Floats, Kernel, chosen, evenly, learned_kernel
-from cornercase.evidence.posterior import MOST_EXACT, Posterior, positive_factor, posterior
+from cornercase.evidence.neighbours import MOST_TOGETHER, NearestPosterior
+from cornercase.evidence.posterior import MOST_EXACT, Posterior, SparsePosterior, positive_factor, posterior
 from cornercase.evidence.products import products_of_rows, times_lower_transposed
 from cornercase.scenario import ParameterSpace
 
@@ -112,9 +113,10 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
 
     Where scores jump, a process with much noise smooths the boundary away; where they are noisy, one with little noise
     follows the noise. So several are fitted, each with more noise allowed, and the one is taken that predicts best on
-    which side of the threshold each scenario is that is left out, of 512 of them at most. A function that is smooth all
-    over is told best by what lies far from the threshold too, so two standard deviations are tried beside `nearness`;
-    and the most critical tenth of the scores is always near.
+    which side of the threshold each scenario is that is left out, of 512 of them at most: by the others of these, and
+    of more than 4,000 scenarios by the nearest of all. A function that is smooth all over is told best by what lies far
+    from the threshold too, so two standard deviations are tried beside `nearness`; and the most critical tenth of the
+    scores is always near.
 
     Parameters
     ----------
@@ -137,7 +139,10 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     def tried(near: float, most_noise: float, start: GaussianProcess | None) -> tuple[float, GaussianProcess]:
         values = near_threshold(scores, threshold, near)
         process = GaussianProcess(most_noise, near).learn(points, values, start, rare)
-        mean, deviation = process.know(points[some], values[some]).leave_one_out()
+        if len(points) > MOST_TOGETHER:
+            mean, deviation = process.told_by_nearest(points, values, some)
+        else:
+            mean, deviation = process.know(points[some], values[some]).leave_one_out()
         return float(log_ndtr(-side * mean / deviation).sum()), process
 
     # While hardly anything is critical, all scores would be far from the threshold, and told apart no more.
@@ -180,6 +185,7 @@ class GaussianProcess:
         self._mean = 0.0
         self.kernel: Kernel
         self._known: Posterior
+        self._nearest: NearestPosterior | None
 
     def fit(self, points: FloatArray, values: FloatArray) -> GaussianProcess:
         """Learn the kernel, and know values at points.
@@ -228,6 +234,8 @@ class GaussianProcess:
 
     def know(self, points: FloatArray, values: FloatArray, matters: FloatArray | None = None) -> GaussianProcess:
         """Take values in, instead of those before: exactly up to 512 of them, else by way of as many points.
+
+        Of more than 4,000 the nearest ones tell what is predicted, and what each value is by the others.
 
         Parameters
         ----------
@@ -281,8 +289,28 @@ class GaussianProcess:
             other._take(self._known.extended(points, values - self._mean))
         return other
 
+    def told_by_nearest(self, points: FloatArray, values: FloatArray, some: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and standard deviation of some of many values by the nearest others, without taking them in.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, e)
+        values : ndarray of float64, shape (n,)
+        some : ndarray of int64, shape (k,)
+
+        Returns
+        -------
+        mean, deviation : ndarray of float64, shape (k,)
+            As of `leave_one_out`.
+        """
+        mean, deviation = NearestPosterior(self.kernel, points, values - self._mean).leave_one_out(some)
+        return self._mean + mean, deviation
+
     def _take(self, known: Posterior) -> None:
         self._known = known
+        self._nearest = None
+        if isinstance(known, SparsePosterior) and len(known.values) > MOST_TOGETHER:
+            self._nearest = NearestPosterior(self.kernel, known.known, known.values)
         self._factors: tuple[Floats, Floats] = known.weights, np.asfortranarray(known.inverse)
         in_single = known.weights.astype(np.float32), np.asfortranarray(known.inverse, dtype=np.float32)
         # Where values lie close to each other and have little noise, single precision is all rounding error.
@@ -309,11 +337,14 @@ class GaussianProcess:
         -------
         mean, deviation : ndarray of float64, shape (n,)
         """
+        if self._nearest is not None:
+            mean, deviation = self._nearest.predict(points)
+            return self._mean + mean, deviation
         mean, deviation, _ = self._predict(points, keep=False)
         return mean, deviation
 
     def predict_with_projections(self, points: FloatArray) -> tuple[FloatArray, FloatArray, Floats]:
-        """As `predict`, and what `covariance` needs of the points.
+        """As `predict` of up to 4,000 values, and what `covariance` needs of the points.
 
         Parameters
         ----------
@@ -350,21 +381,30 @@ class GaussianProcess:
         rows: Floats = (strmm if single else dtrmm)(1.0, inverse, cross.T, side=0, lower=1, overwrite_b=1).T
         return mean, np.asarray(self.kernel.signal**2 - np.einsum("ij,ij->i", rows, rows)), rows
 
-    def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
+    def leave_one_out(self, some: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value by the process of all others.
+
+        Parameters
+        ----------
+        some : ndarray of int64, shape (k,), optional
+            Which values; by default all.
 
         Returns
         -------
-        mean, deviation : ndarray of float64, shape (n,)
+        mean, deviation : ndarray of float64, shape (k,)
             The deviation includes the noise of the single value.
 
         Notes
         -----
         Source: Rasmussen and Williams 2006, equation 5.12.
         """
+        if self._nearest is not None:
+            mean, deviation = self._nearest.leave_one_out(some)
+            return self._mean + mean, deviation
         with one_thread():
             mean, deviation = self._known.leave_one_out()
-        return self._mean + mean, deviation
+        these = slice(None) if some is None else some
+        return self._mean + mean[these], deviation[these]
 
     def joint(self, points: FloatArray, noisy: bool = True) -> tuple[FloatArray, FloatArray]:
         """Covariance of the values at points.

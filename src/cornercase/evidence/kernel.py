@@ -59,7 +59,7 @@ class Kernel:
         return self._covariance((a / self.widths).astype(np.float32), (b / self.widths).astype(np.float32))
 
     def _covariance(self, a: Floats, b: Floats) -> Floats:
-        found = _correlation(_distances(a, b))
+        found = correlations(_distances(a, b))
         found *= found.dtype.type(self.signal**2)
         return found
 
@@ -180,8 +180,19 @@ def _distances(a: Floats, b: Floats) -> Floats:
     return squares
 
 
-def _correlation(distance: Floats) -> Floats:
-    """Matérn correlation (5/2) at scaled distances; the array is used up."""
+def correlations(distance: Floats) -> Floats:
+    """Matérn correlation (5/2) at distances that are divided by the widths.
+
+    Parameters
+    ----------
+    distance : ndarray of float32 or float64
+        Used up.
+
+    Returns
+    -------
+    ndarray of float32 or float64
+        Of the same shape.
+    """
     number = distance.dtype.type
     distance *= number(_ROOT5)
     polynomial = distance * number(1.0 / 3.0)

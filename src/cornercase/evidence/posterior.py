@@ -114,6 +114,9 @@ class SparsePosterior:
     weights : ndarray of float64, shape (k,)
     inverse : ndarray of float64, shape (k, k)
         Lower triangular.
+    known : ndarray of float64, shape (n, e)
+        All points.
+    values : ndarray of float64, shape (n,)
 
     Notes
     -----
@@ -150,10 +153,10 @@ class SparsePosterior:
         self._narrowed = np.asarray(dtrtri(lower, lower=1)[0])
         covariance = dpotri(lower, lower=1)[0]
         covariance += np.tril(covariance, -1).T
-        self._known, self._values = points, values
+        self.known, self.values = points, values
         if before is not None:
-            self._known = np.concatenate([before._known, points])
-            self._values = np.concatenate([before._values, values])
+            self.known = np.concatenate([before.known, points])
+            self.values = np.concatenate([before.values, values])
         self.weights = self._whiten.T @ self._mean
         # Of the variance explained, 1 - covariance, the factor whose transpose stands first.
         explained = np.ascontiguousarray((np.eye(len(lower)) - covariance)[::-1, ::-1])
@@ -177,7 +180,7 @@ class SparsePosterior:
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value by the process of all others, both of shape (n,)."""
-        each = [self._left_out(self._known[these], self._values[these]) for these in _blocks(len(self._known))]
+        each = [self._left_out(self.known[these], self.values[these]) for these in _blocks(len(self.known))]
         mean, deviation = map(np.concatenate, zip(*each, strict=True))
         return mean, deviation
 

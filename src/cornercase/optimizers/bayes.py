@@ -12,7 +12,7 @@ from scipy.spatial.distance import pdist
 
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
-from cornercase.evidence import encoded
+from cornercase.evidence import encoded, evenly
 from cornercase.optimizers.candidates import CandidateOptimizer
 from cornercase.optimizers.feature_process import FeatureProcess
 from cornercase.scenario import ParameterSpace
@@ -22,6 +22,8 @@ _INITIAL: Final = 20
 _STEPS, _STEP_SIZE = 50, 0.01
 # Points on which widths to begin with are compared.
 _COMPARED: Final = 200
+# Points whose distances from each other say which widths those are.
+_APART: Final = 2000
 
 
 class BayesOptimizer(CandidateOptimizer):
@@ -107,7 +109,7 @@ def _learned(points: FloatArray, values: FloatArray, features: int) -> FeaturePr
     )
     # Noise, mean, width and size of the process; all but the mean as logarithms.
     size = np.log(np.std(values))
-    widths = np.log(np.quantile(pdist(points), (0.1, 0.3, 0.5, 0.7, 0.9)) + 1e-6)
+    widths = np.log(np.quantile(pdist(points[evenly(len(points), _APART)]), (0.1, 0.3, 0.5, 0.7, 0.9)) + 1e-6)
     starts = [np.array([size - np.log(10.0), np.median(values), width, size]) for width in widths]
     some = slice(None, _COMPARED)
     start = min(starts, key=lambda one: model.eval_marlik(one.copy(), points[some], values[some]))

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
+
+from cornercase.evidence import CriticalSet, gaussian_process
+from cornercase.evidence.gaussian_process import boundary_process
+from cornercase.evidence.kernel import Kernel
+from cornercase.evidence.neighbours import NearestPosterior
+from cornercase.scenario import ParameterSpace
+
+KERNEL = Kernel(np.array([0.3, 0.5, 2.0]), 1.5, 0.1)
+CUBE = ParameterSpace.from_ranges(["a=0:1", "b=0:1", "c=0:1"])
+
+
+def waved(points):
+    """Critical is where a side of the cube is below waves that 512 points cannot follow."""
+    return points[:, 0] - 0.5 - 0.1 * np.sin(25.0 * points[:, 1]) * np.sin(15.0 * points[:, 2])
+
+
+def told_by(points, values, place):
+    """What scikit-learn says of a place, by the 36 values that are nearest to it."""
+    near = np.argsort(np.linalg.norm((points - place) / KERNEL.widths, axis=1))[:36]
+    kernel = ConstantKernel(KERNEL.signal**2) * Matern(KERNEL.widths, nu=2.5)
+    process = GaussianProcessRegressor(kernel, alpha=KERNEL.noise**2, optimizer=None).fit(points[near], values[near])
+    mean, deviation = process.predict(place[None], return_std=True)
+    return mean[0], deviation[0]
+
+
+def test_a_place_is_told_by_the_values_that_are_nearest_to_it():
+    rng = np.random.default_rng(0)
+    points, places = rng.random((500, 3)), rng.random((20, 3))
+    values = np.sin(points @ (5.0, 3.0, 1.0)) + 0.1 * rng.normal(size=500)
+    expected = [told_by(points, values, place) for place in places]
+    np.testing.assert_allclose(np.transpose(NearestPosterior(KERNEL, points, values).predict(places)), expected, 1e-5)
+
+
+def test_a_value_is_told_by_others_also_where_two_are_at_the_same_place():
+    rng = np.random.default_rng(1)
+    points = rng.random((400, 3))
+    points[1] = points[0]
+    values = np.sin(points @ (5.0, 3.0, 1.0)) + 0.1 * rng.normal(size=400)
+    some = np.array([0, 1, 7, 399])
+    mean, deviation = NearestPosterior(KERNEL, points, values).leave_one_out(some)
+    expected = [told_by(*(np.delete(one, k, axis=0) for one in (points, values)), points[k]) for k in some]
+    np.testing.assert_allclose(mean, [one for one, _ in expected], rtol=1e-5)
+    np.testing.assert_allclose(deviation, np.hypot([one for _, one in expected], KERNEL.noise), rtol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def many():
+    points = qmc.Sobol(3, seed=np.random.default_rng(2)).random(4096)
+    return points, waved(points)
+
+
+def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_away(many, monkeypatch):
+    places = np.random.default_rng(3).random((3000, 3))
+    true = waved(places) <= 0.0
+
+    def wrong(most_together):
+        monkeypatch.setattr(gaussian_process, "MOST_TOGETHER", most_together)
+        mean, deviation = boundary_process(*many, 0.0).predict(places)
+        # What it is not sure of is what it is wrong about.
+        assert (np.abs(mean / deviation)[(mean <= 0.0) != true] < 4.0).mean() > 0.9
+        return ((mean <= 0.0) != true).mean()
+
+    by_nearest = wrong(4000)
+    assert by_nearest < 0.01
+    assert by_nearest < 0.7 * wrong(4096)
+
+
+def test_what_is_said_of_the_critical_set_of_many_scenarios_holds(many):
+    known = CriticalSet(CUBE, *many, 0.0)
+    dense = qmc.Sobol(3, seed=np.random.default_rng(4)).random(1 << 17)
+    true = waved(dense) <= 0.0
+    assert known.share.low < true.mean() < known.share.high
+    assert known.share.high - known.share.low < 0.01
+    missed = (true & ~known.found(dense)).sum() / true.sum()
+    assert known.missed.low - 0.001 < missed < known.missed.high
+    assert known.missed.high < 0.03
