@@ -45,7 +45,7 @@ def test_a_value_is_told_by_others_also_where_two_are_at_the_same_place():
     values = np.sin(points @ (5.0, 3.0, 1.0)) + 0.1 * rng.normal(size=400)
     some = np.array([0, 1, 7, 399])
     mean, deviation = NearestPosterior(KERNEL, points, values).leave_one_out(some)
-    expected = [told_by(*(np.delete(one, k, axis=0) for one in (points, values)), points[k]) for k in some]
+    expected = [told_by(np.delete(points, k, axis=0), np.delete(values, k), points[k]) for k in some]
     np.testing.assert_allclose(mean, [one for one, _ in expected], rtol=1e-5)
     np.testing.assert_allclose(deviation, np.hypot([one for _, one in expected], KERNEL.noise), rtol=1e-5)
 
@@ -59,10 +59,11 @@ def many():
 def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_away(many, monkeypatch):
     places = np.random.default_rng(3).random((3000, 3))
     true = waved(places) <= 0.0
+    points, scores = many
 
     def wrong(most_together):
         monkeypatch.setattr(gaussian_process, "MOST_TOGETHER", most_together)
-        mean, deviation = boundary_process(*many, 0.0).predict(places)
+        mean, deviation = boundary_process(points, scores, 0.0).predict(places)
         # What it is not sure of is what it is wrong about.
         assert (np.abs(mean / deviation)[(mean <= 0.0) != true] < 4.0).mean() > 0.9
         return ((mean <= 0.0) != true).mean()
@@ -73,7 +74,8 @@ def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_
 
 
 def test_what_is_said_of_the_critical_set_of_many_scenarios_holds(many):
-    known = CriticalSet(CUBE, *many, 0.0)
+    points, scores = many
+    known = CriticalSet(CUBE, points, scores, 0.0)
     dense = qmc.Sobol(3, seed=np.random.default_rng(4)).random(1 << 17)
     true = waved(dense) <= 0.0
     assert known.share.low < true.mean() < known.share.high

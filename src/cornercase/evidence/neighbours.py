@@ -105,7 +105,7 @@ class NearestPosterior:
         other = near != themselves[:, None]
         # Where all are others, the last one is too many.
         other[other.all(axis=1), -1] = False
-        return near[other].reshape(len(places), self._count)
+        return np.asarray(near[other].reshape(len(places), self._count))
 
     def _at(self, places: FloatArray, near: IntArray) -> tuple[FloatArray, FloatArray]:
         signal2 = self._kernel.signal**2
