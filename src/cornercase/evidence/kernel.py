@@ -65,7 +65,16 @@ class Kernel:
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """Indices of at most so many of `count` values, evenly apart."""
+    """Indices of at most so many of `count` values, evenly apart.
+
+    Parameters
+    ----------
+    count, most : int
+
+    Returns
+    -------
+    ndarray of int64, shape (k,)
+    """
     return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
 
 

@@ -66,7 +66,7 @@ class NearestPosterior:
         mean, deviation : ndarray of float64, shape (m,)
         """
         places = points / self._kernel.widths
-        return self._told(places, np.full(len(places), -1))
+        return self._between(places, np.full(len(places), -1))
 
     def leave_one_out(self, some: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of values by the process of others.
@@ -82,10 +82,10 @@ class NearestPosterior:
             The deviation includes the noise of the single value.
         """
         at = np.arange(len(self._points)) if some is None else some
-        mean, deviation = self._told(self._points[at], at)
+        mean, deviation = self._between(self._points[at], at)
         return mean, np.hypot(deviation, self._kernel.noise)
 
-    def _told(self, places: FloatArray, themselves: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _between(self, places: FloatArray, themselves: IntArray) -> tuple[FloatArray, FloatArray]:
         """Mean and deviation at scaled places, shape (m, e), each without the value of a number, -1 for none."""
         mean, variance = np.empty(len(places)), np.empty(len(places))
 
