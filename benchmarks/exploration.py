@@ -1,7 +1,7 @@
 """Searches judged by what they missed: critical sets known on a dense grid, beside what each search finds of them.
 
 python benchmarks/exploration.py [--quick] [--steps N] [--seeds N] [--only NAME]… [--half choose|judge]
-                                 [--search NAME]… [--judge NAME] [--round-share SHARE] [--sizes N…]
+                                 [--search NAME]… [--judge NAME] [--round-share SHARE] [--asynchronous N] [--sizes N…]
                                  [--ncap FOLDER] [--alks FOLDER] [--truth FOLDER] [--json FILE] [--plot FILE]
 
 The truth is the score of every scenario of a grid, run once and kept in a folder: N steps for each of three parameters,
@@ -16,6 +16,9 @@ searches were chosen with the scenarios of the half ``choose``; those of the hal
 Also judged: what is said of the critical share and of the share of the critical set that is missed, and the criterion
 ``missed<0.05``, by whether the truth lies within the 90 % intervals and by what is missed when it is first fulfilled.
 
+With ``--asynchronous N`` searches have no rounds: N workers run one scenario each, which takes 0.5 s, or 3 s in one of
+ten scenarios, by a clock that is only counted; what has ended is told, and another scenario is asked for, at once.
+
 FOLDER of --ncap is that of ASAM's Euro NCAP scenarios which holds CA-FC_2026 and AEB_VRU_2023, FOLDER of --alks the one
 of its ALKS scenarios which holds their templates; what is not given is left out.
 """
@@ -23,6 +26,7 @@ of its ALKS scenarios which holds their templates; what is not given is left out
 from __future__ import annotations
 
 import argparse
+import heapq
 import json
 import os
 import time
@@ -41,7 +45,7 @@ from threadpoolctl import threadpool_limits
 
 from cornercase import LogicalScenario
 from cornercase.evidence import CriticalSet
-from cornercase.exploration import chosen_blindly
+from cornercase.exploration import chosen_blindly, pending_at_once
 from cornercase.metrics import METRICS, features_of, known_features
 from cornercase.optimizers import (
     BayesOptimizer,
@@ -271,21 +275,56 @@ class Judge:
         return self.agreement(told) | {"judge": float((*CLASSIFIERS, "none").index(kind))}
 
 
-def search(judge: Judge, kind: str, seed: int, sizes: tuple[int, ...], share: float) -> dict[str, Any]:
+class Workers:
+    """Workers that run what a search without rounds asks for, by a clock that is only counted."""
+
+    def __init__(self, optimizer: Any, dimension: int, count: int, budget: int, seed: int) -> None:
+        self._optimizer, self._dimension, self._left = optimizer, dimension, budget
+        self._free, self._most, self._now = [0.0] * count, pending_at_once(count), 0.0
+        self._running: list[tuple[float, int]] = []
+        self._points: dict[int, npt.NDArray[np.float64]] = {}
+        self._asked, self._random = 0, np.random.default_rng([seed, count])
+
+    def next(self) -> npt.NDArray[np.float64] | None:
+        """Point of the scenario that ends next, after others were asked for."""
+        if (wanted := min(self._most - len(self._points), self._left)) > 0:
+            pending = np.array(list(self._points.values())).reshape(-1, self._dimension)
+            for point in self._optimizer.ask_beside(wanted, pending):
+                # What was asked for first begins first, on the worker that is free first.
+                end = max(heapq.heappop(self._free), self._now) + (3.0 if self._random.random() < 0.1 else 0.5)
+                heapq.heappush(self._free, end)
+                heapq.heappush(self._running, (end, self._asked))
+                self._points[self._asked] = point
+                self._asked, self._left = self._asked + 1, self._left - 1
+        if not self._running:
+            return None
+        self._now, number = heapq.heappop(self._running)
+        return self._points.pop(number)
+
+
+def search(
+    judge: Judge, kind: str, seed: int, sizes: tuple[int, ...], share: float, workers: int | None
+) -> dict[str, Any]:
     """Run one search and judge it at each size; and find when the criterion would have stopped it.
 
-    A round is of ten scenarios, or of that share of those before it where that is more.
+    A round is of ten scenarios, or of that share of those before it where that is more; with workers there are none.
     """
     rows, stop = [], None
     critical = judge.case.critical
     points, spent, proposals = np.zeros((0, len(judge.steps))), 0.0, 0
     optimizer: Any = SEARCHES[kind](judge.space, seed, critical, sizes[-1])
+    running = None if workers is None else Workers(optimizer, len(judge.steps), workers, sizes[-1], seed)
     for size in sizes:
         if isinstance(optimizer, GridOptimizer):
             optimizer, points = SEARCHES[kind](judge.space, seed, critical, size), points[:0]
+            running = None if workers is None else Workers(optimizer, len(judge.steps), workers, size, seed)
         while len(points) < size:
             begin = time.process_time()
-            new = optimizer.ask(min(max(10, int(share * len(points))), size - len(points)))
+            if running is None:
+                new = optimizer.ask(min(max(10, int(share * len(points))), size - len(points)))
+            else:
+                ended = running.next()
+                new = points[:0] if ended is None else ended[None]
             if not len(new):
                 break
             at = judge.places(new)
@@ -321,9 +360,9 @@ def begin_worker(*arguments: Any) -> None:
     _judge = Judge(*arguments)
 
 
-def work(kind: str, seed: int, sizes: tuple[int, ...], share: float) -> dict[str, Any]:
+def work(kind: str, seed: int, sizes: tuple[int, ...], share: float, workers: int | None) -> dict[str, Any]:
     with threadpool_limits(1):
-        return search(_judge, kind, seed, sizes, share)
+        return search(_judge, kind, seed, sizes, share, workers)
 
 
 def table(name: str, runs: list[dict[str, Any]], sizes: tuple[int, ...]) -> list[dict[str, Any]]:
@@ -389,6 +428,7 @@ def main() -> None:
     parser.add_argument("--judge", choices=("best", *CLASSIFIERS), default="best")
     parser.add_argument("--search", action="append", choices=SEARCHES, help="only this one; may be repeated")
     parser.add_argument("--round-share", type=float, default=0.0, metavar="SHARE", help="of the scenarios run before")
+    parser.add_argument("--asynchronous", type=int, metavar="N", help="no rounds; so many workers run scenarios")
     parser.add_argument("--ncap", type=Path, metavar="FOLDER", help="folder with CA-FC_2026 and AEB_VRU_2023")
     parser.add_argument("--alks", type=Path, metavar="FOLDER", help="folder with the templates of the ALKS scenarios")
     parser.add_argument("--truth", type=Path, default=Path("truth"), metavar="FOLDER")
@@ -410,7 +450,8 @@ def main() -> None:
         jobs = [(kind, seed) for kind in options.search or SEARCHES for seed in range(1 if kind == "grid" else seeds)]
         begin = (name, folders, steps, options.truth, kinds)
         with ProcessPoolExecutor(len(os.sched_getaffinity(0)), initializer=begin_worker, initargs=begin) as pool:
-            runs = list(pool.map(work, *zip(*jobs, strict=True), repeat(sizes), repeat(options.round_share)))
+            how = repeat(sizes), repeat(options.round_share), repeat(options.asynchronous)
+            runs = list(pool.map(work, *zip(*jobs, strict=True), *how))
         every[name] = runs
         rows += table(name, runs, sizes)
         at = sizes.index(200) if 200 in sizes else -1

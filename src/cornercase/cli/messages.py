@@ -10,7 +10,7 @@ from cornercase._common.errors import NoticeWarning
 from cornercase.cli.options import err
 
 _PARAMETERS: Final = (
-    "against", "archetypes", "archetypes_by", "audit", "batch", "beside", "budget", "by", "cluster",
+    "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
     "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_seconds",
     "memory", "method", "min_samples", "on_collision", "optimizer", "other", "pareto",

@@ -114,6 +114,9 @@ def _main(
 
 def tell_ending(result: ExplorationResult) -> None:
     """Say how an exploration ended."""
+    if result.same is not None:
+        out.print(f"{result.study}: {result.reason}.")
+        raise typer.Exit(0 if result.same else 1)
     if result.interrupted:
         out.print(f"Interrupted; the same command goes on from the {result.ended} scenarios in {result.study}.")
         raise typer.Exit(130)

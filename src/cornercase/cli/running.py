@@ -93,8 +93,14 @@ def explore(
     ] = None,
     budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=1)] = 200,
     batch: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios per round.", min=1)] = 10,
+    asynchronous: Annotated[
+        bool, typer.Option("--asynchronous", help="No rounds: propose the next scenario as soon as one has ended.")
+    ] = False,
     patience: Annotated[
-        int | None, typer.Option(metavar="N", help="Stop after N rounds without anything new.", min=1)
+        int | None,
+        typer.Option(
+            metavar="N", help="Stop after N rounds without anything new; without rounds, as many scenarios.", min=1
+        ),
     ] = None,
     max_seconds: Annotated[float | None, typer.Option(metavar="S", help="Stop after this time.")] = None,
     seed: Seed = 0,
@@ -117,11 +123,17 @@ def explore(
     duration: Duration = 60.0,
     on_collision: OnCollision = "continue",
     driver: Drivers = None,
+    replay: Annotated[
+        bool,
+        typer.Option(
+            "--replay", help="Simulate nothing; say whether the study's results give the same proposals again."
+        ),
+    ] = False,
     profile: Profile = None,
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
 
-    The same command again goes on where it stopped.
+    The same command again goes on where it stopped. With --replay it ends with exit code 1 where a proposal is another.
 
     \b
     Example:
@@ -151,6 +163,7 @@ def explore(
         stop_when=stop_when or (),
         budget=budget,
         batch=batch,
+        asynchronous=asynchronous,
         patience=patience,
         max_seconds=max_seconds,
         seed=seed,
@@ -165,6 +178,7 @@ def explore(
         duration=duration,
         on_collision=on_collision,
         drivers=parsing.pairs(driver or (), "--driver"),
+        replay=replay,
         progress=True,
     )
     tell_ending(result)

@@ -1,4 +1,6 @@
 from .alike import tell_alike as tell_alike
+from .asynchronous import AsynchronousExplorer as AsynchronousExplorer
+from .asynchronous import pending_at_once as pending_at_once
 from .configuration import Configuration as Configuration
 from .demonstrations import demonstration as demonstration
 from .demonstrations import examples as examples

@@ -51,6 +51,9 @@ class Configuration:
         What has to be known of the critical set to stop, as ``"missed<0.01"``; of several all.
     budget, batch : int
         Scenarios in all and per round.
+    asynchronous : bool
+        Whether the search is asked for the next scenario as soon as one has ended. As many results as a round has are
+        the unit of `patience`, and of how often it is judged whether to stop.
     patience : int or None
         Rounds without anything new after which to stop: none of them had a score at least as critical as the best
         before. A score at the metric's cap is not critical and never new after the first.
@@ -94,6 +97,7 @@ class Configuration:
     stop_when: tuple[str, ...] = ()
     budget: int = 200
     batch: int = 10
+    asynchronous: bool = False
     patience: int | None = None
     max_seconds: float | None = None
     seed: int = 0
@@ -125,7 +129,7 @@ class Configuration:
             if not (name == "patience" and self.patience is None)
         }
         taken["workers"] = whole_number("workers", self.workers, 1, MOST_WORKERS)
-        taken["pareto"] = flag("pareto", self.pareto)
+        taken |= {name: flag(name, given[name]) for name in ("asynchronous", "pareto")}
         taken["on_collision"] = text("on_collision", self.on_collision, ("continue", "stop"))
         taken |= {name: number(name, given[name], above=0.0) for name in ("time_step", "duration")}
         taken["audit"] = number("audit", self.audit, least=0.0)
@@ -274,6 +278,7 @@ class Configuration:
             seed=self.seed,
             budget=self.budget,
             batch=self.batch,
+            asynchronous=self.asynchronous,
             repeats=self.repeats,
             audit=self.audit,
         )

@@ -114,11 +114,23 @@ class SecondRuns:
             left = [one for one in left if one.wanted is not None]
 
     def _ask(self, name: str, scenarios: Sequence[Undecided]) -> None:
-        ego, others = self._about.ego, self._about.others
         concretes = [self._about.logical.concrete(one.row.values) for one in scenarios]
         # All are taken, so that the simulator clears up.
         for one, run in zip(scenarios, list(self._run(self._references[name], concretes)), strict=True):
-            if isinstance(run, SimulationError):
-                one.error = SimulationError(f"run again with reference:{name}: {run}")
-            else:
-                one.outcomes[name] = judge_reference(name, run, one.recording, ego, others)
+            self.take(one, name, run)
+
+    def take(self, one: Undecided, name: str, run: Recording | SimulationError) -> None:
+        """Take what came of a scenario with a reference at the wheel.
+
+        Parameters
+        ----------
+        one : Undecided
+        name : str
+            Of the reference.
+        run : Recording or SimulationError
+        """
+        if isinstance(run, SimulationError):
+            one.error = SimulationError(f"run again with reference:{name}: {run}")
+        else:
+            about = self._about
+            one.outcomes[name] = judge_reference(name, run, one.recording, about.ego, about.others)

@@ -17,14 +17,14 @@ from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.alike import tell_alike
 from cornercase.exploration.configuration import Configuration
-from cornercase.exploration.judging import audits_of
 from cornercase.exploration.objective import Best, Objective
+from cornercase.exploration.proposing import Proposer, Search
 from cornercase.exploration.running import ScenarioRunner, StageClock
 from cornercase.exploration.stopping import Stopping
 from cornercase.metrics import features_of
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
-from cornercase.study import Row, Study, count_audits
+from cornercase.study import Row, Study
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class ExplorationResult:
     interrupted : bool
     alike : tuple of str
         A sentence for each metric by which all scenarios are the same.
+    same : bool or None
+        Whether the results in the study gave the same proposals again; None where that was not asked.
     """
 
     study: Path
@@ -49,6 +51,7 @@ class ExplorationResult:
     reason: str
     interrupted: bool = False
     alike: tuple[str, ...] = ()
+    same: bool | None = None
 
     @classmethod
     def of(cls, study: Study, reason: str, interrupted: bool = False) -> ExplorationResult:
@@ -114,6 +117,8 @@ class ScenarioExplorer:
     ) -> None:
         self._configuration, self._optimizer, self._study = configuration, optimizer, study
         self._space = configuration.logical.space
+        self._search = Search(optimizer, study.meta.asynchronous)
+        self._proposer = Proposer(self._search, study)
         self._objective = configuration.objective() if objective is None else objective
         threshold = configuration.threshold(self._objective)
         self._stopping = Stopping(
@@ -126,8 +131,8 @@ class ScenarioExplorer:
         )
         self._clock = StageClock(study)
         self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock, references)
-        self._audits = audits_of(self._space, configuration.seed)
         self._best, self._stale = Best(self._objective), 0
+        self._patience, self._things = configuration.patience, "rounds"
         self._wants_features = "features" in optimizer.needs
 
     def run(self, progress: bool = False) -> ExplorationResult:
@@ -164,41 +169,36 @@ class ScenarioExplorer:
                 bar.update(done, self._best.text)
             if (reason := self._reason(done, time.monotonic() - begun)) is not None:
                 return reason
-            with self._clock("optimize"):
-                points = self._round(done)
-            if len(points) == 0:
-                return f"all {done} scenarios of the space were run"
             number += 1
-            with self._clock("store"):
-                rows = self._study.propose(number, points, self._space.values(points))
+            rows = self._next(number, done, min(self._configuration.batch, self._configuration.budget - done))
+            if not rows:
+                return f"all {done} scenarios of the space were run"
             self._tell(rows, self._simulate(rows, bar))
             done += len(rows)
             self._clock.note()
 
-    def _round(self, done: int) -> FloatArray:
-        """Points of the next round, snapped: of the search, with audits among them; none when there are no more."""
-        wanted = min(self._configuration.batch, self._configuration.budget - done)
-        audits = [self._study.meta.is_audit(done + k + 1) for k in range(wanted)]
-        searched = iter(self._optimizer.ask(wanted - sum(audits)) if not all(audits) else ())
-        first, last = (count_audits(self._study.meta.audit, count) for count in (done, done + wanted))
-        drawn = iter(self._audits.ask(last)[first:])
-        points = []
-        for audit in audits:
-            point = next(drawn if audit else searched, None)
-            if point is None:
-                break
-            points.append(point)
-        return self._space.snap(np.array(points).reshape(-1, self._space.dimension))
+    def _next(self, number: int, done: int, wanted: int) -> list[Row]:
+        """Propose a round, and store it; none when there are no more."""
+        with self._clock("optimize"):
+            points = self._proposer.propose(done, wanted)
+        if len(points) == 0:
+            return []
+        with self._clock("store"):
+            return self._study.propose(number, points, self._space.values(points))
 
     def _reason(self, done: int, seconds: float) -> str | None:
         """Say which criterion ends the search; None for none."""
         limits = self._configuration
         if done >= limits.budget:
             return f"the budget of {limits.budget} scenarios is used up"
-        if limits.patience is not None and self._stale >= limits.patience:
-            return f"{limits.patience} rounds brought nothing new"
+        if self._patience is not None and self._stale >= self._patience:
+            return f"{self._patience} {self._things} brought nothing new"
         if limits.max_seconds is not None and seconds >= limits.max_seconds:
             return f"{limits.max_seconds:g} s have passed"
+        return self._enough()
+
+    def _enough(self) -> str | None:
+        """Say why enough is known of the critical set; None while it is not."""
         if not self._stopping.ready:
             return None
         with self._clock("judge"):
@@ -243,9 +243,12 @@ class ScenarioExplorer:
         features = (self._features(searched, by_scenario),) if self._wants_features else ()
         with self._clock("judge"):
             self._stopping.tell(points, scores, *features)
-        tell: Callable[..., None] = self._optimizer.tell
         with self._clock("optimize"):
-            tell(points, scores, *features)
+            self._search.tell(points, scores, *features)
+        self._look_for_news(scores)
+
+    def _look_for_news(self, scores: FloatArray) -> None:
+        """Count how long there was nothing new, by the scores of one round."""
         self._stale = 0 if self._best.add(scores) else self._stale + 1
 
     def _features(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> FloatArray:

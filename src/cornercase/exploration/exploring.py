@@ -14,9 +14,12 @@ from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
 from cornercase._common.ledger import Notice, warn_of
 from cornercase.drivers import Driver, told_driver
+from cornercase.exploration.asynchronous import AsynchronousExplorer
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
-from cornercase.optimizers import create_optimizer, optimizer_needs
+from cornercase.exploration.objective import Objective
+from cornercase.exploration.replaying import replay_proposals
+from cornercase.optimizers import Optimizer, create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import SIMULATORS, Simulator, start_simulator
 from cornercase.study import Study
@@ -44,6 +47,7 @@ def explore(
     stop_when: Sequence[str] = (),
     budget: int = 200,
     batch: int = 10,
+    asynchronous: bool = False,
     patience: int | None = None,
     max_seconds: float | None = None,
     seed: int = 0,
@@ -58,6 +62,7 @@ def explore(
     duration: float = 60.0,
     on_collision: str = "continue",
     drivers: Mapping[str, str | Driver] | None = None,
+    replay: bool = False,
     progress: bool = False,
 ) -> ExplorationResult:
     """Search a logical scenario for its critical concrete scenarios.
@@ -101,8 +106,11 @@ def explore(
         Stop when so much is known of the critical set, as ``"missed<0.01"``; of several all.
     budget, batch : int
         Scenarios in all and per round.
+    asynchronous : bool, default False
+        Have no rounds: ask the search for the next scenario as soon as one has ended. With one simulator the same seed
+        gives the same result; with several the result depends on the order in which scenarios end, which is stored.
     patience : int, optional
-        Rounds without anything new after which to stop.
+        Rounds without anything new after which to stop; without rounds as many scenarios.
     max_seconds : float, optional
         Time in s after which no round is begun.
     seed : int, default 0
@@ -127,6 +135,8 @@ def explore(
         What a collision does to the run.
     drivers : mapping of str to str or Driver, optional
         Who drives, by entity: a preset, ``package.module:Class``, or a driver.
+    replay : bool, default False
+        Simulate nothing; look whether the results in the study give the same proposals again.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -162,6 +172,7 @@ def explore(
         stop_when=texts("stop_when", stop_when),
         budget=budget,
         batch=batch,
+        asynchronous=asynchronous,
         patience=patience,
         max_seconds=max_seconds,
         seed=seed,
@@ -177,7 +188,27 @@ def explore(
         on_collision=on_collision,
         drivers={} if drivers is None else drivers,
     )
+    if flag("replay", replay):
+        return _replay(configuration, path("study", study))
     return explore_configuration(configuration, study, progress)
+
+
+def _replay(one: Configuration, study: Path) -> ExplorationResult:
+    one.require_entities()
+    objective, optimizer = _searched_by(one)
+    with Study.open(study, readonly=True) as opened:
+        meta = one.meta(objective, opened.meta.settings)
+    return replay_proposals(study, meta, objective, optimizer)
+
+
+def _searched_by(one: Configuration) -> tuple[Objective, Optimizer]:
+    """What is searched, and a fresh optimizer for it."""
+    objective = one.objective()
+    threshold = one.threshold(objective)
+    optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
+    if one.pareto and not optimizer.takes_several:
+        raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
+    return objective, optimizer
 
 
 def explore_configuration(configuration: Configuration, study: Path | str, progress: bool = False) -> ExplorationResult:
@@ -212,11 +243,7 @@ def explore_configuration(configuration: Configuration, study: Path | str, progr
 def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResult:
     begun = time.monotonic()
     one.require_entities()
-    objective = one.objective()
-    threshold = one.threshold(objective)
-    optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
-    if one.pareto and not optimizer.takes_several:
-        raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
+    objective, optimizer = _searched_by(one)
     with (
         _on_one_cluster(one) as there,
         configured_simulator(there) as simulator,
@@ -231,8 +258,9 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
         with Study.open(path) if path.exists() else Study.create(path, meta) as study:
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
             study.add_elapsed("files", time.monotonic() - begun)
+            kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
             try:
-                return ScenarioExplorer(one, simulator, optimizer, study, objective, references).run(progress)
+                return kind(one, simulator, optimizer, study, objective, references).run(progress)
             except InputError:
                 # What nothing could be run with must not keep out the corrected command.
                 if not study.done():

@@ -83,7 +83,7 @@ class ScenarioRunner:
         condition = configuration.condition()
         self._second = None
         if condition is not None:
-            self._second = SecondRuns(configuration, condition, references or {}, self._outcomes)
+            self._second = SecondRuns(configuration, condition, references or {}, self.outcomes)
             if missing := [name for name in condition.references if name not in (references or {})]:
                 raise InputError(f"`references`: there is no simulator with {missing[0]} at the wheel.")
 
@@ -106,57 +106,127 @@ class ScenarioRunner:
         """
         if not rows:
             return
-        about = self._configuration
-        concretes = [about.logical.concrete(row.values) for row in rows for _ in range(about.repeats)]
-        results, waiting = self._outcomes(self._simulator, concretes), list[Undecided]()
+        repeats = self._configuration.repeats
+        concretes = [one for row in rows for one in self.concretes(row)]
+        results, waiting = self.outcomes(self._simulator, concretes), list[Undecided]()
         for row in rows:
             with self._clock("simulate"):
-                outcomes = [next(results) for _ in range(about.repeats)]
-            with self._clock("measure"):
-                runs = [
-                    (one, measured(self._objective.metrics, one, about.ego, about.others))
-                    for one in outcomes
-                    if not isinstance(one, SimulationError)
-                ]
-            if not runs:
-                self._study.fail(row.id, next(one for one in outcomes if isinstance(one, SimulationError)))
-                continue
-            scores = self._objective.oriented(np.array([[each.score for each in one.values()] for _, one in runs]))
-            middle = _middle(scores)
-            recording, courses = runs[middle]
-            repeats = None
-            if about.repeats > 1:
-                repeats = {name: [one[name].score for _, one in runs] for name in courses}
-            if self._second is None:
-                with self._clock("store"):
-                    self._study.finish(row.id, recording, courses, repeats)
-                yield row.id, scores[middle]
-                continue
-            with self._clock("measure"):
-                looked = self._second.look(row, recording, courses)
-            if looked.wanted is None:
-                yield from self._stored(looked)
-            else:
-                waiting.append(looked)
+                outcomes = [next(results) for _ in range(repeats)]
+            found = self.settled(row, outcomes)
+            if isinstance(found, Undecided):
+                waiting.append(found)
+            elif found is not None:
+                yield row.id, found
         if self._second is not None and waiting:
             with self._clock("simulate"):
                 decided = list(self._second.decide(waiting))
             for one in sorted(decided, key=lambda one: one.row.id):
-                yield from self._stored(one)
+                score = self.stored(one)
+                if score is not None:
+                    yield one.row.id, score
 
-    def _stored(self, one: Undecided) -> Iterator[tuple[int, Any]]:
-        """Store a scenario of which the condition is decided; its id and oriented score, unless it failed."""
+    def concretes(self, row: Row) -> list[ConcreteScenario]:
+        """Make the concrete scenarios of a row: one, or the same as often as each is run.
+
+        Parameters
+        ----------
+        row : Row
+
+        Returns
+        -------
+        list of ConcreteScenario
+        """
+        return [self._configuration.logical.concrete(row.values) for _ in range(self._configuration.repeats)]
+
+    def settled(self, row: Row, outcomes: Sequence[Recording | SimulationError]) -> Any:
+        """Measure the runs of a scenario, and store what came of it unless that hangs on a reference.
+
+        Parameters
+        ----------
+        row : Row
+        outcomes : sequence of Recording or SimulationError
+            Of all its runs.
+
+        Returns
+        -------
+        float, ndarray of float64, shape (metrics,), Undecided or None
+            Its oriented score or scores; None where it failed.
+        """
+        about = self._configuration
+        with self._clock("measure"):
+            runs = [
+                (one, measured(self._objective.metrics, one, about.ego, about.others))
+                for one in outcomes
+                if not isinstance(one, SimulationError)
+            ]
+        if not runs:
+            self._study.fail(row.id, next(one for one in outcomes if isinstance(one, SimulationError)))
+            return None
+        scores = self._objective.oriented(np.array([[each.score for each in one.values()] for _, one in runs]))
+        middle = _middle(scores)
+        recording, courses = runs[middle]
+        repeats = None
+        if about.repeats > 1:
+            repeats = {name: [one[name].score for _, one in runs] for name in courses}
+        if self._second is None:
+            with self._clock("store"):
+                self._study.finish(row.id, recording, courses, repeats)
+            return scores[middle]
+        with self._clock("measure"):
+            looked = self._second.look(row, recording, courses)
+        return self.stored(looked) if looked.wanted is None else looked
+
+    def again(self, one: Undecided, outcome: Recording | SimulationError) -> None:
+        """Take the run of a scenario with the reference that it hung on.
+
+        Parameters
+        ----------
+        one : Undecided
+        outcome : Recording or SimulationError
+        """
+        if self._second is not None and one.wanted is not None:
+            self._second.take(one, one.wanted, outcome)
+
+    def stored(self, one: Undecided) -> Any:
+        """Store a scenario of which the condition is decided.
+
+        Parameters
+        ----------
+        one : Undecided
+
+        Returns
+        -------
+        float, or ndarray of float64, shape (metrics,), or None
+            Its oriented score; None where it failed.
+        """
         if one.error is not None:
             self._study.fail(one.row.id, one.error)
-            return
+            return None
         courses = one.decided()
         with self._clock("store"):
             self._study.finish(one.row.id, one.recording, courses, references=one.outcomes)
-        yield one.row.id, self._objective.oriented(np.array([[each.score for each in courses.values()]]))[0]
+        return self._objective.oriented(np.array([[each.score for each in courses.values()]]))[0]
 
-    def _outcomes(
+    def outcomes(
         self, simulator: Simulator, concretes: Sequence[ConcreteScenario]
     ) -> Iterator[Recording | SimulationError]:
+        """Run scenarios by a simulator, whose own failure is an error in a sentence.
+
+        Parameters
+        ----------
+        simulator : Simulator
+        concretes : sequence of ConcreteScenario
+
+        Yields
+        ------
+        Recording or SimulationError
+            One for each.
+
+        Raises
+        ------
+        InputError
+            None of them can be run, or the simulator itself failed.
+        """
         try:
             yield from outcomes_of(simulator, concretes)
         except InputError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from copy import deepcopy
 from typing import ClassVar, Literal
 
 from cornercase._common.typing import FloatArray
@@ -34,6 +35,8 @@ class Optimizer(ABC):
         number by which it is told what happened in a run. An optimizer that needs the budget asks for other points
         with another one, so its studies keep the budget that they began with. The `tell` of one that needs features
         takes them as its third argument, shape (m, f), NaN for a scenario that failed.
+    remembers_asking : bool, default False
+        Whether it depends on what it was asked for, too. A search without rounds asks it again before it goes on.
 
     See Also
     --------
@@ -59,6 +62,7 @@ class Optimizer(ABC):
     name: str
     takes_several: ClassVar[bool] = False
     needs: ClassVar[frozenset[Need]] = frozenset()
+    remembers_asking: ClassVar[bool] = False
 
     @abstractmethod
     def ask(self, n: int) -> FloatArray:
@@ -85,3 +89,32 @@ class Optimizer(ABC):
             Oriented: lower is more critical. NaN for a scenario that failed. Several scores each, k of them, only
             where the optimizer `takes_several`.
         """
+
+    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+        """Propose points while others are run, in a search without rounds.
+
+        By default a copy of the optimizer is told the mean of all scores for each point that is run (a constant liar)
+        and asked for points.
+
+        Parameters
+        ----------
+        n : int
+        pending : ndarray of float64, shape (p, d)
+            Points that were proposed and not told yet, in the order in which they were proposed.
+        *lies : ndarray of float64, shape (p,), (p, k) or (p, f)
+            What a constant liar tells of them: the further arguments of `tell`.
+
+        Returns
+        -------
+        ndarray of float64, shape (m, d)
+            As of `ask`; none of `pending`.
+
+        Notes
+        -----
+        Source: D. Ginsbourger, R. Le Riche, L. Carraro, "Kriging is well-suited to parallelize optimization", in
+        Computational Intelligence in Expensive Optimization Problems (2010).
+        """
+        liar = deepcopy(self)
+        if len(pending):
+            liar.tell(pending, *lies)
+        return liar.ask(n)

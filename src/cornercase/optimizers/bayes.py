@@ -75,13 +75,15 @@ class BayesOptimizer(CandidateOptimizer):
 
     def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         # Thompson sampling: each point is the best of its share of the candidates, by its own sample of the process.
-        candidates = self._new(max(self._count, n), filling)
+        candidates = self._new(max(self._count * n // (n + self._pending), n), filling)
         if len(candidates) <= n:
             return candidates
         # Consecutive points of a Sobol' sequence fill the space, which every n-th point need not do.
         shares = np.array_split(candidates, n)
         with one_thread():
             process = self._process.extended(self._places(points), self._target(scores))
+            if self._pending:
+                process = process.expecting(self._places(filling[: self._pending]))
             samples = process.samples(n, np.random.default_rng(self._round_seed))
             chosen = [
                 np.argmax(process.features(self._places(share)) @ sample)

@@ -30,6 +30,9 @@ class CandidateOptimizer(Optimizer):
     110, 121. The scores that came since then are known to the model too. So each round depends on what was told and on
     nothing else, not on the size of the rounds either.
 
+    Points that are being run, in a search without rounds, count in the share that fills the space. To choose others
+    they are known without a score, like those of the same round which fill the space.
+
     Parameters
     ----------
     space : ParameterSpace
@@ -45,22 +48,28 @@ class CandidateOptimizer(Optimizer):
         self._initial, self._filling = initial, filling
         self._sequence = SobolOptimizer(space, seed)
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
-        self._learned = 0
+        self._learned, self._pending = 0, 0
 
     def ask(self, n: int) -> FloatArray:
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
+        return self.ask_beside(n, self._points[:0])
+
+    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+        """Propose points, as in `Optimizer.ask_beside`: the model knows of `pending` where it is run, and no lie."""
         told, scores = len(self._points), self._scores[self._known]
         if told < self._initial or len(scores) < _FEWEST or np.ptp(scores) == 0.0:
-            return self._sequence.ask(n)
+            return self._sequence.ask(n, besides=pending)
+        self._pending = len(pending)
         points, number = self._points[self._known], self._number()
         first = int(self._known[:number].sum())
         if number != self._learned:
             self._learned = number
             self._learn(points[:first], scores[:first], self._seed_of(number))
-        filling = self._sequence.ask(self._filled(told + n) - self._filled(told))
+        filling = self._sequence.ask(self._filled(self._asked + n) - self._filled(self._asked), besides=pending)
         if (wanted := n - len(filling)) == 0:
             return filling
-        return np.concatenate([self._choose(points[first:], scores[first:], filling, wanted), filling])
+        besides = np.concatenate([pending, filling])
+        return np.concatenate([self._choose(points[first:], scores[first:], besides, wanted), filling])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take scores, shape (m,), of points, shape (m, d), as in `Optimizer.tell`."""
@@ -73,8 +82,13 @@ class CandidateOptimizer(Optimizer):
         return np.isfinite(self._scores)
 
     @property
+    def _asked(self) -> int:
+        """Number of points that were told, or are being run."""
+        return len(self._points) + self._pending
+
+    @property
     def _round_seed(self) -> int:
-        return self._seed_of(len(self._points))
+        return self._seed_of(self._asked)
 
     def _seed_of(self, number: int) -> int:
         return int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
@@ -110,7 +124,7 @@ class CandidateOptimizer(Optimizer):
             Those that came since something was learned.
         scores : ndarray of float64, shape (m,)
         filling : ndarray of float64, shape (f, d)
-            Points of this round that fill the space.
+            Points that are being run, and those of this round that fill the space.
         n : int
 
         Returns

@@ -57,10 +57,15 @@ class EvolutionaryOptimizer(Optimizer):
 
     def ask(self, n: int) -> FloatArray:
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
+        return self.ask_beside(n, self._points[:0])
+
+    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+        """Propose points, as in `Optimizer.ask_beside`: only scenarios that have ended are parents."""
         if self._scores is None or np.isfinite(self._scores).all(axis=1).sum() < self._population:
-            return self._sequence.ask(n)
-        children = self._children(n)
-        return np.concatenate([children, self._sequence.ask(n - len(children), besides=children)])
+            return self._sequence.ask(n, besides=pending)
+        children = self._children(n, pending)
+        besides = np.concatenate([pending, children])
+        return np.concatenate([children, self._sequence.ask(n - len(children), besides=besides)])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take scores, shape (m,) or (m, k), of points, shape (m, d), as in `Optimizer.tell`."""
@@ -70,8 +75,8 @@ class EvolutionaryOptimizer(Optimizer):
         self._unseen.tell(points)
         self._sequence.tell(points, scores)
 
-    def _children(self, n: int) -> FloatArray:
-        """Make at most `n` points, shape (m, d), that were not told yet, from the best that were."""
+    def _children(self, n: int, pending: FloatArray) -> FloatArray:
+        """Make at most `n` points, shape (m, d), neither told nor pending, from the best that were told."""
         from pymoo.core.mating import Mating
         from pymoo.core.population import Population
         from pymoo.core.problem import Problem
@@ -81,7 +86,7 @@ class EvolutionaryOptimizer(Optimizer):
         from pymoo.operators.survival.rank_and_crowding import RankAndCrowding
 
         assert self._scores is not None
-        rng = np.random.default_rng([self._seed, len(self._points)])
+        rng = np.random.default_rng([self._seed, len(self._points) + len(pending)])
         known = np.flatnonzero(np.isfinite(self._scores).all(axis=1))
         known = known[_best(self._scores[known], self._population)]
         problem = Problem(n_var=self._space.dimension, n_obj=self._scores.shape[1], xl=0.0, xu=1.0)
@@ -94,7 +99,8 @@ class EvolutionaryOptimizer(Optimizer):
                 break
             children = mating.do(problem, parents, 2 * n, random_state=rng).get("X")
             children = self._with_names(np.clip(children, 0.0, 1.0), parents.get("X"), rng)
-            found = np.concatenate([found, self._unseen.among(children, besides=found)])[:n]
+            besides = np.concatenate([pending, found])
+            found = np.concatenate([found, self._unseen.among(children, besides=besides)])[:n]
         return found
 
     def _with_names(self, children: FloatArray, parents: FloatArray, rng: np.random.Generator) -> FloatArray:

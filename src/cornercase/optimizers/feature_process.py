@@ -57,9 +57,20 @@ class FeatureProcess:
         gram, moment = self._gram + rows.T @ rows, self._moment + rows.T @ (values - self._mean)
         return FeatureProcess(*self._map, self._mean, self._noise, gram, moment)
 
+    def expecting(self, points: FloatArray) -> FeatureProcess:
+        """Take its own mean in as the values at points, shape (n, d): the mean stays, what is not sure shrinks."""
+        rows = self.features(points)
+        mean = cho_solve((self._precision(), False), self._moment / self._noise**2)
+        gram, moment = self._gram + rows.T @ rows, self._moment + rows.T @ (rows @ mean)
+        return FeatureProcess(*self._map, self._mean, self._noise, gram, moment)
+
     def samples(self, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw `n` samples of the weights of the features, shape (n, f)."""
-        count = len(self._moment)
-        upper = cholesky(self._gram / self._noise**2 + np.eye(count), overwrite_a=True, check_finite=False)
+        upper = self._precision()
         mean = cho_solve((upper, False), self._moment / self._noise**2)
-        return np.asarray(mean + solve_triangular(upper, rng.standard_normal((n, count)).T).T)
+        return np.asarray(mean + solve_triangular(upper, rng.standard_normal((n, len(mean))).T).T)
+
+    def _precision(self) -> FloatArray:
+        """Upper triangle whose square is the precision of the weights, shape (f, f)."""
+        precision = self._gram / self._noise**2 + np.eye(len(self._moment))
+        return np.asarray(cholesky(precision, overwrite_a=True, check_finite=False))

@@ -121,8 +121,8 @@ class LevelSetOptimizer(CandidateOptimizer):
 
     def _below_dips(self, filling: FloatArray, n: int) -> FloatArray:
         """Points of this round that follow scores which fall towards the threshold; their share is the same always."""
-        told = len(self._points)
-        most = min(math.floor(_FOLLOWING * (told + n)) - math.floor(_FOLLOWING * told), n)
+        asked = self._asked
+        most = min(math.floor(_FOLLOWING * (asked + n)) - math.floor(_FOLLOWING * asked), n)
         if most == 0:
             return filling[:0]
         places = below_dips(encoded(self._space, self._points), self._scores, self.threshold, most)

@@ -39,11 +39,13 @@ class OptunaOptimizer(Optimizer):
     Source: T. Akiba et al., "Optuna: A next-generation hyperparameter optimization framework", KDD (2019).
 
     A sampler has a state of its own beside points and scores. So when it is told points that it was not asked for, as
-    when a study goes on, it is first asked for as many; in the same rounds these are the same points.
+    when a study goes on, it is first asked for as many; in the same rounds these are the same points. In a search
+    without rounds it knows which of its points are being run.
     """
 
     name = "optuna"
     takes_several = True
+    remembers_asking = True
 
     def __init__(self, space: ParameterSpace, seed: int, sampler: str = "tpe") -> None:
         if sampler not in _SAMPLERS:
@@ -54,19 +56,28 @@ class OptunaOptimizer(Optimizer):
         # Optuna's trials of points that were asked for and not told yet; None for points of the sequence.
         self._asked: dict[bytes, Any] = {}
         self._study: Any = None
+        self._in_rounds = True
         self._optuna = _imported()
         self._sampler = self._made()
 
     def ask(self, n: int) -> FloatArray:
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
+        return self._proposed(n, np.zeros((0, self._space.dimension)))
+
+    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+        """Propose points, as in `Optimizer.ask_beside`: what is run is a running trial, which TPE takes for bad."""
+        self._in_rounds = False
+        return self._proposed(n, pending)
+
+    def _proposed(self, n: int, pending: FloatArray) -> FloatArray:
         if self._study is None:
             # Optuna has to know the number of scores, which comes with the first.
-            return self._sequence.ask(n)
+            return self._sequence.ask(n, besides=pending)
         points: list[FloatArray] = []
         for _ in range(n):
-            point = self._new()
+            point = self._new(pending)
             if point is None:
-                found = self._sequence.ask(1, besides=self._open)
+                found = self._sequence.ask(1, besides=np.concatenate([pending, self._open]))
                 if not len(found):
                     break
                 point = found[0]
@@ -79,7 +90,7 @@ class OptunaOptimizer(Optimizer):
         columns = scores.reshape(len(points), -1)
         if self._study is None:
             self._study = self._optuna.create_study(directions=["minimize"] * columns.shape[1], sampler=self._sampler)
-        elif not any(point.tobytes() in self._asked for point in points):
+        elif self._in_rounds and not any(point.tobytes() in self._asked for point in points):
             self.ask(len(points))
         for point, score in zip(points, columns.tolist(), strict=True):
             trial = self._asked.pop(point.tobytes(), None)
@@ -93,24 +104,28 @@ class OptunaOptimizer(Optimizer):
                         params=self._parameters(point), distributions=self._distributions(), values=score
                     )
                 )
-        # A point that was asked for and gets no score in this round will never get one.
+        if self._in_rounds:
+            self._forget_open()
+        self._unseen.tell(points)
+        self._sequence.tell(points, scores)
+
+    def _forget_open(self) -> None:
+        """End the trials of points that were asked for and got no score in their round: they will never get one."""
         for trial in self._asked.values():
             if trial is not None:
                 self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
         self._asked.clear()
-        self._unseen.tell(points)
-        self._sequence.tell(points, scores)
 
     @property
     def _open(self) -> FloatArray:
         """Points that were asked for and not told yet, shape (m, d)."""
         return np.array([np.frombuffer(key) for key in self._asked]).reshape(-1, self._space.dimension)
 
-    def _new(self) -> FloatArray | None:
+    def _new(self, pending: FloatArray) -> FloatArray | None:
         """Point of the sampler that was not proposed yet, shape (d,); None if it finds none."""
         for _ in range(_TRIES):
             trial = self._study.ask(self._distributions())
-            for point in self._unseen.among(self._point(trial.params)[None], besides=self._open):
+            for point in self._unseen.among(self._point(trial.params)[None], np.concatenate([pending, self._open])):
                 self._asked[point.tobytes()] = trial
                 return np.asarray(point)
             self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)

@@ -61,6 +61,10 @@ class SequenceOptimizer(Optimizer):
             pass
         return found[:n]
 
+    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+        """Propose the next points of the sequence, as in `Optimizer.ask_beside`; no lie is needed."""
+        return self.ask(n, besides=pending)
+
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Leave these points, shape (m, d), out from now on; the scores are not looked at."""
         self._unseen.tell(points)

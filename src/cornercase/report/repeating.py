@@ -117,6 +117,8 @@ def _search(meta: StudyMeta) -> Iterator[str]:
         yield from ("--repeats", str(meta.repeats))
     if meta.audit:
         yield from ("--audit", _plain(meta.audit))
+    if meta.asynchronous:
+        yield "--asynchronous"
 
 
 def _numbers(meta: StudyMeta) -> Iterator[str]:

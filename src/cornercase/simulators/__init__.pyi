@@ -15,6 +15,7 @@ from .outcomes import outcomes_of as outcomes_of
 from .registry import SIMULATORS as SIMULATORS
 from .registry import availabilities as availabilities
 from .starting import start_simulator as start_simulator
+from .streams import SimulatorStream as SimulatorStream
 from .sumo.simulator import SumoSimulator as SumoSimulator
 from .workers import MOST_WORKERS as MOST_WORKERS
 from .workers import WorkerSimulator as WorkerSimulator

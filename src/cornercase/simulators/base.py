@@ -166,6 +166,19 @@ class Simulator(ABC):
         """
         return Availability()
 
+    def beside(self) -> Sequence[Simulator]:
+        """Give the simulators that may run at the same time, each in a thread of its own.
+
+        Returns
+        -------
+        sequence of Simulator
+            As many as there are places for a scenario by now. Empty by default: it runs in the thread that made it.
+        """
+        return ()
+
+    def give_up(self) -> None:  # noqa: B027 - optional
+        """End what it runs in another thread, soon; by default nothing does."""
+
     def close(self) -> None:  # noqa: B027 - optional
         """End what it has started; by default there is nothing."""
 

@@ -9,11 +9,13 @@ from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakSet
 
 from cornercase._common.dask_client import connect, disconnected, ended, leave, name_cluster, take, workers_of
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.version import __version__
 from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel
+from cornercase.simulators.base import Simulator
 from cornercase.simulators.cluster_tasks import Attempt, Job, close_job, forget, hand_over, run_job
 from cornercase.simulators.elsewhere import SimulatorElsewhere
 from cornercase.simulators.outcomes import Outcome
@@ -84,6 +86,8 @@ class ClusterSimulator(SimulatorElsewhere):
 
         self._job = Job(uuid.uuid4().hex, __version__, name, cloudpickle.dumps(options), timeout, retries)
         self._retries, self._lost = retries, 0
+        # What other threads wait for.
+        self._given: WeakSet[Future[Any]] = WeakSet()
 
     def require_means(self, scenario: Scenario) -> None:
         """Let the simulator refuse a scenario that it cannot run, and refuse one that cannot be sent.
@@ -142,6 +146,26 @@ class ClusterSimulator(SimulatorElsewhere):
             if running and self._client.status == "running":
                 self._client.cancel(list(running))
 
+    def beside(self) -> Sequence[Simulator]:
+        """Give this simulator as often as the workers that are there now can run a scenario.
+
+        Returns
+        -------
+        sequence of ClusterSimulator
+
+        Raises
+        ------
+        InputError
+            There are no workers.
+        """
+        return [self] * self._slots()[0]
+
+    def give_up(self) -> None:
+        """End all waiting in other threads; what workers have begun is not waited for."""
+        with suppress(OSError, CancelledError, TimeoutError):
+            if self._client.status == "running":
+                self._client.cancel(list(self._given))
+
     def close(self) -> None:
         """End the simulators on the workers, and leave the cluster; a local one ends."""
         super().close()
@@ -169,7 +193,7 @@ class ClusterSimulator(SimulatorElsewhere):
     def _submit(self, task: _Task, concretes: Sequence[ConcreteScenario], resources: dict[str, float]) -> Future[Any]:
         groups = [(self._sent(one.scenario()), one.values) for one in (concretes[k] for k in task.indices)]
         parcels = dict.fromkeys(parcel for parcel, _ in groups)
-        return self._client.submit(
+        future = self._client.submit(
             run_job,
             self._job,
             task.attempt,
@@ -179,6 +203,8 @@ class ClusterSimulator(SimulatorElsewhere):
             pure=False,
             resources=resources or None,
         )
+        self._given.add(future)
+        return future
 
     def _sent(self, scenario: Scenario) -> Future[Any]:
         """The parcel of a scenario as a result of the cluster, made again where the worker that holds it is lost."""

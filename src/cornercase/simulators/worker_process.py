@@ -169,6 +169,12 @@ class Worker:
             self._process.join(_ENDED)
         self._forget()
 
+    def kill(self) -> None:
+        """End the process from another thread, which finds that it has ended."""
+        process = self._process
+        if process is not None and process.exitcode is None:
+            end_process_tree(process.pid)
+
     def hang_up(self) -> None:
         """Tell the process that nothing follows; it closes its simulator and ends. One at work is stopped."""
         if self.waiting:

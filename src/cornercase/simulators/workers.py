@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import Any, Final
 
@@ -21,6 +23,13 @@ _LONGEST_WAIT: Final = 3600.0
 
 MOST_WORKERS: Final = 1024
 """Worker processes side by side: more than there are cores anywhere, and few enough to be started."""
+
+
+@dataclass
+class _Lost:
+    """Scenarios in a row that ended without a result, of all processes."""
+
+    count: int = 0
 
 
 class WorkerSimulator(SimulatorElsewhere):
@@ -72,7 +81,8 @@ class WorkerSimulator(SimulatorElsewhere):
         self._batches, self._retries = self._declared.takes_batches, retries
         numbered = "worker" in self._declared.needs
         self._workers = [Worker(name, options | ({"worker": k} if numbered else {}), timeout) for k in range(workers)]
-        self._lost = 0
+        self._lost = _Lost()
+        self._each: list[WorkerSimulator] = []
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
         """Run scenarios.
@@ -111,6 +121,26 @@ class WorkerSimulator(SimulatorElsewhere):
                 if worker.waiting:
                     worker.stop()
 
+    def beside(self) -> Sequence[WorkerSimulator]:
+        """Give a simulator for each of the processes.
+
+        Returns
+        -------
+        sequence of WorkerSimulator
+            Of one process each; they are closed with this one.
+        """
+        if not self._each:
+            self._each = [copy(self) for _ in self._workers]
+            for one, worker in zip(self._each, self._workers, strict=True):
+                one._workers, one._each = [worker], []
+        return self._each
+
+    def give_up(self) -> None:
+        """End the processes at once, though another thread waits for them; nothing is tried again."""
+        self._retries = -1
+        for worker in self._workers:
+            worker.kill()
+
     def close(self) -> None:
         """End the processes; those without work close their simulator first."""
         for worker in self._workers:
@@ -148,7 +178,7 @@ class WorkerSimulator(SimulatorElsewhere):
         elif isinstance(found, SimulatorError):
             self._lose(task, left[:1], found, waiting, done, own=True)
         else:
-            self._lost = 0
+            self._lost.count = 0
             done[left[0]] = found
 
     def _lose(
@@ -170,16 +200,16 @@ class WorkerSimulator(SimulatorElsewhere):
             return
         (index,) = left
         if not isinstance(why, SimulatorError):
-            self._lost = 0
+            self._lost.count = 0
             done[index] = why
         elif task.tries < self._retries:
             waiting.appendleft(Task((index,), task.tries + 1))
         else:
-            self._lost += 1
-            if self._lost >= _MOST_LOST:
+            self._lost.count += 1
+            if self._lost.count >= _MOST_LOST:
                 raise InputError(
-                    f"The simulator '{self.name}' gave no result in {self._lost} scenarios in a row; in the last one"
-                    f" {why}. Mend it, and run the same command again to go on."
+                    f"The simulator '{self.name}' gave no result in {self._lost.count} scenarios in a row; in the last"
+                    f" one {why}. Mend it, and run the same command again to go on."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
             done[index] = SimulationError(f"{why}, tried {times}")

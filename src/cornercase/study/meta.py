@@ -26,6 +26,7 @@ _DIFFERENT: Final = {
     "pareto": "another objective",
     "seed": "another seed",
     "batch": "another batch size",
+    "asynchronous": "another kind of search, in rounds or asynchronous",
     "settings": "other simulator settings",
     "repeats": "another number of repeats",
     "audit": "another share of audits",
@@ -38,10 +39,11 @@ _TYPES: Final[dict[str, Any]] = (
     | dict.fromkeys(("seed", "budget", "batch", "repeats"), int)
     | dict.fromkeys(("settings", "weights"), dict)
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
-    | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool}
+    | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
 )
 # What only later versions write.
-_LATER: Final = ("kinds", "origin", "requirements", "suite")
+_LATER: Final = ("asynchronous", "kinds", "origin", "requirements", "suite")
+_YES_OR_NO: Final = ("asynchronous", "pareto")
 
 
 MOST_AUDITS: Final = 0.5
@@ -100,6 +102,8 @@ class StudyMeta:
         How often each scenario is run.
     audit : float
         Share of the scenarios that are drawn at random to judge the search, and that it is never told.
+    asynchronous : bool
+        Whether the search was asked for the next scenario as soon as one had ended.
     files : tuple of str
         Imported recordings, or the scenario files of a suite, in the order of the scenarios' ids.
     kinds : tuple of str
@@ -131,6 +135,7 @@ class StudyMeta:
     batch: int = 0
     repeats: int = 1
     audit: float = 0.0
+    asynchronous: bool = False
     files: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
     requirements: tuple[str, ...] = ()
@@ -161,7 +166,9 @@ class StudyMeta:
         dict of str to object
             By the name of the field; None stands for an empty or a plain one.
         """
-        return {one.name: getattr(self, one.name) for one in fields(self)} | {
+        # A study of rounds is written as before there were any others.
+        written = [one.name for one in fields(self) if one.name != "asynchronous" or self.asynchronous]
+        return {name: getattr(self, name) for name in written} | {
             "space": self.space.to_json(),
             "other": self.other if isinstance(self.other, str) else list(self.other),
             "metrics": list(self.metrics),
@@ -213,7 +220,7 @@ class StudyMeta:
         given = {name: plain[name] for name in known if plain[name] is not None}
         for name, value in given.items():
             if name in _TYPES and (
-                not isinstance(value, _TYPES[name]) or isinstance(value, bool) != (name == "pareto")
+                not isinstance(value, _TYPES[name]) or isinstance(value, bool) != (name in _YES_OR_NO)
             ):
                 raise ValueError(f"its {name} is {str(value)[:60]!r}")
         if isinstance(given["other"], list):

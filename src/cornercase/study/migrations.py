@@ -48,8 +48,13 @@ AGAINST: Final = """CREATE TABLE IF NOT EXISTS against (
     PRIMARY KEY (scenario, metric)) WITHOUT ROWID"""
 """Makes the table that only a study of several others has."""
 
+RESULTS: Final = """CREATE TABLE IF NOT EXISTS results (
+    number INTEGER PRIMARY KEY, scenario INTEGER NOT NULL UNIQUE REFERENCES scenarios, round INTEGER NOT NULL)"""
+"""Makes the table that only a study of a search without rounds has."""
+
 TABLES: Final = (
     "meta", "scenarios", "courses", "repeats", "outcomes", "notes", "analyses", "arrays", "elapsed", "against",
+    "results",
 )  # fmt: skip
 """Tables of a study, of any version; those that refer to others come after them."""
 

@@ -24,7 +24,7 @@ from cornercase.study.contents import StudyContents
 from cornercase.study.damage import damage_told
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
-from cornercase.study.migrations import AGAINST, TABLES
+from cornercase.study.migrations import AGAINST, RESULTS, TABLES
 from cornercase.study.second_runs import write_references
 from cornercase.study.table import Row
 
@@ -167,8 +167,9 @@ class Study(StudyContents):
             _remove_content(connection)
             for statement in _more_tables(meta):
                 connection.execute(statement)
+            connection.execute("DELETE FROM meta")
             connection.executemany(
-                "INSERT OR REPLACE INTO meta (value, key) VALUES (?, ?)",
+                "INSERT INTO meta (value, key) VALUES (?, ?)",
                 [(json.dumps(value, sort_keys=True), key) for key, value in meta.to_json().items()],
             )
         self.meta, self.space = meta, meta.space
@@ -240,6 +241,7 @@ class Study(StudyContents):
                 "UPDATE scenarios SET state = 'done', recording = ? WHERE id = ?",
                 (pack_recording(recording), scenario),
             )
+            self._note_result(connection, scenario)
 
     def save_reference(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
         """Store what came of a scenario that was run again with a reference at the wheel of the ego.
@@ -266,6 +268,16 @@ class Study(StudyContents):
         """
         with self._database.writing() as connection:
             connection.execute("UPDATE scenarios SET state = 'failed', error = ? WHERE id = ?", (str(error), scenario))
+            self._note_result(connection, scenario)
+
+    def _note_result(self, connection: Connection, scenario: int) -> None:
+        """Note that a result has come, and which is the first round that may know it: the next one."""
+        if self.meta.asynchronous:
+            connection.execute(
+                "INSERT INTO results (scenario, round)"
+                " SELECT ?, round + 1 FROM scenarios WHERE id = (SELECT MAX(id) FROM scenarios)",
+                (scenario,),
+            )
 
     def save_outcomes(self, outcomes: Mapping[int, str]) -> None:
         """Store how scenarios ended, in words.
@@ -323,7 +335,7 @@ class Study(StudyContents):
 
 def _more_tables(meta: StudyMeta) -> tuple[str, ...]:
     """Make the tables that not every study has."""
-    return (AGAINST,) if len(meta.others) > 1 else ()
+    return ((AGAINST,) if len(meta.others) > 1 else ()) + ((RESULTS,) if meta.asynchronous else ())
 
 
 def _remove_content(connection: Connection) -> None:
