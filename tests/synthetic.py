@@ -14,7 +14,7 @@ import numpy as np
 import psutil
 
 from cornercase._common.errors import SimulationError
-from cornercase.exploration import Configuration, Objective, ScenarioExplorer
+from cornercase.exploration import AsynchronousExplorer, Configuration, Objective, ScenarioExplorer
 from cornercase.metrics import METRICS
 from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
@@ -75,13 +75,15 @@ def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), bu
     configuration = Configuration(LOGICAL, "Ego", "B", (), budget=budget, seed=7, **options)
     threshold = objective.known_threshold(1.0)
     optimizer = create_optimizer(optimizer, SPACE, 7, threshold=threshold, budget=budget)
-    return ScenarioExplorer(configuration, simulator or Synthetic(), optimizer, study, objective)
+    kind = AsynchronousExplorer if configuration.asynchronous else ScenarioExplorer
+    return kind(configuration, simulator or Synthetic(), optimizer, study, objective)
 
 
-def opened(path):
-    return Study.open(path) if os.path.exists(path) else Study.create(path, about(SPACE, "distance", "wttc"))
+def opened(path, **more):
+    return Study.open(path) if os.path.exists(path) else Study.create(path, about(SPACE, "distance", "wttc", **more))
 
 
 if __name__ == "__main__":
-    with opened(sys.argv[1]) as study:
-        print(explorer(study, Synthetic(int(sys.argv[2])), sys.argv[3], metrics=("distance", "wttc")).run())
+    without = {"asynchronous": True} if sys.argv[4:] else {}
+    with opened(sys.argv[1], **without) as study:
+        print(explorer(study, Synthetic(int(sys.argv[2])), sys.argv[3], ("distance", "wttc"), **without).run())

@@ -1,0 +1,345 @@
+"""Searches without rounds: what they are told and asked, killed ones, and proposals made again."""
+
+from __future__ import annotations
+
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import synthetic
+from cornercase._common.errors import InputError
+from cornercase.cli import app
+from cornercase.exploration import (
+    AsynchronousExplorer,
+    Configuration,
+    Objective,
+    demonstration,
+    explore,
+    explore_configuration,
+)
+from cornercase.exploration.replaying import replay_proposals
+from cornercase.metrics import METRICS
+from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer, create_optimizer
+from cornercase.study import Study
+from synthetic import LOGICAL, SPACE, Synthetic
+
+pytestmark = pytest.mark.filterwarnings("ignore:without effect")
+
+
+class Slow(Synthetic):
+    """Several at a time, of which some take much longer than others."""
+
+    def __init__(self, places, survives=None):
+        super().__init__()
+        self.places, self.survives, self.most, self.now = places, survives, 0, 0
+        self.lock = threading.Lock()
+
+    def beside(self):
+        return [self] * self.places
+
+    def run(self, concretes):
+        with self.lock:
+            self.now += 1
+            self.most = max(self.most, self.now)
+            if self.survives is not None and self.ran >= self.survives:
+                raise KeyboardInterrupt
+        time.sleep(0.03 if concretes[0].values["b"] < 0.2 else 0.003)
+        yield from super().run(concretes)
+        with self.lock:
+            self.now -= 1
+
+
+class Listening(Optimizer):
+    """Keeps what another optimizer is told and asked for."""
+
+    name = "listening"
+
+    def __init__(self, inner):
+        self.inner, self.calls = inner, []
+
+    def ask(self, n):
+        raise AssertionError("nothing else runs")
+
+    def ask_beside(self, n, pending, *lies):
+        found = self.inner.ask_beside(n, pending, *lies)
+        self.calls.append(("asked", found, pending))
+        return found
+
+    def tell(self, points, scores):
+        self.calls.append(("told", points, scores))
+        self.inner.tell(points, scores)
+
+
+def about(optimizer="sobol", **options):
+    given: dict[str, Any] = {"budget": 47, "asynchronous": True, "seed": 7} | options
+    return Configuration(LOGICAL, "Ego", "B", ("distance",), optimizer=optimizer, critical=1.0, **given)
+
+
+def fresh(one):
+    return create_optimizer(one.optimizer, SPACE, one.seed, threshold=1.0, budget=one.budget)
+
+
+def explored(path, one, simulator=None, optimizer=None):
+    """Explore without rounds, or go on so."""
+    objective = Objective([METRICS.create("distance")])
+    with Study.open(path) if path.exists() else Study.create(path, one.meta(objective, {})) as study:
+        study.continue_with(one.meta(objective, {}))
+        searching = fresh(one) if optimizer is None else optimizer
+        return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, objective).run()
+
+
+def proposed_again(path, one):
+    objective = Objective([METRICS.create("distance")])
+    return replay_proposals(path, one.meta(objective, {}), objective, fresh(one))
+
+
+def contents(path):
+    tables = ("meta", "scenarios", "courses", "results")
+    with sqlite3.connect(path) as connection:
+        return [connection.execute(f"SELECT * FROM {table}").fetchall() for table in tables]
+
+
+def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tmp_path):
+    one, simulator = about(), Slow(4)
+    optimizer = Listening(SobolOptimizer(SPACE, 7))
+    result = explored(tmp_path / "s.db", one, simulator, optimizer)
+    assert (result.ended, result.reason) == (47, "the budget of 47 scenarios is used up")
+    assert simulator.most == 4
+    asked, told = [], []
+    for kind, points, more in optimizer.calls:
+        keys = [point.tobytes() for point in points]
+        if kind == "told":
+            assert set(keys) <= set(asked) - set(told)
+            told += keys
+            continue
+        assert [point.tobytes() for point in more] == [key for key in asked if key not in told]
+        asked += keys
+        # Half as many wait as are run.
+        assert len(asked) - len(told) == min(6, 47 - len(told))
+    assert len(told) == len(set(asked)) == 47
+    with Study.open(tmp_path / "s.db", readonly=True) as study:
+        assert len(study.failed()) > 0
+        points = {row.id: row.point.tobytes() for row in study.rows()}
+        order = [scenario for scenario, _ in study.results()]
+        assert [points[scenario] for scenario in order] == told
+        # The slow ones are overtaken.
+        assert order != sorted(order)
+        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.done()]
+        np.testing.assert_allclose(study.scores("distance"), away, atol=1e-12)
+
+
+@pytest.mark.parametrize("optimizer", ["bayes", "level-set", "evolutionary:population=10", "optuna", "sobol", "grid"])
+def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_was_interrupted(optimizer, tmp_path):
+    path, one = tmp_path / "s.db", about(optimizer, audit=0.1)
+    if optimizer == "optuna":
+        pytest.importorskip("optuna")
+    interrupted = [explored(path, one, Slow(3, survives)).interrupted for survives in (14, 21, None)]
+    assert interrupted == [True, True, False]
+    with Study.open(path, readonly=True) as study:
+        # A grid of so few steps has 42 points, beside which there are audits.
+        count = 46 if optimizer == "grid" else 47
+        assert len(study.rows()) == len(study.results()) == count
+        assert len(study.done()) > 30
+    again = proposed_again(path, one)
+    assert (again.same, again.reason) == (True, f"the same {count} scenarios were proposed again")
+    if optimizer in ("sobol", "grid"):
+        return
+    # An early result that is another gives other proposals.
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE courses SET score = 90 - score WHERE scenario < 40")
+    again = proposed_again(path, one)
+    assert again.same is False
+    assert "is proposed otherwise" in again.reason
+
+
+def test_with_one_worker_it_is_deterministic_and_goes_on_where_it_was_killed(tmp_path):
+    program = [sys.executable, synthetic.__file__]
+    for k, name in enumerate(("a.db", "b.db")):
+        deaths = 0
+        for survives in ("2", "13", "9", "100") if k else ("100",):
+            ended = subprocess.run([*program, tmp_path / name, survives, "level-set", "asynchronous"], check=False)
+            deaths += ended.returncode != 0
+        assert deaths == 3 * k
+    assert contents(tmp_path / "a.db") == contents(tmp_path / "b.db")
+    rounds = [row[1] for row in contents(tmp_path / "a.db")[1]]
+    assert rounds == list(range(1, 48))
+
+
+def test_audits_are_drawn_and_kept_from_the_search_as_in_rounds(tmp_path):
+    one = about(audit=0.2)
+    optimizer = Listening(SobolOptimizer(SPACE, 7))
+    explored(tmp_path / "s.db", one, Slow(3), optimizer)
+    told = {point.tobytes() for kind, points, _ in optimizer.calls if kind == "told" for point in points}
+    pending = {point.tobytes() for kind, _, points in optimizer.calls if kind == "asked" for point in points}
+    with Study.open(tmp_path / "s.db", readonly=True) as study:
+        audits = {row.point.tobytes() for row in study.rows() if study.meta.is_audit(row.id)}
+    assert len(audits) == 9
+    assert not audits & (told | pending)
+    assert len(told) == 38
+
+
+def test_patience_and_what_is_known_are_counted_in_results(tmp_path):
+    result = explored(tmp_path / "s.db", about(budget=400, patience=2, batch=5), Slow(3))
+    assert result.reason == "10 scenarios brought nothing new"
+    with Study.open(tmp_path / "s.db", readonly=True) as study:
+        scores = dict(zip((row.id for row in study.done()), study.scores("distance"), strict=True))
+        order = [scores.get(scenario, np.inf) for scenario, _ in study.results()]
+        assert not [row for row in study.rows() if row.state == "pending"]
+    best = np.minimum.accumulate(order)
+    last_new = 1 + max(np.flatnonzero(np.diff(best) < 0), default=-1)
+    # All that was on its way has ended, too.
+    assert 10 <= len(order) - 1 - last_new <= 10 + 5
+    stopped = explored(tmp_path / "t.db", about(budget=400, stop_when=("interval<0.4",)), Slow(3))
+    assert "the critical share is known within" in stopped.reason
+    assert stopped.ended < 200
+    # Once more it says so at once.
+    assert explored(tmp_path / "t.db", about(budget=400, stop_when=("interval<0.4",))).ended == stopped.ended
+
+
+class Plain(Optimizer):
+    """An optimizer of another package, which knows nothing of searches without rounds."""
+
+    name = "plain"
+
+    def __init__(self, space, seed):
+        self.told = []
+
+    def ask(self, n):
+        known = np.concatenate([points for points, _ in self.told]) if self.told else np.zeros((0, 2))
+        scores = np.concatenate([scores for _, scores in self.told]) if self.told else np.zeros(0)
+        self.lies.append(scores[len(scores) - 5 :])
+        return np.full((n, 2), 0.001 * len(known)) + 0.0001 * np.arange(n)[:, None]
+
+    def tell(self, points, scores):
+        self.told.append((points, scores))
+
+    lies: list[Any] = []  # noqa: RUF012 - shared with copies
+
+
+def test_an_optimizer_that_only_asks_and_tells_is_told_the_mean_of_what_runs(tmp_path):
+    optimizer = Plain(SPACE, 0)
+    Plain.lies.clear()
+    points = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
+    optimizer.tell(points[:2], np.array([1.0, 3.0]))
+    found = optimizer.ask_beside(1, points[2:], np.array([2.0]))
+    np.testing.assert_allclose(found, [[0.003, 0.003]])
+    assert len(optimizer.told) == 1
+    one = about(budget=12)
+    explored(tmp_path / "s.db", one, Slow(3), Plain(SPACE, 0))
+    with Study.open(tmp_path / "s.db", readonly=True) as study:
+        order = [scenario for scenario, _ in study.results()]
+        scores = dict(zip((row.id for row in study.done()), study.scores("distance"), strict=True))
+        known = [scores[scenario] for scenario, turn in study.results() if turn == 2]
+    assert len(order) == 12
+    # The second time that it is asked, some have ended, and the others are said to be as they are on average.
+    lies = Plain.lies[2]
+    assert lies[-1] == pytest.approx(np.mean(known))
+
+
+def test_what_hangs_on_a_reference_is_decided_and_runs_are_repeated_as_in_rounds(tmp_path):
+    from test_critical_if import explored as cut_ins
+
+    def by_place(name, **options):
+        cut_ins(tmp_path / name, **options)
+        with sqlite3.connect(tmp_path / name) as connection:
+            scenarios = connection.execute("SELECT id, point, state, error, recording FROM scenarios ORDER BY id")
+            courses = connection.execute("SELECT * FROM courses ORDER BY scenario, metric")
+            return scenarios.fetchall(), courses.fetchall()
+
+    assert by_place("rounds.db", budget=8) == by_place("without.db", budget=8, asynchronous=True)
+    plain: dict[str, Any] = {"critical_if": None, "repeats": 3, "budget": 2}
+    assert by_place("r.db", **plain) == by_place("w.db", asynchronous=True, **plain)
+
+
+def test_a_study_of_rounds_stays_one_and_is_proposed_again_too(tmp_path):
+    path, one = tmp_path / "s.db", demonstration("x-intersection", budget=24, seed=1)
+    explore_configuration(one, path)
+    with sqlite3.connect(path) as connection:
+        assert not connection.execute("SELECT * FROM meta WHERE key = 'asynchronous'").fetchall()
+        assert not connection.execute("SELECT * FROM sqlite_master WHERE name = 'results'").fetchall()
+    with pytest.raises(InputError, match="another kind of search, in rounds or asynchronous"):
+        explore_configuration(replace(one, asynchronous=True), path)
+    options: dict[str, Any] = {"ego": one.ego, "other": one.other, "metrics": one.metrics, "budget": 24, "seed": 1}
+    options["critical"] = one.critical
+    before = path.read_bytes()
+    again = explore(one.logical, path, **options, replay=True)
+    assert again.same
+    assert path.read_bytes() == before
+    with pytest.raises(InputError, match="no such study"):
+        explore(one.logical, tmp_path / "none.db", **options, replay=True)
+    with pytest.raises(InputError, match="another seed"):
+        explore(one.logical, path, **options | {"seed": 2}, replay=True)
+
+
+def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
+    words = ["explore", str(demonstration("x-intersection").logical.path), "--ego", "Ego", "--other", "Pedestrian"]
+    words += ["--space", str(demonstration("x-intersection").logical.path.with_suffix(".space.xosc"))]
+    words += ["--metric", "wttc", "--budget", "24", "--duration", "15", "--asynchronous", "-o", str(tmp_path / "s.db")]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    ended = CliRunner().invoke(app, [*words, "--replay"])
+    assert ended.exit_code == 0
+    assert "the same 24 scenarios were proposed again" in " ".join(ended.output.split())
+    with sqlite3.connect(tmp_path / "s.db") as connection:
+        connection.execute("UPDATE courses SET score = 9 WHERE scenario = 20")
+        connection.execute("UPDATE courses SET score = 0 WHERE scenario = 21")
+    ended = CliRunner().invoke(app, [*words, "--replay"])
+    assert ended.exit_code == 1
+    assert "is proposed otherwise" in " ".join(ended.output.split())
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "DELETE FROM results WHERE number = 3",
+        "UPDATE results SET round = 99 WHERE number = 12",
+        "UPDATE results SET round = 1 WHERE number = 12",
+        "UPDATE results SET scenario = 99 WHERE number = 3",
+        "UPDATE scenarios SET state = 'pending' WHERE id = 4",
+    ],
+)
+def test_an_order_that_cannot_be_is_refused_in_a_sentence(damage, tmp_path):
+    explored(tmp_path / "s.db", about(budget=12))
+    with sqlite3.connect(tmp_path / "s.db") as connection:
+        connection.execute(damage)
+    with pytest.raises(InputError, match=r"s\.db"):
+        explored(tmp_path / "s.db", about(budget=20))
+
+
+@pytest.mark.parametrize("name", [one for one in OPTIMIZERS.names() if one != "optuna"])
+def test_what_runs_is_never_proposed_and_nothing_twice(name):
+    optimizer = create_optimizer(name, SPACE, 3, threshold=1.0, budget=70)
+    twin = create_optimizer(name, SPACE, 3, threshold=1.0, budget=70)
+    rng = np.random.default_rng(0)
+    waiting, seen, count = np.zeros((0, 2)), 0, 30 if name == "committee" else 50
+    for _ in range(count):
+        new = SPACE.snap(optimizer.ask_beside(8 - len(waiting), waiting))
+        np.testing.assert_array_equal(new, SPACE.snap(twin.ask_beside(8 - len(waiting), waiting)))
+        seen += len(new)
+        waiting = np.concatenate([waiting, new])
+        assert len(np.unique(waiting, axis=0)) == len(waiting)
+        k = rng.integers(len(waiting))
+        for one in (optimizer, twin):
+            one.tell(waiting[k : k + 1], 10 * np.abs(waiting[k : k + 1, 0] - waiting[k : k + 1, 1]))
+        waiting = np.delete(waiting, k, axis=0)
+    assert seen == count + 8 - 1
+
+
+def test_level_set_asks_elsewhere_than_where_it_is_run():
+    points = SobolOptimizer(SPACE, 0).ask(60)
+    nearest = []
+    for knows in (True, False):
+        optimizer = create_optimizer("level-set:filling=0", SPACE, 3, threshold=1.0, budget=100)
+        optimizer.tell(points, 10 * np.abs(points[:, 0] - points[:, 1]))
+        pending = optimizer.ask(6)
+        found = optimizer.ask_beside(6, pending) if knows else optimizer.ask(6)
+        nearest.append(np.linalg.norm(found[:, None] - pending, axis=2).min(axis=1).min())
+    assert nearest[1] == 0.0
+    assert nearest[0] > 0.02
