@@ -1,0 +1,94 @@
+"""Scenarios given one after the other to simulators that work side by side."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+
+import psutil
+import pytest
+from test_workers import concretes
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.simulators import SimulatorStream, WorkerSimulator, outcomes_of
+from fake_simulators import FailingSimulator, Plan
+
+
+def runs(scenario, simulator):
+    return list(outcomes_of(simulator, [scenario]))
+
+
+def taken(stream, count):
+    found = {}
+    for _ in range(count):
+        key, (outcome,) = stream.take(lambda: None)
+        found[key] = str(outcome) if isinstance(outcome, SimulationError) else int(outcome.x[0, 0])
+    return found
+
+
+def test_processes_crash_hang_and_are_tried_again_as_in_rounds(tmp_path):
+    plan = Plan(tmp_path, {1: ["crash", "well"], 2: ["hang"], 4: ["fail"], 5: ["nap"]})
+    with WorkerSimulator("failing", {"plan": plan}, workers=3, timeout=1.0) as simulator:
+        stream = SimulatorStream({"": simulator})
+        assert stream.places() == 3
+        for k, one in enumerate(concretes(9)):
+            stream.give(k, partial(runs, one))
+        found = taken(stream, 9)
+        stream.close()
+    assert found.pop(2) == "the simulator did not end within 1 s, tried 2 times"
+    assert found.pop(4) == "it cannot be"
+    assert found == {k: k for k in (0, 1, 3, 5, 6, 7, 8)}
+    # Each process that ended with the stream closed its simulator first.
+    assert len((tmp_path / "ends").read_text()) >= 1
+
+
+def test_what_is_fast_does_not_wait_for_what_is_slow(tmp_path):
+    with WorkerSimulator("failing", {"plan": Plan(tmp_path, {0: ["nap"]})}, workers=2) as simulator:
+        stream = SimulatorStream({"": simulator})
+        for k, one in enumerate(concretes(6)):
+            stream.give(k, partial(runs, one))
+        order = [stream.take(lambda: None)[0] for _ in range(6)]
+        stream.close()
+    assert sorted(order) == list(range(6))
+    assert order.index(0) > 0
+
+
+def test_a_stream_that_is_closed_ends_what_hangs(tmp_path):
+    children = set(psutil.Process().children(recursive=True))
+    begun = time.monotonic()
+    with WorkerSimulator("failing", {"plan": Plan(tmp_path, {0: ["hang"], 1: ["child"]})}, workers=2) as simulator:
+        stream = SimulatorStream({"": simulator})
+        for k, one in enumerate(concretes(4)):
+            stream.give(k, partial(runs, one))
+        while not (tmp_path / "children").exists():
+            time.sleep(0.05)
+        stream.close()
+    assert time.monotonic() - begun < 30.0
+    assert {one for one in psutil.Process().children(recursive=True) if one.is_running()} <= children
+    child = int((tmp_path / "children").read_text())
+    assert not psutil.pid_exists(child) or psutil.Process(child).status() == psutil.STATUS_ZOMBIE
+    # What had not begun never did.
+    assert not (tmp_path / "tries-3").exists()
+
+
+def test_a_simulator_that_gives_nothing_any_more_is_at_fault_whoever_runs_it(tmp_path):
+    plan = Plan(tmp_path, {k: ["crash"] for k in range(9)})
+    with WorkerSimulator("failing", {"plan": plan}, workers=2, retries=0) as simulator:
+        stream = SimulatorStream({"": simulator})
+        for k, one in enumerate(concretes(9)):
+            stream.give(k, partial(runs, one))
+        with pytest.raises(InputError, match="no result in 5 scenarios in a row"):
+            taken(stream, 9)
+        stream.close()
+
+
+def test_one_of_this_process_runs_when_its_result_is_taken(tmp_path):
+    stream = SimulatorStream({"": FailingSimulator(plan=Plan(tmp_path))})
+    assert stream.places() == 1
+    for k, one in enumerate(concretes(3)):
+        stream.give(k, partial(runs, one))
+    assert not (tmp_path / "tries-0").exists()
+    assert taken(stream, 1) == {0: 0}
+    assert not (tmp_path / "tries-1").exists()
+    assert taken(stream, 2) == {1: 1, 2: 2}
+    stream.close()
