@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 import synthetic
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.exploration import (
     AsynchronousExplorer,
@@ -113,7 +113,8 @@ def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tm
     result = explored(tmp_path / "s.db", one, simulator, optimizer)
     assert (result.ended, result.reason) == (47, "the budget of 47 scenarios is used up")
     assert simulator.most == 4
-    asked, told = [], []
+    asked: list[bytes] = []
+    told: list[bytes] = []
     for kind, points, more in optimizer.calls:
         keys = [point.tobytes() for point in points]
         if kind == "told":
@@ -244,19 +245,26 @@ def test_an_optimizer_that_only_asks_and_tells_is_told_the_mean_of_what_runs(tmp
     assert lies[-1] == pytest.approx(np.mean(known))
 
 
-def test_what_hangs_on_a_reference_is_decided_and_runs_are_repeated_as_in_rounds(tmp_path):
-    from test_critical_if import explored as cut_ins
+class Noisy(Synthetic):
+    """Gives another distance each time that the same scenario is run."""
 
-    def by_place(name, **options):
-        cut_ins(tmp_path / name, **options)
-        with sqlite3.connect(tmp_path / name) as connection:
-            scenarios = connection.execute("SELECT id, point, state, error, recording FROM scenarios ORDER BY id")
-            courses = connection.execute("SELECT * FROM courses ORDER BY scenario, metric")
-            return scenarios.fetchall(), courses.fetchall()
+    def run(self, concretes):
+        for k, found in enumerate(super().run(concretes)):
+            yield (
+                found
+                if isinstance(found, SimulationError)
+                else replace(found, x=found.x + np.array([[0.0], [float(k)]]))
+            )
 
-    assert by_place("rounds.db", budget=8) == by_place("without.db", budget=8, asynchronous=True)
-    plain: dict[str, Any] = {"critical_if": None, "repeats": 3, "budget": 2}
-    assert by_place("r.db", **plain) == by_place("w.db", asynchronous=True, **plain)
+
+def test_each_scenario_is_run_several_times_and_the_median_counts(tmp_path):
+    explored(tmp_path / "s.db", about(repeats=3, budget=12), Noisy())
+    with Study.open(tmp_path / "s.db", readonly=True) as study:
+        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.done()]
+        np.testing.assert_allclose(study.scores("distance"), np.array(away) + 1.0, atol=1e-12)
+        spread = study.spread("distance")
+        assert spread is not None
+        np.testing.assert_allclose(spread, np.stack([away, np.array(away) + 2.0], axis=1), atol=1e-12)
 
 
 def test_a_study_of_rounds_stays_one_and_is_proposed_again_too(tmp_path):
@@ -327,7 +335,7 @@ def test_what_runs_is_never_proposed_and_nothing_twice(name):
         assert len(np.unique(waiting, axis=0)) == len(waiting)
         k = rng.integers(len(waiting))
         for one in (optimizer, twin):
-            one.tell(waiting[k : k + 1], 10 * np.abs(waiting[k : k + 1, 0] - waiting[k : k + 1, 1]))
+            one.tell(waiting[k : k + 1], 10.0 * np.abs(waiting[k : k + 1, 0] - waiting[k : k + 1, 1]))
         waiting = np.delete(waiting, k, axis=0)
     assert seen == count + 8 - 1
 
@@ -337,7 +345,7 @@ def test_level_set_asks_elsewhere_than_where_it_is_run():
     nearest = []
     for knows in (True, False):
         optimizer = create_optimizer("level-set:filling=0", SPACE, 3, threshold=1.0, budget=100)
-        optimizer.tell(points, 10 * np.abs(points[:, 0] - points[:, 1]))
+        optimizer.tell(points, 10.0 * np.abs(points[:, 0] - points[:, 1]))
         pending = optimizer.ask(6)
         found = optimizer.ask_beside(6, pending) if knows else optimizer.ask(6)
         nearest.append(np.linalg.norm(found[:, None] - pending, axis=2).min(axis=1).min())

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from pathlib import Path
 
 import psutil
 import pytest
-from test_workers import concretes
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import SimulatorStream, WorkerSimulator, outcomes_of
 from fake_simulators import FailingSimulator, Plan
+
+
+def concretes(count):
+    return [ConcreteScenario(Path("none.xosc"), {"k": float(k)}) for k in range(count)]
 
 
 def runs(scenario, simulator):
