@@ -140,6 +140,32 @@ class StudyContents(ScenarioContents):
         with damage_told(self.path):
             return dict(loaded(found[0][0])) if found else None
 
+    def results(self) -> list[tuple[int, int]]:
+        """Tell in which order the results of a search without rounds came.
+
+        Returns
+        -------
+        list of (int, int)
+            Id of each scenario that has ended, and the number of the first round that was proposed when the search knew
+            of it, or will be; empty in a study of rounds.
+        """
+        if not self.meta.asynchronous:
+            return []
+        found = self._database.found(
+            "SELECT scenario, results.round, scenarios.round, state FROM results"
+            " LEFT JOIN scenarios ON scenario = id ORDER BY number"
+        )
+        ((ended, last),) = self._database.found("SELECT SUM(state != 'pending'), MAX(round) FROM scenarios")
+        with damage_told(self.path):
+            turns = [turn for _, turn, _, _ in found]
+            require(all(isinstance(turn, int) for turn in turns) and turns == sorted(turns), "the order of its results")
+            require(all(own is not None and own < turn <= last + 1 for _, turn, own, _ in found), "a result's round")
+            require(all(state != "pending" for *_, state in found), "a result of a scenario that has not ended")
+            require(
+                len({one for one, *_ in found}) == len(found) == (ended or 0), "a result is missing, or there twice"
+            )
+            return [(scenario, turn) for scenario, turn, _, _ in found]
+
     def elapsed(self) -> dict[str, float]:
         """Time spent by stage.
 
