@@ -84,7 +84,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._undecided: dict[int, Undecided] = {}
         self._came: list[Row] = []
         self._scores: dict[int, Any] = {}
-        self._told = self._judged = 0
+        self._results = self._judged = 0
 
     def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
         """Keep scenarios on their way until a criterion says why to end, and all have ended."""
@@ -123,16 +123,16 @@ class AsynchronousExplorer(ScenarioExplorer):
         for turn in turns_of(self._study):
             if not turn.proposed:
                 # The next round is told of more, which comes now.
-                self._came, self._scores = list(turn.told), scores
+                self._came, self._scores = list(turn.ended), scores
                 break
-            if turn.told:
-                self._tell(list(turn.told), scores)
+            if turn.ended:
+                self._tell(list(turn.ended), scores)
             if self._optimizer.remembers_asking and (searched := self._searched(turn.proposed)):
                 self._search.pending = self._points(turn.pending)
                 self._search.ask(len(searched))
         pending = [row for row in rows if row.state == "pending"]
         # What was known when a search was killed was judged before; one that had ended is judged again.
-        self._judged = self._told // self._configuration.batch if pending else -1
+        self._judged = self._results // self._configuration.batch if pending else -1
         self._give(stream, pending)
         return len(rows), rows[-1].round if rows else 0
 
@@ -178,13 +178,13 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._came, self._scores = [], {}
 
     def _look_for_news(self, scores: FloatArray) -> None:
-        self._told += len(scores)
+        self._results += len(scores)
         for score in scores:
             self._stale = 0 if self._best.add(score[None]) else self._stale + 1
 
     def _enough(self) -> str | None:
         """Judge no more often than a search in rounds does."""
-        rounds = self._told // self._configuration.batch
+        rounds = self._results // self._configuration.batch
         if rounds == self._judged:
             return None
         self._judged = rounds

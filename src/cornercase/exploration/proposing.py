@@ -32,7 +32,7 @@ class Search:
     def __init__(self, optimizer: Optimizer, asynchronous: bool) -> None:
         self._optimizer, self._asynchronous = optimizer, asynchronous
         self.pending: FloatArray | None = None
-        self._told: list[list[FloatArray]] = []
+        self._sums: list[list[FloatArray]] = []
 
     def ask(self, n: int) -> FloatArray:
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
@@ -41,22 +41,22 @@ class Search:
         points = np.zeros((0, 0)) if self.pending is None else self.pending
         return self._optimizer.ask_beside(n, points, *self._lies(len(points)))
 
-    def tell(self, points: FloatArray, *told: FloatArray) -> None:
+    def tell(self, points: FloatArray, *results: FloatArray) -> None:
         """Take scores, shape (m,) or (m, k), and features, shape (m, f), of points, shape (m, d)."""
         tell: Any = self._optimizer.tell
-        tell(points, *told)
+        tell(points, *results)
         if self._asynchronous:
             # Sums and numbers, so that a lie takes no longer when much was told.
-            finite = [np.isfinite(one) for one in told]
-            new = [np.where(good, one, 0.0).sum(axis=0) for good, one in zip(finite, told, strict=True)]
+            finite = [np.isfinite(one) for one in results]
+            new = [np.where(good, one, 0.0).sum(axis=0) for good, one in zip(finite, results, strict=True)]
             counts = [good.sum(axis=0) for good in finite]
-            before = self._told or [[np.zeros_like(one), np.zeros_like(one)] for one in new]
-            self._told = [[a + n, b + c] for (a, b), n, c in zip(before, new, counts, strict=True)]
+            before = self._sums or [[np.zeros_like(one), np.zeros_like(one)] for one in new]
+            self._sums = [[a + n, b + c] for (a, b), n, c in zip(before, new, counts, strict=True)]
 
     def _lies(self, count: int) -> list[FloatArray]:
         """What a constant liar tells of so many points: the mean of all that was told, NaN where nothing was."""
         with np.errstate(invalid="ignore"):
-            return [np.repeat((total / number)[None], count, axis=0) for total, number in self._told]
+            return [np.repeat((total / number)[None], count, axis=0) for total, number in self._sums]
 
 
 class Proposer:
@@ -107,7 +107,7 @@ class Turn:
 
     Attributes
     ----------
-    told : tuple of Row
+    ended : tuple of Row
         Scenarios whose results had come since the round before, in the order in which they came.
     pending : tuple of Row
         Scenarios that were being run.
@@ -115,7 +115,7 @@ class Turn:
         Those of the round; empty of results that no round was proposed with yet.
     """
 
-    told: tuple[Row, ...]
+    ended: tuple[Row, ...]
     pending: tuple[Row, ...]
     proposed: tuple[Row, ...]
 
@@ -135,10 +135,10 @@ def turns_of(study: Study) -> Iterator[Turn]:
     rows = study.rows()
     rounds = {number: tuple(members) for number, members in groupby(rows, key=lambda row: row.round)}
     if not study.meta.asynchronous:
-        told: tuple[Row, ...] = ()
+        ended: tuple[Row, ...] = ()
         for members in rounds.values():
-            yield Turn(told, (), members)
-            told = members
+            yield Turn(ended, (), members)
+            ended = members
         return
     by_id = {row.id: row for row in rows}
     came: dict[int, list[Row]] = {}

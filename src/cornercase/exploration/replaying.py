@@ -52,12 +52,12 @@ def replay_proposals(path: Path, meta: StudyMeta, objective: Objective, optimize
 
 def _first_other(study: Study, objective: Objective, optimizer: Optimizer) -> int | None:
     """Id of the first scenario that is proposed otherwise; None where all are the same."""
-    told = _Results(study, objective, "features" in optimizer.needs)
+    results = _Results(study, objective, "features" in optimizer.needs)
     search = Search(optimizer, study.meta.asynchronous)
     proposer, done = Proposer(search, study), 0
     for turn in turns_of(study):
-        if searched := [row for row in turn.told if not study.meta.is_audit(row.id)]:
-            search.tell(*told.of(searched))
+        if searched := [row for row in turn.ended if not study.meta.is_audit(row.id)]:
+            search.tell(*results.of(searched))
         pending = [row.point for row in turn.pending if not study.meta.is_audit(row.id)]
         search.pending = np.array(pending).reshape(-1, study.space.dimension)
         if not turn.proposed:

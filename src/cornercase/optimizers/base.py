@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from copy import deepcopy
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from cornercase._common.typing import FloatArray
 
@@ -90,7 +90,7 @@ class Optimizer(ABC):
             where the optimizer `takes_several`.
         """
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose points while others are run, in a search without rounds.
 
         By default a copy of the optimizer is told the mean of all scores for each point that is run (a constant liar)

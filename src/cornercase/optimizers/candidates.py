@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class CandidateOptimizer(Optimizer):
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
         return self.ask_beside(n, self._points[:0])
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose points, as in `Optimizer.ask_beside`: the model knows of `pending` where it is run, and no lie."""
         told, scores = len(self._points), self._scores[self._known]
         if told < self._initial or len(scores) < _FEWEST or np.ptp(scores) == 0.0:

@@ -59,7 +59,7 @@ class EvolutionaryOptimizer(Optimizer):
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
         return self.ask_beside(n, self._points[:0])
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose points, as in `Optimizer.ask_beside`: only scenarios that have ended are parents."""
         if self._scores is None or np.isfinite(self._scores).all(axis=1).sum() < self._population:
             return self._sequence.ask(n, besides=pending)

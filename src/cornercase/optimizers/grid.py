@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.stats import qmc
 
@@ -45,7 +47,7 @@ class GridOptimizer(Optimizer):
         """Return the next at most `n` points of the grid, shape (m, d)."""
         return self._points[self._told : self._told + n].copy()
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Return the next points of the grid, as in `Optimizer.ask_beside`; no lie is needed."""
         begun = self._told + len(pending)
         return self._points[begun : begun + n].copy()

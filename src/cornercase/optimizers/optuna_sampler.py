@@ -64,7 +64,7 @@ class OptunaOptimizer(Optimizer):
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
         return self._proposed(n, np.zeros((0, self._space.dimension)))
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose points, as in `Optimizer.ask_beside`: what is run is a running trial, which TPE takes for bad."""
         self._in_rounds = False
         return self._proposed(n, pending)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.stats import qmc
@@ -61,7 +61,7 @@ class SequenceOptimizer(Optimizer):
             pass
         return found[:n]
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: FloatArray) -> FloatArray:
+    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose the next points of the sequence, as in `Optimizer.ask_beside`; no lie is needed."""
         return self.ask(n, besides=pending)
 
