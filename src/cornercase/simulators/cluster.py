@@ -162,7 +162,8 @@ class ClusterSimulator(SimulatorElsewhere):
 
     def give_up(self) -> None:
         """End all waiting in other threads; what workers have begun is not waited for."""
-        with suppress(OSError, CancelledError, TimeoutError):
+        # Another thread may add to them meanwhile; it is asked for again.
+        with suppress(OSError, CancelledError, TimeoutError, RuntimeError):
             if self._client.status == "running":
                 self._client.cancel(list(self._given))
 
