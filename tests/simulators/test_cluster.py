@@ -265,10 +265,10 @@ def test_the_folder_of_a_parcel_is_that_of_all_files():
     assert parcel.main == X.name
 
 
-def test_without_rounds_the_scenarios_are_those_of_one_process(shared, tmp_path):
+def test_without_rounds_the_scenarios_are_those_of_one_process(client, tmp_path):
     one = replace(demonstration("x-intersection", budget=9, seed=1), optimizer="sobol", duration=10.0)
     explore_configuration(one, tmp_path / "here.db")
-    explore_configuration(replace(one, cluster="local", workers=2, asynchronous=True), tmp_path / "there.db")
+    explore_configuration(replace(one, cluster=client, asynchronous=True), tmp_path / "there.db")
     with (
         Study.open(tmp_path / "here.db", readonly=True) as here,
         Study.open(tmp_path / "there.db", readonly=True) as there,

@@ -117,8 +117,6 @@ class ScenarioExplorer:
     ) -> None:
         self._configuration, self._optimizer, self._study = configuration, optimizer, study
         self._space = configuration.logical.space
-        self._search = Search(optimizer, study.meta.asynchronous)
-        self._proposer = Proposer(self._search, study)
         self._objective = configuration.objective() if objective is None else objective
         threshold = configuration.threshold(self._objective)
         self._stopping = Stopping(
@@ -147,6 +145,8 @@ class ScenarioExplorer:
         -------
         ExplorationResult
         """
+        self._search = Search(self._optimizer, self._study.meta.asynchronous)
+        self._proposer = Proposer(self._search, self._study)
         bar = ProgressBar(self._configuration.budget, "exploring", "scenarios") if progress else None
         try:
             with noted_interrupts() as check:
