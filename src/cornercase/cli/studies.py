@@ -62,6 +62,7 @@ def analyze(
     ] = False,
     workers: LocalWorkers = 1,
     cluster: Cluster = None,
+    memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
     """Cluster what was run, by behaviour and by criticality.
@@ -87,6 +88,7 @@ def analyze(
         keep=keep,
         workers=workers,
         cluster=cluster,
+        memory=memory,
         progress=True,
     )
     table = Table(
@@ -170,6 +172,7 @@ def reduce(
     ] = None,
     workers: LocalWorkers = 1,
     cluster: Cluster = None,
+    memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
     """Keep the few concrete scenarios that matter, as files that run by themselves.
@@ -218,6 +221,7 @@ def reduce(
         within=within,
         exposure=exposure,
         scenario=scenario,
+        memory=memory,
     )
     out.print(f"{len(reduced.kept)} of {reduced.run} scenarios kept, in {output}")
     if reduced.exposing is not None:

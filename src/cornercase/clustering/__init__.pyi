@@ -20,6 +20,8 @@ from .outcomes import Impact as Impact
 from .outcomes import Outcome as Outcome
 from .outcomes import find_outcome as find_outcome
 from .outcomes import tell_outcome as tell_outcome
+from .places import Distances as Distances
+from .places import PlacedDistances as PlacedDistances
 from .profiles import Profile as Profile
 from .rules import EVERYWHERE as EVERYWHERE
 from .rules import Rule as Rule

@@ -10,6 +10,7 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.clusters import Candidate, Clustering
+from cornercase.clustering.places import Distances, PlacedDistances
 from cornercase.clustering.profiles import Profile
 from cornercase.clustering.rules import Rule
 from cornercase.study import Study, damage_told, made, require
@@ -19,7 +20,7 @@ from cornercase.study import Study, damage_told, made, require
 class Analysis:
     """Clusters of a study's scenarios by one aspect.
 
-    The distances are not among it, as there are n × n of them; `read_distances` gives them.
+    The distances are not among it, as there are many; `read_distances` gives them.
 
     Attributes
     ----------
@@ -40,6 +41,11 @@ class Analysis:
     tells : mapping of str to float
         How much the clusters say of what happened: by fact the adjusted mutual information, as in
         `cornercase.clustering.agreement.agree_with_facts`; empty in a study of an early version.
+    every : int
+        Of so many instants one was compared.
+    inexact : float or None
+        Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance, where
+        they follow from places; None where all pairs were compared.
     """
 
     by: str
@@ -50,6 +56,8 @@ class Analysis:
     fitted: IntArray
     profiles: tuple[Profile, ...]
     tells: Mapping[str, float] = field(default_factory=dict)
+    every: int = 1
+    inexact: float | None = None
 
     @property
     def labels(self) -> IntArray:
@@ -86,7 +94,7 @@ class Analysis:
         )
 
 
-def save_analysis(study: Study, analysis: Analysis, distances: FloatArray) -> None:
+def save_analysis(study: Study, analysis: Analysis, compared: FloatArray, distances: Distances) -> None:
     """Store an analysis in a study, in place of the one by the same aspect.
 
     Parameters
@@ -95,13 +103,16 @@ def save_analysis(study: Study, analysis: Analysis, distances: FloatArray) -> No
         Open for writing.
     analysis : Analysis
         What was found.
-    distances : ndarray of float64, shape (n, n)
-        Distances that the scenarios were clustered by.
+    compared : ndarray of float64, shape (n, n) or (m, m)
+        Distances that the clusters were found by: between all scenarios, or the landmarks.
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
+        Between all scenarios.
     """
     found = analysis.clustering
-    arrays = {
-        "ids": analysis.ids,
-        "distances": distances,
+    arrays = {"ids": analysis.ids, "distances": compared}
+    if isinstance(distances, PlacedDistances):
+        arrays = {"ids": analysis.ids, "between": compared, "places": distances.places}
+    arrays |= {
         "labels": found.labels,
         "embedding": found.embedding,
         "landmarks": found.landmarks,
@@ -123,6 +134,8 @@ def save_analysis(study: Study, analysis: Analysis, distances: FloatArray) -> No
         "profiles": [asdict(one) for one in analysis.profiles],
         "tells": dict(analysis.tells),
     }
+    if analysis.inexact is not None:
+        info |= {"every": analysis.every, "inexact": analysis.inexact}
     study.save_analysis(analysis.by, arrays, info)
 
 
@@ -166,7 +179,10 @@ def read_analysis(study: Study, by: str) -> Analysis:
         require(described in ([], list(zip(kinds.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters")
         require({one.example for one in profiles} <= {None, *ids.tolist()}, "an example of no scenario")
         require(isinstance(info["unit"], str), "a unit that is no text")
-        return Analysis(by, info["unit"], window, ids, found, fitted, profiles, tells)
+        every, inexact = int(info.get("every", 1)), info.get("inexact")
+        require(every >= 1, "no instants that were compared")
+        inexact = None if inexact is None else float(inexact)
+        return Analysis(by, info["unit"], window, ids, found, fitted, profiles, tells, every, inexact)
 
 
 def _numbers(plain: list[int]) -> IntArray:
@@ -214,7 +230,7 @@ def read_analyses(study: Study) -> dict[str, Analysis]:
     return {by: read_analysis(study, by) for by in study.analyses()}
 
 
-def read_distances(study: Study, by: str) -> FloatArray:
+def read_distances(study: Study, by: str) -> Distances:
     """Read the distances that scenarios were clustered by.
 
     Parameters
@@ -226,18 +242,78 @@ def read_distances(study: Study, by: str) -> FloatArray:
 
     Returns
     -------
-    ndarray of float64, shape (n, n)
-        Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect.
+    ndarray of float64, shape (n, n), or PlacedDistances
+        Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. Where scenarios were
+        compared with landmarks only, they are made of the places of the scenarios when they are asked for.
 
     Raises
     ------
     InputError
         The study was not analysed by it.
     """
+    if is_placed(study, by):
+        arrays, _ = study.analysis(by, "ids", "places")
+        with damage_told(study.path):
+            places = arrays["places"]
+            require(places.ndim == 2 and len(places) == len(arrays["ids"]), "places of other scenarios")
+            require(places.dtype.kind == "f" and bool(np.isfinite(places).all()), "places that are none")
+            return PlacedDistances(places)
     arrays, _ = study.analysis(by, "ids", "distances")
     distances: FloatArray = arrays["distances"]
     with damage_told(study.path):
-        n = len(arrays["ids"])
-        require(distances.shape == (n, n) and distances.dtype.kind == "f", "distances of other scenarios")
-        require(bool(np.isfinite(distances).all()) and bool((distances >= 0.0).all()), "distances that are none")
+        _require_distances(distances, len(arrays["ids"]))
     return distances
+
+
+def read_between(study: Study, by: str) -> FloatArray:
+    """Read the distances of the scenarios that the others were compared with.
+
+    Parameters
+    ----------
+    study : Study
+        Analysed before, with landmarks.
+    by : str
+        Aspect.
+
+    Returns
+    -------
+    ndarray of float64, shape (m, m)
+        Between the landmarks.
+
+    Raises
+    ------
+    InputError
+        The study was not analysed by it, or without landmarks.
+    """
+    arrays, _ = study.analysis(by, "landmarks", "between")
+    distances: FloatArray = arrays["between"]
+    with damage_told(study.path):
+        _require_distances(distances, len(arrays["landmarks"]))
+    return distances
+
+
+def is_placed(study: Study, by: str) -> bool:
+    """Say whether the scenarios of an analysis were compared with landmarks only.
+
+    Parameters
+    ----------
+    study : Study
+        Analysed before.
+    by : str
+        Aspect.
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    InputError
+        The study was not analysed by it.
+    """
+    return study.analysis(by, "ids")[1].get("inexact") is not None
+
+
+def _require_distances(distances: FloatArray, n: int) -> None:
+    require(distances.shape == (n, n) and distances.dtype.kind == "f", "distances of other scenarios")
+    require(bool(np.isfinite(distances).all()) and bool((distances >= 0.0).all()), "distances that are none")

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from cornercase._common.arguments import texts
 from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
+from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.agreement import agree_with_facts, find_facts
-from cornercase.clustering.analysis import Analysis, read_analysis, read_distances, save_analysis
+from cornercase.clustering.analysis import Analysis, read_analysis, read_between, read_distances, save_analysis
 from cornercase.clustering.clauses import Account
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
 from cornercase.clustering.comparing import (
@@ -30,14 +32,22 @@ from cornercase.clustering.comparing import (
 )
 from cornercase.clustering.estimator import ScenarioClustering
 from cornercase.clustering.joining import fit_again
-from cornercase.clustering.outcomes import find_outcome
+from cornercase.clustering.landmarks import MOST_COMPARED, Comparing, find_by_landmarks, join_landmarks
+from cornercase.clustering.outcomes import Outcome, find_outcome
+from cornercase.clustering.places import Distances, PlacedDistances
 from cornercase.clustering.profiles import describe_clusters
+from cornercase.clustering.thinning import instants_apart, thinned
 from cornercase.clustering.traits import measure_traits
-from cornercase.dtw import distance_matrix
 from cornercase.study import Study, open_study
 
 if TYPE_CHECKING:
     from distributed import Client
+
+# Recordings that say how long all are, and how much memory they take.
+_LOOKED_AT: Final = 100
+# Bytes: of a pair in the matrix and in what is made of it, and of a scenario beside its series.
+_OF_A_PAIR: Final = 60
+_OF_A_SCENARIO: Final = 8_000
 
 
 def analyze(
@@ -52,12 +62,16 @@ def analyze(
     keep: bool = False,
     workers: int = 1,
     cluster: str | Client | None = None,
+    memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
 ) -> dict[str, Analysis]:
     """Cluster the scenarios of a study by behaviour and by criticality, and store the result in it.
 
     For each aspect, the scenarios are compared by Dynamic Time Warping, and `ScenarioClustering` clusters them by
-    these distances.
+    these distances. Of more than 2,000 scenarios, each is compared with 500 of them, the landmarks, which are drawn at
+    random; of their series so many instants are taken that the typical one has 100 at most. The clusters of the
+    landmarks are found, and the others join them. Distances between others follow from places, by landmark
+    multidimensional scaling; `Analysis.inexact` says how well.
 
     Parameters
     ----------
@@ -83,6 +97,8 @@ def analyze(
     cluster : str or distributed.Client, optional
         Dask cluster that computes the distances: ``"local"`` for `workers` processes here, the address of a scheduler,
         the file that a scheduler wrote, or a connection, which stays open. The result is the same to the bit.
+    memory : str or float, default "4 GB"
+        That the process may take, in bytes or in words; more scenarios than fit are refused.
     progress : bool, default False
         Show a progress bar.
 
@@ -94,8 +110,8 @@ def analyze(
     Raises
     ------
     InputError
-        Fewer than two scenarios were run, the study cannot be compared by an aspect, a setting is out of range, or
-        given for clusters that are kept.
+        Fewer than two scenarios were run, the study cannot be compared by an aspect, a setting is out of range or
+        given for clusters that are kept, or the series do not fit in the memory.
 
     See Also
     --------
@@ -109,6 +125,7 @@ def analyze(
     """
     model = ScenarioClustering(gamma, eps, min_samples, method="dbscan" if method is None else method)
     model.require_settings()
+    limit = MemoryLimit.of(memory)
     chosen = None if by is None else tuple(dict.fromkeys(texts("by", by)))
     with open_study(study) as opened:
         aspects = default_aspects(opened) if chosen is None else chosen
@@ -121,7 +138,19 @@ def analyze(
                 " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."
             )
         with connected(cluster, workers, else_none=True) as client:
-            return _analyzed(opened, aspects, model, window, keep, client, progress)
+            return _analyzed(opened, aspects, model, window, keep, limit, client, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What was read of the scenarios that were run."""
+
+    outcomes: list[Outcome]
+    account: Account
+    times: list[FloatArray]
+    """Instants of each; empty where no window is asked for."""
+    series: dict[str, list[FloatArray]]
+    """By aspect that is no metric."""
 
 
 def _analyzed(
@@ -130,6 +159,7 @@ def _analyzed(
     model: ScenarioClustering,
     window: float | None,
     keep: bool,
+    limit: MemoryLimit,
     client: Client | None,
     progress: bool,
 ) -> dict[str, Analysis]:
@@ -139,50 +169,115 @@ def _analyzed(
         why = f", {len(failed)} failed, the first one as {failed[0].error}" if failed else ""
         raise InputError(f"{study.path}: {ran} run{why}; at least 2 can be clustered.")
     begun = time.monotonic()
-    outcomes, traits, times = [], [], []
-    main = study.main_other()
-    compared = {one: make_aspect(one) for one in aspects if one not in study.meta.metrics}
-    seen: dict[str, list[FloatArray]] = {one: [] for one in compared}
-    # Each recording is unpacked once.
-    for i in ids.tolist():
-        recording = study.recording(i).with_absent(study.meta.others)
-        outcomes.append(find_outcome(recording, study.meta.ego, main))
-        traits.append(measure_traits(recording, outcomes[-1]))
-        times.append(recording.time)
-        for one, aspect in compared.items():
-            seen[one].append(series_in(study, i, recording, aspect, main))
-    for one, series in seen.items():
-        require_same_channels(study, one, ids.tolist(), series)
-    instants_within(times, window)
-    account = Account.of(outcomes, traits, study.space, [row.values for row in study.done()])
-    facts = find_facts(study, outcomes)
-    study.save_outcomes({i: one.text for i, one in zip(ids.tolist(), outcomes, strict=True)})
+    earlier = {one: read_analysis(study, one) for one in aspects if keep and one in study.analyses()}
+    usual = _instants_apart(study, ids)
+    every = {one: earlier[one].every if one in earlier else usual for one in aspects}
+    bar = ProgressBar(len(ids), "reading", "scenarios") if progress and len(ids) > MOST_COMPARED else None
+    try:
+        seen = _read(study, ids, every, limit, bar, with_times=window is not None or keep)
+    finally:
+        if bar:
+            bar.stop()
+    instants_within(seen.times, window)
+    facts = find_facts(study, seen.outcomes)
+    study.save_outcomes({i: one.text for i, one in zip(ids.tolist(), seen.outcomes, strict=True)})
     study.add_elapsed("read", time.monotonic() - begun)
     results = {}
     for by in aspects:
         begun = time.monotonic()
-        before = read_analysis(study, by) if keep and by in study.analyses() else None
+        before = earlier.pop(by, None)
         within = window if before is None else before.window
-        series = seen.pop(by) if by in seen else series_of(study, by)
-        # In single precision, several times as fast: the seventh digit of a distance decides nothing here.
-        distances = distance_matrix(
-            series, window=instants_within(times, within), dtype="float32", client=client, progress=progress
-        ).astype(np.float64)
-        measured = time.monotonic()
-        if before is not None:
-            # What is kept was found from these, to the last digit.
-            kept, rows = np.flatnonzero(np.isin(ids, before.ids)), before.rows_of(ids.tolist())
-            distances[np.ix_(kept, kept)] = read_distances(study, by)[np.ix_(rows, rows)]
-            found, fitted = _joined(before, ids, distances)
-        else:
-            found, fitted = model.fit(distances).result_, ids
-        profiles = describe_clusters(study, found.labels, account, distances)
+        series = seen.series.pop(by) if by in seen.series else [thinned(one, every[by]) for one in series_of(study, by)]
+        instants = instants_within([thinned(one, every[by]) for one in seen.times], within)
+        comparing = Comparing(series, every[by], instants, client, by if progress else None)
+        found, fitted, stored, known, inexact = _clustered(study, ids, comparing, model, by, before)
+        profiles = describe_clusters(study, found.labels, seen.account, known)
         tells = agree_with_facts(found.labels, facts)
-        results[by] = Analysis(by, unit_of(study, by), within, ids, found, fitted, profiles, tells)
-        save_analysis(study, results[by], distances)
-        study.add_elapsed("compare", measured - begun)
-        study.add_elapsed("cluster", time.monotonic() - measured)
+        unit = unit_of(study, by)
+        results[by] = Analysis(by, unit, within, ids, found, fitted, profiles, tells, every[by], inexact)
+        save_analysis(study, results[by], stored, known)
+        study.add_elapsed("compare", comparing.seconds)
+        study.add_elapsed("cluster", time.monotonic() - begun - comparing.seconds)
     return results
+
+
+def _instants_apart(study: Study, ids: IntArray) -> int:
+    """Of how many instants one is compared, by some of the recordings."""
+    if len(ids) <= MOST_COMPARED:
+        return 1
+    some = ids[np.linspace(0, len(ids) - 1, _LOOKED_AT).astype(np.int64)]
+    return instants_apart([len(study.recording(one).time) for one in some.tolist()])
+
+
+def _read(
+    study: Study,
+    ids: IntArray,
+    every: dict[str, int],
+    limit: MemoryLimit,
+    bar: ProgressBar | None,
+    *,
+    with_times: bool,
+) -> _Seen:
+    outcomes, traits, times = [], [], []
+    main = study.main_other()
+    compared = {one: make_aspect(one) for one in every if one not in study.meta.metrics}
+    seen: dict[str, list[FloatArray]] = {one: [] for one in compared}
+    # Each recording is unpacked once.
+    for count, i in enumerate(ids.tolist(), 1):
+        recording = study.recording(i).with_absent(study.meta.others)
+        outcomes.append(find_outcome(recording, study.meta.ego, main))
+        traits.append(measure_traits(recording, outcomes[-1]))
+        if with_times:
+            times.append(recording.time)
+        for one, aspect in compared.items():
+            seen[one].append(thinned(series_in(study, i, recording, aspect, main), every[one]))
+        if count == _LOOKED_AT:
+            _require_memory(study, seen, len(ids), limit)
+        if bar:
+            bar.update(count, "read")
+    for one, series in seen.items():
+        require_same_channels(study, one, ids.tolist(), series)
+    account = Account.of(outcomes, traits, study.space, [row.values for row in study.done()])
+    return _Seen(outcomes, account, times, seen)
+
+
+def _require_memory(study: Study, seen: dict[str, list[FloatArray]], count: int, limit: MemoryLimit) -> None:
+    """Refuse what will not fit, by the first scenarios."""
+    first = max(map(len, seen.values()), default=0)
+    series = sum(one.nbytes for series in seen.values() for one in series) / max(first, 1)
+    pairs = min(count, MOST_COMPARED) ** 2 * _OF_A_PAIR
+    limit.require(
+        pairs + count * (series + _OF_A_SCENARIO),
+        f"{study.path}: the series of {count} scenarios",
+        "give more, or analyze by fewer aspects at a time with `by`",
+    )
+
+
+def _clustered(
+    study: Study, ids: IntArray, comparing: Comparing, model: ScenarioClustering, by: str, before: Analysis | None
+) -> tuple[Clustering, IntArray, FloatArray, Distances, float | None]:
+    """Clusters, what they were found from, the distances to store, all distances, and how inexact these are."""
+    if before is None and len(ids) > MOST_COMPARED:
+        compared = find_by_landmarks(comparing, model)
+        return compared.clustering, ids, compared.between, PlacedDistances(compared.places), compared.error
+    if before is not None and (before.inexact is not None or len(ids) > MOST_COMPARED):
+        # Of an analysis without landmarks all scenarios are.
+        chosen = before.ids[before.clustering.landmarks] if before.inexact is not None else before.fitted
+        rows = before.rows_of(chosen.tolist())
+        if before.inexact is not None:
+            stored = read_between(study, by)
+        else:
+            stored = read_distances(study, by)[np.ix_(rows, rows)]
+        landmarks = np.flatnonzero(np.isin(ids, chosen))
+        compared = join_landmarks(comparing, landmarks, stored, before.clustering, before.labels[rows])
+        return compared.clustering, before.fitted, stored, PlacedDistances(compared.places), compared.error
+    distances = comparing.between(np.arange(len(ids)), shown=True)
+    if before is None:
+        return model.fit(distances).result_, ids, distances, distances, None
+    # What is kept was found from these, to the last digit.
+    kept, rows = np.flatnonzero(np.isin(ids, before.ids)), before.rows_of(ids.tolist())
+    distances[np.ix_(kept, kept)] = read_distances(study, by)[np.ix_(rows, rows)]
+    return *_joined(before, ids, distances), distances, distances, None
 
 
 def _joined(before: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clustering, IntArray]:

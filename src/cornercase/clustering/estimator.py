@@ -21,6 +21,8 @@ from cornercase.clustering.search import MOST_SCORED, canonical_order, search_se
 # Beyond so many scenarios the kernel space is that of so many landmarks.
 MOST_EXACT: Final = 5000
 LANDMARKS: Final = 2000
+# Singular values of a kernel of distances in single precision that are rounding, as a share of the largest.
+_SMALLEST: Final = 1e-7
 
 
 class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
@@ -251,6 +253,24 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             As `transform`.
         """
         return join_nearest(self.transform(distances), self._known)
+
+    def kernel_lost(self, distances: FloatArray, between: FloatArray) -> float:
+        """Measure how much of the kernel of new scenarios is lost when it is rebuilt from that of those clustered.
+
+        Parameters
+        ----------
+        distances : ndarray of float64, shape (m, n)
+            From each new scenario to those that were clustered.
+        between : ndarray of float64, shape (m, m)
+            Between the new ones.
+
+        Returns
+        -------
+        float
+            As `Clustering.error`.
+        """
+        with threadpool_limits(limits=1):
+            return self._space.error(distances[:, self._spanning] / self._scale, between / self._scale, _SMALLEST)
 
     def _as_given(self) -> Clustering:
         """Clusters of all scenarios, in the order in which these were given."""

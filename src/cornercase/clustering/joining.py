@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.analysis import Analysis, read_distances
+from cornercase.clustering.analysis import Analysis, read_between, read_distances
 from cornercase.clustering.comparing import instants_within, make_aspect, require_same_channels, series_in
+from cornercase.clustering.density import join_nearest
 from cornercase.clustering.estimator import ScenarioClustering
+from cornercase.clustering.landmarks import Comparing
+from cornercase.clustering.thinning import thinned
 from cornercase.dtw import distance_matrix
 from cornercase.metrics import METRICS
 from cornercase.study import Study
@@ -22,7 +26,7 @@ def fit_again(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
     ----------
     analysis : Analysis
     distances : ndarray of float64, shape (m, m)
-        Of the scenarios that they were found from.
+        Of the scenarios that they were found from, or of the landmarks.
 
     Returns
     -------
@@ -60,19 +64,28 @@ def join_kinds(study: Study, analysis: Analysis, other: Study, ids: Sequence[int
     """
     if not len(ids):
         return np.zeros(0, dtype=np.int64)
-    earlier = analysis.fitted.tolist()
+    placed = analysis.inexact is not None
+    known = analysis.ids[analysis.clustering.landmarks] if placed else analysis.fitted
+    earlier = known.tolist()
     series, times = [], []
     for one, scenarios in ((study, earlier), (other, list(ids))):
         found, at = _read(one, analysis.by, scenarios, study.main_other())
         require_same_channels(one, analysis.by, scenarios, found)
         series += found
         times += at
+    series, times = ([thinned(each, analysis.every) for each in every] for every in (series, times))
     within = instants_within(times, analysis.window)
+    rows, count = analysis.rows_of(earlier), len(earlier)
+    if placed:
+        comparing = Comparing(series, analysis.every, within)
+        to_landmarks = comparing.to(np.arange(count), np.arange(count, len(series)))
+        model = fit_again(analysis, read_between(study, analysis.by))
+        labelled = replace(model.result_, labels=analysis.labels[rows])
+        return join_nearest(model.transform(to_landmarks), labelled)
     # As in `analyze`: to single precision.
     distances = distance_matrix(series, window=within, dtype="float32").astype(np.float64)
-    rows = analysis.rows_of(earlier)
     model = fit_again(analysis, read_distances(study, analysis.by)[np.ix_(rows, rows)])
-    return model.predict(distances[len(earlier) :, : len(earlier)])
+    return model.predict(distances[count:, :count])
 
 
 def _read(study: Study, by: str, ids: Sequence[int], main: str) -> tuple[list[FloatArray], list[FloatArray]]:

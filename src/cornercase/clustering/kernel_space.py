@@ -84,7 +84,7 @@ class KernelSpace:
             placed[:, : found.shape[1]] = found
         return placed
 
-    def error(self, to_known: FloatArray, between: FloatArray) -> float:
+    def error(self, to_known: FloatArray, between: FloatArray, smallest: float = 1e-10) -> float:
         """How much of the kernel of further scenarios is lost when it is rebuilt from the fitted ones.
 
         Parameters
@@ -93,6 +93,8 @@ class KernelSpace:
             Distances from the further scenarios to the fitted ones.
         between : ndarray of float64, shape (m, m)
             Distances of the further scenarios from each other.
+        smallest : float, default 1e-10
+            Singular values of the kernel that are less than this share of the largest one count as rounding.
 
         Returns
         -------
@@ -100,7 +102,7 @@ class KernelSpace:
             Frobenius norm of the difference over that of the kernel.
         """
         cross, kernel = self._kernel(to_known), self._kernel(between)
-        weights = lstsq(self._known, cross.T, cond=1e-10)[0]
+        weights = lstsq(self._known, cross.T, cond=smallest)[0]
         return float(np.linalg.norm(kernel - cross @ weights) / np.linalg.norm(kernel))
 
     def _kernel(self, distances: FloatArray) -> FloatArray:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import IntArray
 from cornercase.clustering.clauses import Account
 from cornercase.clustering.names import name_kinds
+from cornercase.clustering.places import Distances, PlacedDistances
 from cornercase.clustering.rules import Rule, find_rules
 from cornercase.study import Study
 
@@ -61,7 +62,7 @@ class Profile:
         return f"{self.name}; {self.collisions} of {self.size} collide"
 
 
-def describe_clusters(study: Study, labels: IntArray, account: Account, distances: FloatArray) -> tuple[Profile, ...]:
+def describe_clusters(study: Study, labels: IntArray, account: Account, distances: Distances) -> tuple[Profile, ...]:
     """Describe each cluster of a study, noise last.
 
     Parameters
@@ -72,7 +73,7 @@ def describe_clusters(study: Study, labels: IntArray, account: Account, distance
         Cluster of each scenario that ended.
     account : Account
         How each went, with its parameters.
-    distances : ndarray of float64, shape (n, n)
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
         Distances that they were clustered by.
 
     Returns
@@ -112,5 +113,7 @@ def describe_clusters(study: Study, labels: IntArray, account: Account, distance
     return tuple(found)
 
 
-def _medoid(distances: FloatArray, members: IntArray) -> int:
+def _medoid(distances: Distances, members: IntArray) -> int:
+    if isinstance(distances, PlacedDistances):
+        return distances.middle(members)
     return int(members[distances[np.ix_(members, members)].sum(axis=1).argmin()])

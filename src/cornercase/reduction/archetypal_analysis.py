@@ -25,6 +25,8 @@ _ELBOW: Final = 0.02
 _GAMMA: Final = 4.0
 # The time grows with the cube of the number of scenarios.
 _MOST_IN_KERNEL: Final = 2000
+# The same where there are many scenarios in all, so that it takes no minutes.
+_MOST_SPREAD: Final = 400
 _KEPT_VARIANCE: Final = 0.99
 _ITERATIONS: Final = 300
 
@@ -139,6 +141,23 @@ def find_kernel_archetypes(distances: FloatArray, k: int) -> Archetypes:
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     enough = int(np.searchsorted(np.cumsum(values) / values.sum(), _KEPT_VARIANCE)) + 1
     return find_archetypes(vectors[:, :enough] * np.sqrt(values[:enough]), k)
+
+
+def spread(members: IntArray) -> IntArray:
+    """Take scenarios that are few enough for archetypal analysis.
+
+    Parameters
+    ----------
+    members : ndarray of int64, shape (n,)
+        Indices.
+
+    Returns
+    -------
+    ndarray of int64, shape (m,)
+        All of up to 400; of more so many, evenly spread over their order.
+    """
+    count = min(_MOST_SPREAD, len(members))
+    return members[np.linspace(0, len(members) - 1, count).astype(np.int64)]
 
 
 def _fitted(points: FloatArray, k: int) -> tuple[FloatArray, float]:

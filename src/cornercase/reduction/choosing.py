@@ -9,8 +9,10 @@ from typing import Literal
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering import Distances
 from cornercase.reduction.cluster_selection import choose_by_cluster
 from cornercase.reduction.cluster_shapes import ArchetypeMethod, ShapedCluster, find_shapes
+from cornercase.reduction.draws import part_of
 from cornercase.reduction.exposing import choose_exposing
 from cornercase.reduction.held_out import Trial, divide
 from cornercase.reduction.kept import Kept, Selection
@@ -47,7 +49,7 @@ class Material:
     ----------
     points : ndarray of float64, shape (n, d)
         Parameters in the unit cube.
-    distances : sequence of ndarray of float64, each (n, n)
+    distances : sequence of ndarray of float64, each (n, n), or of PlacedDistances
         Of all clusterings; the first is that of `labels`.
     labels : ndarray of int64, shape (n,)
         -1 is noise.
@@ -60,7 +62,7 @@ class Material:
     """
 
     points: FloatArray
-    distances: Sequence[FloatArray]
+    distances: Sequence[Distances]
     labels: IntArray
     embedding: FloatArray
     critical: Sequence[int]
@@ -81,7 +83,7 @@ class Material:
         """
         return Material(
             self.points[rows],
-            [matrix[np.ix_(rows, rows)] for matrix in self.distances],
+            [part_of(one, rows, rows) for one in self.distances],
             self.labels[rows],
             self.embedding[rows],
             self.critical,

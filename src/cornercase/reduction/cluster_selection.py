@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
+from cornercase.clustering import PlacedDistances
 from cornercase.reduction.archetypal_analysis import MOST_ARCHETYPES
 from cornercase.reduction.cluster_shapes import ShapedCluster, find_shapes
 from cornercase.reduction.kept import Kept
@@ -21,7 +22,7 @@ PER_KEPT: Final = 10
 
 def choose_by_cluster(
     points: npt.ArrayLike,
-    distances: npt.ArrayLike,
+    distances: npt.ArrayLike | PlacedDistances,
     labels: npt.ArrayLike,
     *,
     archetypes: int | Literal["auto"] = "auto",
@@ -33,7 +34,7 @@ def choose_by_cluster(
     ----------
     points : array_like, shape (n, d)
         Parameters of the scenarios in the unit cube.
-    distances : array_like, shape (n, n)
+    distances : array_like, shape (n, n), or PlacedDistances
         Distances by which the scenarios were clustered.
     labels : array_like of int, shape (n,)
         Cluster of each scenario; -1 is noise, of which none is kept.
@@ -56,7 +57,7 @@ def choose_by_cluster(
         The numbers of scenarios differ, or `archetypes` is not positive.
     """
     points = np.asarray(points, dtype=np.float64)
-    distances = np.asarray(distances, dtype=np.float64)
+    distances = distances if isinstance(distances, PlacedDistances) else np.asarray(distances, dtype=np.float64)
     names = np.asarray(labels, dtype=np.int64)
     n = len(names)
     if points.ndim != 2 or len(points) != n or distances.shape != (n, n):

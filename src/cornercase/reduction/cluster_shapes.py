@@ -10,7 +10,8 @@ import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.reduction.archetypal_analysis import find_archetypes, find_kernel_archetypes
+from cornercase.clustering import Distances, PlacedDistances
+from cornercase.reduction.archetypal_analysis import find_archetypes, find_kernel_archetypes, spread
 from cornercase.reduction.convexity import CONVEX, find_convex_parts, measure_convexity
 from cornercase.reduction.hulls import MOST_HULL_DIMENSIONS, find_hull_archetypes
 
@@ -56,14 +57,14 @@ class ShapedCluster:
     shape: ClusterShape
     parts: tuple[IntArray, ...]
 
-    def archetypes(self, points: FloatArray, distances: FloatArray, most: int) -> IntArray:
+    def archetypes(self, points: FloatArray, distances: Distances, most: int) -> IntArray:
         """Find scenarios at the extremes of the cluster.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
             Parameters in the unit cube.
-        distances : ndarray of float64, shape (n, n)
+        distances : ndarray of float64, shape (n, n), or PlacedDistances
             Between all scenarios, in any unit.
         most : int
             Largest number; a part has its share of them, by its number of scenarios.
@@ -74,6 +75,8 @@ class ShapedCluster:
             Indices.
         """
         (whole, *more) = self.parts
+        if self.shape.method in ("kernel", "pcha") and isinstance(distances, PlacedDistances):
+            whole = spread(whole)
         if self.shape.method == "kernel":
             return whole[find_kernel_archetypes(distances[np.ix_(whole, whole)], most).indices]
         if self.shape.method == "pcha":

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray
-from cornercase.reduction.draws import DRAWS, draw_choices, nearest_of
+from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering import Distances, PlacedDistances
+from cornercase.reduction.draws import DRAWS, draw_choices, nearest, nearest_of
 from cornercase.reduction.held_out import HeldOut
 from cornercase.reduction.medoids import choose_medoids
 
@@ -76,12 +77,12 @@ class Gaps:
     random: FloatArray
 
 
-def measure_gaps(distances: FloatArray, kept: npt.ArrayLike, *, draws: int = DRAWS, seed: int = 0) -> Gaps:
+def measure_gaps(distances: Distances, kept: npt.ArrayLike, *, draws: int = DRAWS, seed: int = 0) -> Gaps:
     """Measure how far every scenario is from the nearest kept one, and from those of other choices.
 
     Parameters
     ----------
-    distances : ndarray of float64, shape (n, n)
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
         Between all scenarios, in any unit.
     kept : array_like of int, shape (m,)
         Indices of the kept scenarios, at least one; the same index twice counts once.
@@ -98,25 +99,51 @@ def measure_gaps(distances: FloatArray, kept: npt.ArrayLike, *, draws: int = DRA
     chosen = np.unique(np.asarray(kept, dtype=np.int64))
     random = draw_choices(len(distances), len(chosen), stream="grading", draws=draws, seed=seed)
     return Gaps(
-        distances[:, chosen].min(axis=1),
-        distances[:, choose_medoids(distances, len(chosen))].min(axis=1),
+        nearest(distances, chosen),
+        nearest(distances, choose_medoids(distances, len(chosen))),
         nearest_of(distances, random),
     )
 
 
+def redrawn(gaps: Gaps, distances: Distances, kept: IntArray, seed: int) -> Gaps:
+    """Compare kept scenarios with random choices of another seed than 0.
+
+    Parameters
+    ----------
+    gaps : Gaps
+        As `measure_gaps` gives it with the seed 0.
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
+        Between all scenarios.
+    kept : ndarray of int64, shape (m,)
+        Indices of the kept scenarios.
+    seed : int
+        Of the random choices.
+
+    Returns
+    -------
+    Gaps
+        As `measure_gaps` gives it with the seed.
+    """
+    if not seed:
+        return gaps
+    random = draw_choices(len(distances), len(np.unique(kept)), stream="grading", seed=seed)
+    return replace(gaps, random=nearest_of(distances, random))
+
+
 def measure_coverage(
-    distances: npt.ArrayLike,
+    distances: npt.ArrayLike | PlacedDistances,
     kept: npt.ArrayLike,
     *,
     ids: npt.ArrayLike | None = None,
     draws: int = DRAWS,
     seed: int = 0,
+    gaps: Gaps | None = None,
 ) -> Coverage:
     """Measure how well some scenarios represent all.
 
     Parameters
     ----------
-    distances : array_like, shape (n, n)
+    distances : array_like, shape (n, n), or PlacedDistances
         Between all scenarios.
     kept : array_like of int, shape (m,)
         Indices of the kept scenarios, at least one; the same index twice counts once.
@@ -126,6 +153,8 @@ def measure_coverage(
         Number of random choices to compare with, as in `measure_gaps`.
     seed : int, default 0
         Of the random choices.
+    gaps : Gaps, optional
+        What `measure_gaps` gives for them, where it is known.
 
     Returns
     -------
@@ -137,8 +166,8 @@ def measure_coverage(
     InputError
         Nothing is kept, an index is out of range, the matrix is not square, or `draws` is not positive.
     """
-    matrix = np.asarray(distances, dtype=np.float64)
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+    matrix = distances if isinstance(distances, PlacedDistances) else np.asarray(distances, dtype=np.float64)
+    if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InputError(f"A distance matrix of shape {matrix.shape} is not square; give shape (n, n).")
     chosen = np.unique(np.asarray(kept, dtype=np.int64))
     n = len(matrix)
@@ -148,7 +177,7 @@ def measure_coverage(
         raise InputError(f"A kept scenario is not among the {n} of the distance matrix; give indices from 0.")
     names = np.arange(n) if ids is None else np.asarray(ids, dtype=np.int64)
     extent = float(matrix.max())
-    found = measure_gaps(matrix, chosen, draws=draws, seed=seed)
+    found = measure_gaps(matrix, chosen, draws=draws, seed=seed) if gaps is None else gaps
     left, random, middle = found.kept, found.random, found.medoids
     return Coverage(
         kept=len(chosen),

@@ -11,13 +11,16 @@ from scipy.spatial import cKDTree
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering import Distances, PlacedDistances
 from cornercase.evidence import CriticalSet, Estimate, encoded
-from cornercase.reduction.coverage import measure_gaps
+from cornercase.reduction.coverage import Gaps, measure_gaps
 from cornercase.reduction.held_out import HeldOutCritical, HeldOutGaps, judge_critical
 from cornercase.scenario import ParameterSpace
 
 WITHIN: Final = 0.5
 """Share of the median distance within clusters up to which two scenarios are alike, unless another one is given."""
+# Scenarios whose distances say what is alike, where they are made of places.
+_LOOKED_AT: Final = 1000
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ def measure_critical_coverage(
     points: FloatArray,
     scores: FloatArray,
     threshold: float,
-    distances: FloatArray,
+    distances: Distances,
     kept: IntArray,
     within: float,
     *,
@@ -86,7 +89,7 @@ def measure_critical_coverage(
         Oriented: lower is more critical.
     threshold : float
         Oriented score up to which a scenario is critical.
-    distances : ndarray of float64, shape (n, n)
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
         Between all scenarios, in any unit.
     kept : ndarray of int64, shape (m,)
         Indices of the kept scenarios.
@@ -118,10 +121,55 @@ def measure_critical_coverage(
     """
     if not len(kept):
         raise InputError("No scenario is kept, so nothing is covered; keep at least one.")
+    gaps = measure_gaps(distances, kept, seed=seed)
+    return judge_gaps(
+        space, points, scores, threshold, gaps, within, seed=seed, critical_set=critical_set, held_out=held_out
+    )
+
+
+def judge_gaps(
+    space: ParameterSpace,
+    points: FloatArray,
+    scores: FloatArray,
+    threshold: float,
+    gaps: Gaps,
+    within: float,
+    *,
+    seed: int = 0,
+    critical_set: CriticalSet | None = None,
+    held_out: HeldOutGaps | None = None,
+) -> CriticalCoverage:
+    """Say how well kept scenarios represent the critical ones, where the distances to them are known.
+
+    Parameters
+    ----------
+    space : ParameterSpace
+        That the scenarios are of.
+    points : ndarray of float64, shape (n, d)
+        Scenarios that were run, in the unit cube.
+    scores : ndarray of float64, shape (n,)
+        Oriented: lower is more critical.
+    threshold : float
+        Oriented score up to which a scenario is critical.
+    gaps : Gaps
+        As `cornercase.reduction.coverage.measure_gaps` gives it with the seed.
+    within : float
+        Distance up to which scenarios are alike, as in `distance_alike`.
+    seed : int, default 0
+        Of the draws of critical sets.
+    critical_set : CriticalSet, optional
+        As in `measure_critical_coverage`.
+    held_out : HeldOutGaps, optional
+        As in `measure_critical_coverage`.
+
+    Returns
+    -------
+    CriticalCoverage
+        As `measure_critical_coverage`.
+    """
     critical = scores <= threshold
-    all_gaps = measure_gaps(distances, kept, seed=seed)
-    gap, middle = all_gaps.kept, all_gaps.medoids
-    random = all_gaps.random[:, critical] <= within
+    gap, middle = gaps.kept, gaps.medoids
+    random = gaps.random[:, critical] <= within
     there = bool(critical.any())
     edge = critical & _beside(encoded(space, points), ~critical)
     unlike = None
@@ -144,13 +192,13 @@ def measure_critical_coverage(
     )
 
 
-def distance_alike(distances: FloatArray, labels: IntArray, share: float = WITHIN) -> float:
+def distance_alike(distances: Distances, labels: IntArray, share: float = WITHIN) -> float:
     """Give the distance up to which two scenarios count as alike.
 
     Parameters
     ----------
-    distances : ndarray of float64, shape (n, n)
-        Between all scenarios, in any unit.
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
+        Between all scenarios, in any unit; of places those of 1,000 scenarios are looked at.
     labels : ndarray of int64, shape (n,)
         -1 is noise.
     share : float, default 0.5
@@ -167,6 +215,9 @@ def distance_alike(distances: FloatArray, labels: IntArray, share: float = WITHI
         `share` is not positive.
     """
     require_within(share)
+    if isinstance(distances, PlacedDistances):
+        some = np.linspace(0, len(distances) - 1, min(_LOOKED_AT, len(distances))).astype(np.int64)
+        distances, labels = distances[np.ix_(some, some)], labels[some]
     # Row by row: all pairs and their indices would be several times as large as the distances.
     within = [row[i + 1 :][labels[i + 1 :] == labels[i]] for i, row in enumerate(distances) if labels[i] >= 0]
     if not any(map(len, within)):

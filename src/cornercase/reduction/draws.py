@@ -13,6 +13,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering import Distances, PlacedDistances
 
 DRAWS: Final = 100
 """Number of random choices, unless another one is given."""
@@ -72,12 +73,12 @@ def draw_order(count: int) -> IntArray:
     return rng.permutation(count)
 
 
-def nearest_of(distances: FloatArray, choices: IntArray) -> FloatArray:
+def nearest_of(distances: Distances, choices: IntArray) -> FloatArray:
     """Distances from every scenario to the nearest one of each choice.
 
     Parameters
     ----------
-    distances : ndarray of float64, shape (n, m)
+    distances : ndarray of float64, shape (n, m), or PlacedDistances
         From those that are chosen from to all scenarios, in any unit.
     choices : ndarray of int64, shape (draws, size)
         Indices of the scenarios of each choice.
@@ -87,5 +88,49 @@ def nearest_of(distances: FloatArray, choices: IntArray) -> FloatArray:
     ndarray of float64, shape (draws, m)
         In the unit of the distances.
     """
+    if isinstance(distances, PlacedDistances):
+        return distances.nearest_of(choices)
     # Rows, as they lie together in memory: the matrix is symmetric.
     return np.array([distances[one].min(axis=0) for one in choices])
+
+
+def nearest(distances: Distances, choice: IntArray) -> FloatArray:
+    """Distances from every scenario to the nearest one of a choice.
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
+        Between all scenarios, in any unit.
+    choice : ndarray of int64, shape (size,)
+        Indices.
+
+    Returns
+    -------
+    ndarray of float64, shape (n,)
+        In the unit of the distances.
+    """
+    if isinstance(distances, PlacedDistances):
+        return distances.nearest(choice)
+    found: FloatArray = distances[:, choice].min(axis=1)
+    return found
+
+
+def part_of(distances: Distances, rows: IntArray, columns: IntArray) -> Distances:
+    """Distances from some scenarios to some others.
+
+    Parameters
+    ----------
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
+        Between all scenarios.
+    rows, columns : ndarray of int64
+        Indices.
+
+    Returns
+    -------
+    ndarray of float64, or PlacedDistances
+        What was given.
+    """
+    if isinstance(distances, PlacedDistances):
+        return distances.part(rows, columns)
+    found: FloatArray = distances[np.ix_(rows, columns)]
+    return found

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.clustering import Distances, PlacedDistances
 from cornercase.reduction.kept import ALIKE, Selection
 
 # Most scenarios for which all costs are in memory.
@@ -17,6 +18,10 @@ _MOST_WHOLE: Final = 2000
 _AT_ONCE: Final = 2**15
 ROUNDS: Final = 3
 BLOCK: Final = 256
+# Candidates that are looked at together, where distances are made of places.
+_TOGETHER: Final = 32
+# Scenarios by which what is usual between neighbours is measured, at most, where distances are made of places.
+_USUAL_OF: Final = 2000
 
 
 class Composition(NamedTuple):
@@ -37,7 +42,7 @@ class GapSums:
 
     Parameters
     ----------
-    distances : sequence of ndarray of float64, each (n, n)
+    distances : sequence of ndarray of float64, each (n, n), or of PlacedDistances
         Between all scenarios, in any unit.
     critical : ndarray of bool, shape (n,)
         Scenarios of critical clusters.
@@ -48,9 +53,11 @@ class GapSums:
     """
 
     def __init__(
-        self, distances: Sequence[FloatArray], critical: BoolArray, composition: Composition, size: int
+        self, distances: Sequence[Distances], critical: BoolArray, composition: Composition, size: int
     ) -> None:
         near = min(-(-len(critical) // size), len(critical) - 1)
+        # A product of matrices is fast with many rows, and a matrix that is there gives them one by one.
+        self._together = _TOGETHER if isinstance(distances[0], PlacedDistances) else 1
         self._weights = np.where(critical, composition.critical, 1.0)
         self._power = composition.power
         self._distances = distances
@@ -65,7 +72,10 @@ class GapSums:
 
     def _costs(self, k: int, candidates: IntArray) -> FloatArray:
         """Costs of some candidates in a clustering: a row for each, a column for each scenario, with its weight."""
-        costs: FloatArray = (self._distances[k][candidates] / self._usual[k]) ** self._power
+        costs: FloatArray = self._distances[k][candidates] / self._usual[k]
+        # Products are many times as fast as a general power, and may have another last digit.
+        quick = self._together > 1 and self._power == 3
+        costs = costs * costs * costs if quick else costs**self._power
         costs *= self._weights * self._heavy[k]
         return costs
 
@@ -87,7 +97,12 @@ class GapSums:
         list of ndarray of float64, each (n,)
             By clustering.
         """
-        return [costs.min(axis=0) for costs in self._rows(np.asarray(kept, dtype=np.int64))]
+        found = [np.full(len(self._weights), np.inf) for _ in self._distances]
+        for first in range(0, len(kept), BLOCK):
+            some = np.asarray(kept[first : first + BLOCK], dtype=np.int64)
+            for least, costs in zip(found, self._rows(some), strict=True):
+                np.minimum(least, costs.min(axis=0), out=least)
+        return found
 
     def gains(self, left: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
         """Return by how much each candidate would lower the sum.
@@ -105,7 +120,7 @@ class GapSums:
             By candidate.
         """
         gains = np.zeros(len(candidates))
-        block = max(1, _AT_ONCE // len(self._weights))
+        block = max(self._together, _AT_ONCE // len(self._weights))
         for first in range(0, len(candidates), block):
             for now, costs in zip(left, self._rows(candidates[first : first + block]), strict=True):
                 # The rows are copies, which need not be kept.
@@ -135,16 +150,19 @@ class GapSums:
         """
         found: list[int] = []
         left = self.left(kept)
-        gap = selection.apart(kept).min(axis=0)
+        gap = selection.gap.copy()
         queue = [(-gain, k) for k, gain in enumerate(self.gains(left, np.arange(len(gap))).tolist())]
         heapq.heapify(queue)
         while queue and len(kept) + len(found) < size:
             _, best = heapq.heappop(queue)
             if gap[best] <= ALIKE:
                 continue
-            gain = float(self.gains(left, np.array([best]))[0])
-            if queue and (-gain, best) > queue[0]:
-                heapq.heappush(queue, (-gain, best))
+            again = [best, *(heapq.heappop(queue)[1] for _ in range(min(self._together - 1, len(queue))))]
+            gains = self.gains(left, np.array(again)).tolist()
+            for gain, k in zip(gains[1:], again[1:], strict=True):
+                heapq.heappush(queue, (-gain, k))
+            if queue and (-gains[0], best) > queue[0]:
+                heapq.heappush(queue, (-gains[0], best))
                 continue
             found.append(best)
             rows = self._rows(np.array([best]))
@@ -188,7 +206,13 @@ class GapSums:
         return kept
 
 
-def _usual(matrix: FloatArray, near: int) -> float:
+def _usual(distances: Distances, near: int) -> float:
     """Mean distance of each scenario to its `near`-th neighbour, 1 where that is 0."""
-    blocks = [matrix[first : first + BLOCK] for first in range(0, len(matrix), BLOCK)]
-    return float(np.concatenate([np.partition(rows, near, axis=1)[:, near] for rows in blocks]).mean()) or 1.0
+    n = len(distances)
+    # A slice of a matrix is no copy.
+    blocks: list[slice | IntArray] = [slice(first, first + BLOCK) for first in range(0, n, BLOCK)]
+    if isinstance(distances, PlacedDistances) and n > _USUAL_OF:
+        some = np.linspace(0, n - 1, _USUAL_OF).astype(np.int64)
+        blocks = [some[first : first + BLOCK] for first in range(0, _USUAL_OF, BLOCK)]
+    near_by = [np.partition(distances[one], near, axis=1)[:, near] for one in blocks]
+    return float(np.concatenate(near_by).mean()) or 1.0

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.clustering import Analysis, read_analyses, read_distances
+from cornercase.clustering import Analysis, Distances, read_analyses, read_distances
 from cornercase.evidence import CriticalSet
 from cornercase.exploration import Objective
-from cornercase.reduction.coverage import Coverage, measure_coverage
-from cornercase.reduction.critical_coverage import CriticalCoverage, distance_alike, measure_critical_coverage
+from cornercase.reduction.coverage import Coverage, Gaps, measure_coverage, measure_gaps, redrawn
+from cornercase.reduction.critical_coverage import CriticalCoverage, distance_alike, judge_gaps
 from cornercase.reduction.held_out import HeldOutGaps, Trial, judge, measure_held_out_gaps
 from cornercase.study import Row, Study
 
@@ -30,7 +30,7 @@ class Ran:
     scores : dict of str to dict of int to float
         By metric and id.
     analyses : dict of str to Analysis
-    distances : dict of str to ndarray of float64, shape (n, n)
+    distances : dict of str to ndarray of float64, shape (n, n), or PlacedDistances
         Both by aspect.
     """
 
@@ -38,7 +38,7 @@ class Ran:
     rows: dict[int, Row]
     scores: dict[str, dict[int, float]]
     analyses: dict[str, Analysis]
-    distances: dict[str, FloatArray]
+    distances: dict[str, Distances]
 
     def points(self, analysis: Analysis) -> FloatArray:
         """Return the parameters of analysed scenarios.
@@ -99,7 +99,28 @@ def hold_out(ran: Ran, trials: Sequence[Trial]) -> dict[str, HeldOutGaps | None]
     }
 
 
-def grade(ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | None]) -> dict[str, Coverage]:
+def find_gaps(ran: Ran, kept: Sequence[int]) -> dict[str, Gaps]:
+    """Measure how far scenarios are from kept ones, and from other choices.
+
+    Parameters
+    ----------
+    ran : Ran
+        What was run and analysed.
+    kept : sequence of int
+        Ids.
+
+    Returns
+    -------
+    dict of str to Gaps
+        By aspect; without those that no kept scenario was analysed by.
+    """
+    rows = {name: one.rows_of(list(kept)) for name, one in ran.analyses.items()}
+    return {name: measure_gaps(ran.distances[name], index) for name, index in rows.items() if len(index)}
+
+
+def grade(
+    ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | None], gaps: Mapping[str, Gaps] | None = None
+) -> dict[str, Coverage]:
     """Measure how well kept scenarios represent others.
 
     Parameters
@@ -110,6 +131,8 @@ def grade(ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | No
         Ids.
     held_out : mapping of str to HeldOutGaps or None
         As `hold_out` gives it.
+    gaps : mapping of str to Gaps, optional
+        As `find_gaps` gives it.
 
     Returns
     -------
@@ -120,13 +143,18 @@ def grade(ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | No
     for name, one in ran.analyses.items():
         index = one.rows_of(list(kept))
         if len(index):
-            whole = measure_coverage(ran.distances[name], index, ids=one.ids)
+            known = None if gaps is None else gaps[name]
+            whole = measure_coverage(ran.distances[name], index, ids=one.ids, gaps=known)
             found[name] = replace(whole, held_out=judge(held_out[name]))
     return found
 
 
 def grade_critical(
-    ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | None], within: float
+    ran: Ran,
+    kept: Sequence[int],
+    held_out: Mapping[str, HeldOutGaps | None],
+    within: float,
+    gaps: Mapping[str, Gaps] | None = None,
 ) -> dict[str, CriticalCoverage]:
     """Measure how well kept scenarios represent the critical ones.
 
@@ -140,6 +168,8 @@ def grade_critical(
         As `hold_out` gives it.
     within : float
         Share of the median distance within clusters up to which two scenarios are alike.
+    gaps : mapping of str to Gaps, optional
+        As `find_gaps` gives it; the random choices are drawn by the seed of the study.
 
     Returns
     -------
@@ -165,13 +195,13 @@ def grade_critical(
             with suppress(ValueError):
                 known[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
         alike = distance_alike(distances, one.labels, within)
-        found[name] = measure_critical_coverage(
+        mine = measure_gaps(distances, index) if gaps is None else gaps[name]
+        found[name] = judge_gaps(
             space,
             points,
             scores,
             threshold,
-            distances,
-            index,
+            redrawn(mine, distances, index, meta.seed),
             alike,
             seed=meta.seed,
             critical_set=known.get(ids),

@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.reduction.draws import draw_choices, draw_order, nearest_of
+from cornercase.clustering import Distances
+from cornercase.reduction.draws import draw_choices, draw_order, nearest_of, part_of
 from cornercase.reduction.medoids import choose_medoids
 
 FOLDS: Final = 5
@@ -136,12 +137,12 @@ def divide(count: int) -> list[IntArray]:
     return parts if count <= _MOST_FOLDED else parts[:1]
 
 
-def measure_held_out_gaps(distances: FloatArray, trials: Sequence[Trial]) -> HeldOutGaps | None:
+def measure_held_out_gaps(distances: Distances, trials: Sequence[Trial]) -> HeldOutGaps | None:
     """Measure how far scenarios are from sets that they did not choose, and from other choices.
 
     Parameters
     ----------
-    distances : ndarray of float64, shape (n, n)
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
         Between all scenarios, in any unit.
     trials : sequence of Trial
         By index.
@@ -156,11 +157,12 @@ def measure_held_out_gaps(distances: FloatArray, trials: Sequence[Trial]) -> Hel
     if not known:
         return None
     for k, one in enumerate(known):
-        to_judging = distances[np.ix_(one.chosen_from, one.judging)]
-        between = distances[np.ix_(one.chosen_from, one.chosen_from)]
+        to_judging = part_of(distances, one.chosen_from, one.judging)
+        between = part_of(distances, one.chosen_from, one.chosen_from)
         choices = draw_choices(len(one.chosen_from), len(one.kept), stream="grading", seed=k)
-        kept.append(to_judging[np.isin(one.chosen_from, one.kept)].min(axis=0))
-        medoids.append(to_judging[choose_medoids(between, len(one.kept))].min(axis=0))
+        mine, middles = np.flatnonzero(np.isin(one.chosen_from, one.kept)), choose_medoids(between, len(one.kept))
+        kept.append(nearest_of(to_judging, mine[None])[0])
+        medoids.append(nearest_of(to_judging, middles[None])[0])
         random.append(nearest_of(to_judging, choices))
     return HeldOutGaps(
         np.concatenate([one.judging for one in known]),

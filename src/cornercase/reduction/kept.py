@@ -10,6 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering import Distances
 
 # Scenarios are alike within this share of the largest distance.
 ALIKE: Final = 1e-3
@@ -42,7 +43,7 @@ class Selection:
 
     Parameters
     ----------
-    distances : sequence of ndarray of float64, each (n, n)
+    distances : sequence of ndarray of float64, each (n, n), or of PlacedDistances
         Of all clusterings.
     size : int, optional
         Most to keep.
@@ -55,7 +56,7 @@ class Selection:
         In the order in which they were chosen.
     """
 
-    def __init__(self, distances: Sequence[FloatArray], size: int | None) -> None:
+    def __init__(self, distances: Sequence[Distances], size: int | None) -> None:
         self._distances = distances
         self._extents = [max(float(matrix.max()), 1e-300) for matrix in distances]
         self.gap = np.full(len(distances[0]), np.inf)

@@ -8,15 +8,16 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import IntArray
+from cornercase.clustering import Distances, PlacedDistances
 
 
-def find_prototype(distances: FloatArray, members: npt.ArrayLike) -> int:
+def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
     """Find the medoid: the member with the smallest sum of distances to the others, at a tie the first.
 
     Parameters
     ----------
-    distances : ndarray of float64, shape (n, n)
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
         Between all scenarios, in any unit.
     members : array_like of int, shape (m,)
         Indices of the scenarios of one cluster, at least one.
@@ -35,18 +36,21 @@ def find_prototype(distances: FloatArray, members: npt.ArrayLike) -> int:
     if not len(indices):
         raise InputError("A cluster without scenarios has no prototype; leave it out.")
     indices = np.sort(indices)
+    if isinstance(distances, PlacedDistances):
+        return distances.middle(indices)
     return int(indices[distances[np.ix_(indices, indices)].sum(axis=1).argmin()])
 
 
-def choose_medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
+def choose_medoids(distances: Distances, k: int, rounds: int = 50) -> IntArray:
     """Choose k scenarios with a small mean distance from all to the nearest one.
 
     Starts with the scenarios that lower it most, one after the other [1]_. Then each medoid moves to the middle of the
-    scenarios that are nearest to it, until nothing changes [2]_.
+    scenarios that are nearest to it, until nothing changes [2]_. Where distances are made of places, k-means
+    gives them, as in `PlacedDistances.medoids`.
 
     Parameters
     ----------
-    distances : ndarray of float64, shape (n, n)
+    distances : ndarray of float64, shape (n, n), or PlacedDistances
         Between all scenarios, symmetric, in any unit.
     k : int
         1 to n.
@@ -64,6 +68,8 @@ def choose_medoids(distances: FloatArray, k: int, rounds: int = 50) -> IntArray:
     .. [2] H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", Expert Systems with
        Applications 36, 2009.
     """
+    if isinstance(distances, PlacedDistances):
+        return distances.medoids(k)
     chosen = [int(distances.sum(axis=1).argmin())]
     gap = distances[chosen[0]].copy()
     # What a scenario gains can only fall as others are chosen, so it is computed again only for the largest of before.

@@ -13,8 +13,9 @@ from typing import Final, Literal
 from cornercase._common.arguments import number, text, whole_number
 from cornercase._common.errors import InputError
 from cornercase._common.files import portable_name, read_file, require_folder, written_whole
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering import Analysis, read_analysis
+from cornercase.clustering import Analysis, Distances, read_analyses, read_analysis
 from cornercase.reduction.choosing import Material, Wish, choose, try_choice
 from cornercase.reduction.cluster_selection import PER_KEPT
 from cornercase.reduction.cluster_shapes import ArchetypeMethod, require_archetype_method
@@ -22,7 +23,7 @@ from cornercase.reduction.critical_clusters import find_critical_clusters
 from cornercase.reduction.critical_coverage import WITHIN, require_within
 from cornercase.reduction.exposing import with_exposure
 from cornercase.reduction.exposure import Exposure
-from cornercase.reduction.grading import Ran, grade, grade_critical, hold_out, read_ran
+from cornercase.reduction.grading import Ran, find_gaps, grade, grade_critical, hold_out, read_ran
 from cornercase.reduction.held_out import Trial
 from cornercase.reduction.hulls import find_hull
 from cornercase.reduction.kept import Kept
@@ -30,6 +31,12 @@ from cornercase.reduction.manifest import MANIFEST, make_manifest, save_reductio
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.scenario import Scenario, write_concrete
 from cornercase.study import IMPORTED, Study, damage_told, explored_scenario, open_study
+
+# Bytes: of a pair in a matrix and in what the choice makes of it, of a scenario and aspect in places, gaps of random
+# choices and what is left, and of blocks of distances.
+_OF_A_PAIR: Final = 20
+_OF_A_SCENARIO: Final = 5_000
+_OF_BLOCKS: Final = 600_000_000
 
 _WHY: Final = {
     "hull": "on the hull of cluster {cluster} in the parameter space",
@@ -56,6 +63,7 @@ def reduce(
     within: float = WITHIN,
     exposure: Exposure | None = None,
     scenario: Path | str | Scenario | None = None,
+    memory: str | float = DEFAULT_MEMORY,
 ) -> ReducedSet:
     """Keep the few concrete scenarios that matter, and write them as OpenSCENARIO files.
 
@@ -92,6 +100,8 @@ def reduce(
     scenario : path or Scenario, optional
         File that was explored, from which the files are made. By default it is looked for beside the study and in the
         current folder, and known by its fingerprint; the path that the study holds is never opened.
+    memory : str or float, default "4 GB"
+        That the process may take, in bytes or in words.
 
     Returns
     -------
@@ -102,7 +112,7 @@ def reduce(
     ------
     InputError
         The study was not analysed, an argument is out of range, the scenario file is not found or not the one that was
-        explored, or the folder cannot be written.
+        explored, the folder cannot be written, or the distances do not fit in the memory.
 
     See Also
     --------
@@ -122,11 +132,13 @@ def reduce(
     require_within(number("within", within))
     by = None if by is None else text("by", by)
     folder = require_folder("folder", folder)
+    limit = MemoryLimit.of(memory)
     with open_study(study) as opened:
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
         begun = time.monotonic()
         # Looked at before anything is written or takes time.
         explored = explored_scenario(opened, scenario)
+        _require_memory(opened, limit)
         ran = read_ran(opened)
         if share is not None:
             size = max(1, round(share * len(ran.rows)))
@@ -152,7 +164,18 @@ def reduce(
     return reduced
 
 
-def _compared(ran: Ran, analysis: Analysis) -> list[FloatArray]:
+def _require_memory(study: Study, limit: MemoryLimit) -> None:
+    """Refuse distances that do not fit, before they are read."""
+    known = read_analyses(study).values()
+    count = max(len(one.ids) for one in known)
+    pairs = [len(one.ids) ** 2 for one in known if one.inexact is None]
+    need = _OF_A_PAIR * sum(pairs) + _OF_A_SCENARIO * count * len(known) + _OF_BLOCKS
+    limit.require(
+        need, f"{study.path}: the distances of {count} scenarios", "give more, or `analyze` it again by fewer aspects"
+    )
+
+
+def _compared(ran: Ran, analysis: Analysis) -> list[Distances]:
     """Distances by the aspect that counts, then by the others that the same scenarios were analysed by."""
     others = [
         ran.distances[name]
@@ -173,6 +196,7 @@ def _described(ran: Ran, analysis: Analysis, material: Material, wish: Wish, wit
         for one in try_choice(material, wish)
     ]
     held_out = hold_out(ran, trials)
+    gaps = find_gaps(ran, kept_ids)
     return ReducedSet(
         by=analysis.by,
         run=len(ran.rows),
@@ -181,8 +205,8 @@ def _described(ran: Ran, analysis: Analysis, material: Material, wish: Wish, wit
             for one in kept
         ),
         shapes=tuple(one.shape for one in shaped),
-        coverage=grade(ran, kept_ids, held_out),
-        critical=grade_critical(ran, kept_ids, held_out, within),
+        coverage=grade(ran, kept_ids, held_out, gaps),
+        critical=grade_critical(ran, kept_ids, held_out, within, gaps),
         hulls={one.shape.cluster: _facets(material.points, one.parts, ids) for one in shaped},
     )
 

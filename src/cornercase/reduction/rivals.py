@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray, IntArray
+from cornercase._common.typing import IntArray
+from cornercase.clustering import Distances
 from cornercase.reduction.draws import draw_choices, nearest_of
 from cornercase.reduction.medoids import choose_medoids
 
@@ -20,7 +21,7 @@ class Rivals:
 
     Parameters
     ----------
-    distances : sequence of ndarray of float64, each (n, n)
+    distances : sequence of ndarray of float64, each (n, n), or of PlacedDistances
         Between all scenarios, in any unit.
     labels : ndarray of int64, shape (n,)
         Cluster of each scenario; -1 is noise.
@@ -30,7 +31,7 @@ class Rivals:
         Number of scenarios in a choice.
     """
 
-    def __init__(self, distances: Sequence[FloatArray], labels: IntArray, critical: Sequence[int], size: int) -> None:
+    def __init__(self, distances: Sequence[Distances], labels: IntArray, critical: Sequence[int], size: int) -> None:
         self._distances = distances
         self._size = min(size, len(labels))
         self._random = []

@@ -10,6 +10,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering import Distances
 from cornercase.reduction.cluster_shapes import ShapedCluster, divide_fairly, find_shapes
 from cornercase.reduction.gap_sums import Composition, GapSums
 from cornercase.reduction.kept import Kept, Selection
@@ -29,7 +30,7 @@ _COMPOSITIONS: Final = (
 
 def choose_scenarios(
     points: FloatArray,
-    distances: Sequence[FloatArray],
+    distances: Sequence[Distances],
     labels: IntArray,
     critical: Sequence[int] = (),
     *,
@@ -59,7 +60,7 @@ def choose_scenarios(
     ----------
     points : ndarray of float64, shape (n, d)
         Parameters in the unit cube.
-    distances : sequence of ndarray of float64, each (n, n)
+    distances : sequence of ndarray of float64, each (n, n), or of PlacedDistances
         Of all clusterings; the first is that of `labels`.
     labels : ndarray of int64, shape (n,)
         -1 is noise.
@@ -131,7 +132,7 @@ class _Task:
     """Scenarios of which some are to be kept, and how many."""
 
     points: FloatArray
-    distances: Sequence[FloatArray]
+    distances: Sequence[Distances]
     labels: IntArray
     critical: Sequence[int]
     clusters: Sequence[int]

@@ -290,6 +290,12 @@ def tell_how_found(analysis: Analysis) -> str:
             f" The kernel space is that of {len(found.landmarks)} landmarks; of the kernel between others"
             f" {found.error:.1%} is lost."
         )
+    if analysis.inexact is not None:
+        every = f", by every {analysis.every}. instant" if analysis.every > 1 else ""
+        text += (
+            f" All were compared with these{every}; distances between others follow from that and are off by"
+            f" {analysis.inexact:.1%} on average."
+        )
     fitted, joined = len(analysis.fitted), len(analysis.ids) - len(analysis.fitted)
     if joined > 0:
         text += f" Found of {fitted} scenarios; {joined} have joined them since."

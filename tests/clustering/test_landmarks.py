@@ -1,0 +1,155 @@
+"""Many scenarios, compared with a few of them only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist, squareform
+from sklearn.metrics import adjusted_rand_score
+
+from cornercase._common.errors import InputError
+from cornercase.clustering import (
+    PlacedDistances,
+    ScenarioClustering,
+    analyze,
+    analyzing,
+    join_kinds,
+    landmarks,
+    read_analysis,
+    read_distances,
+    series_of,
+)
+from cornercase.clustering.landmarks import Comparing, find_by_landmarks
+from cornercase.clustering.places import Placing
+from cornercase.clustering.thinning import instants_apart, thinned
+from cornercase.dtw import distance_matrix
+from cornercase.reduction import measure_gaps
+from cornercase.study import Study
+from synthetic import explorer, opened
+
+
+def courses(count, rng):
+    """Courses of two kinds, that fall early or late, with the kind of each."""
+    late = rng.random(count) < 0.3
+    at = np.where(late, 40.0, 15.0) + rng.normal(0.0, 2.0, count)
+    deep = rng.uniform(3.0, 5.0, count)
+    time = np.arange(60.0)
+    return [
+        np.column_stack([depth * np.exp(-(((time - one) / 6.0) ** 2)), time * (0.5 if kind else 0.2)])
+        for one, depth, kind in zip(at, deep, late, strict=True)
+    ], late
+
+
+@pytest.fixture
+def many(monkeypatch):
+    monkeypatch.setattr(analyzing, "MOST_COMPARED", 30)
+    monkeypatch.setattr(landmarks, "LANDMARKS", 24)
+
+
+@pytest.fixture
+def path(tmp_path):
+    with opened(tmp_path / "s.db") as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=47).run()
+    return tmp_path / "s.db"
+
+
+def test_places_of_squares_give_squares_back():
+    rng = np.random.default_rng(1)
+    true = squareform(pdist(rng.normal(size=(80, 5)), "sqeuclidean"))
+    placed = PlacedDistances(Placing(true[:30, :30]).place(true[:, :30]))
+    np.testing.assert_allclose(placed[:], true, atol=1e-9)
+    np.testing.assert_allclose(placed[[3, 70]], true[[3, 70]], atol=1e-9)
+    np.testing.assert_allclose(placed[np.ix_([1, 2], [40, 9])], true[np.ix_([1, 2], [40, 9])], atol=1e-9)
+    assert (placed.shape, len(placed)) == ((80, 80), 80)
+
+
+def test_what_is_asked_of_places_is_what_the_matrix_says():
+    places = np.random.default_rng(2).normal(size=(400, 3))
+    placed, matrix = PlacedDistances(places), squareform(pdist(places, "sqeuclidean"))
+    assert placed.max() == pytest.approx(matrix.max())
+    some = np.arange(50, 90)
+    assert placed.middle(some) == some[matrix[np.ix_(some, some)].sum(axis=1).argmin()]
+    for size in (5, 60):
+        choices = np.array([np.random.default_rng(k).choice(400, size, replace=False) for k in range(7)])
+        expected = np.array([matrix[one].min(axis=0) for one in choices])
+        np.testing.assert_allclose(placed.nearest_of(choices), expected, atol=1e-12)
+    part = placed.part(np.arange(10), np.arange(100, 130))
+    np.testing.assert_allclose(part[:], matrix[:10, 100:130], atol=1e-12)
+
+
+def test_medoids_of_places_leave_less_than_random_choices():
+    rng = np.random.default_rng(3)
+    gaps = measure_gaps(PlacedDistances(rng.normal(size=(500, 2))), np.arange(25))
+    assert gaps.medoids.mean() < gaps.random.mean(axis=1).min()
+
+
+def test_the_same_scenario_again_and_again_has_as_many_medoids_as_asked_for():
+    found = PlacedDistances(np.zeros((9, 2))).medoids(4)
+    assert len(set(found.tolist())) == 4
+
+
+def test_clusters_by_landmarks_are_those_of_all_pairs():
+    series, late = courses(700, np.random.default_rng(4))
+    found = find_by_landmarks(Comparing(series, 1, None), ScenarioClustering())
+    assert adjusted_rand_score(late, found.clustering.labels) > 0.98
+    # Of 200 other scenarios, by distances that nothing was found from.
+    assert found.error < 0.05
+    true = distance_matrix(series[:100])
+    told = PlacedDistances(found.places[:100])[:]
+    assert np.abs(true - told).mean() < 0.05 * true.mean()
+
+
+def test_distances_of_thinned_series_have_the_size_of_those_of_all_instants():
+    series, _ = courses(30, np.random.default_rng(5))
+    fine = [np.repeat(one, 6, axis=0) for one in series]
+    every = instants_apart([len(one) for one in fine])
+    assert every == 4
+    thin = [thinned(one, every) for one in fine]
+    assert max(map(len, thin)) <= 100 + 1
+    assert all((one[-1] == two[-1]).all() for one, two in zip(fine, thin, strict=True))
+    rough = every * distance_matrix(thin)
+    assert rough.sum() == pytest.approx(distance_matrix(fine).sum(), rel=0.1)
+
+
+def test_a_study_of_many_is_analysed_the_same_again_and_stores_no_pairs(path, many):
+    found = analyze(path)["distance"]
+    with Study.open(path, readonly=True) as study:
+        arrays, _ = study.analysis("distance")
+        again, distances = read_analysis(study, "distance"), read_distances(study, "distance")
+        true = distance_matrix(series_of(study, "distance"))
+    assert "distances" not in arrays
+    assert arrays["between"].shape == (24, 24)
+    assert len(again.clustering.landmarks) == 24
+    assert again.inexact == found.inexact
+    assert np.abs(np.asarray(distances) - true).mean() < 0.1 * true.mean()
+    assert analyze(path)["distance"].labels.tolist() == found.labels.tolist()
+
+
+def test_scenarios_join_the_clusters_of_landmarks(path, many):
+    first = analyze(path, "distance")["distance"]
+    with opened(path) as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
+    later = analyze(path, "distance", keep=True)["distance"]
+    assert later.labels[: len(first.labels)].tolist() == first.labels.tolist()
+    assert len(later.labels) > len(first.labels)
+    with Study.open(path, readonly=True) as study:
+        joined = join_kinds(study, later, study, later.ids.tolist())
+    others = np.setdiff1d(np.arange(len(later.ids)), later.clustering.landmarks)
+    assert joined[others].tolist() == later.labels[others].tolist()
+
+
+def test_clusters_of_all_pairs_are_kept_when_there_are_many(path, monkeypatch):
+    first = analyze(path, "distance")["distance"]
+    with opened(path) as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
+    monkeypatch.setattr(analyzing, "MOST_COMPARED", 50)
+    later = analyze(path, "distance", keep=True)["distance"]
+    assert later.inexact is not None
+    assert later.labels[: len(first.labels)].tolist() == first.labels.tolist()
+
+
+def test_what_does_not_fit_is_refused_ahead(path, many, monkeypatch):
+    monkeypatch.setattr(analyzing, "_LOOKED_AT", 10)
+    monkeypatch.setattr(analyzing, "_OF_A_SCENARIO", 10**9)
+    with pytest.raises(InputError, match=r"scenarios need .* more than `memory` 1 GB"):
+        analyze(path, memory="1 GB")

@@ -1,0 +1,77 @@
+"""Reduced sets of scenarios whose distances are made of places."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist, squareform
+
+from cornercase._common.errors import InputError
+from cornercase.clustering import PlacedDistances, analyze, analyzing, landmarks
+from cornercase.reduction import choose_medoids, measure_coverage, reduce, reducing
+from cornercase.reduction.critical_coverage import distance_alike
+from cornercase.reduction.held_out import Trial, measure_held_out_gaps
+from cornercase.reduction.medoids import find_prototype
+from cornercase.reduction.selection import choose_scenarios
+from synthetic import explorer, opened
+
+
+@pytest.fixture(scope="module")
+def scenarios():
+    rng = np.random.default_rng(8)
+    points = rng.random((300, 3))
+    places = [np.sin(3.0 * points), points[:, :2] ** 2]
+    return points, places, [squareform(pdist(one, "sqeuclidean")) for one in places], (points[:, 0] > 0.6).astype(int)
+
+
+def test_the_choice_by_places_is_that_by_the_matrix(scenarios):
+    points, places, matrices, labels = scenarios
+    placed = choose_scenarios(points, [PlacedDistances(one) for one in places], labels, [1], size=30)
+    assert {one.index for one in placed} == {
+        one.index for one in choose_scenarios(points, matrices, labels, [1], size=30)
+    }
+    placed = choose_scenarios(points, [PlacedDistances(one) for one in places], labels, cover=0.1)
+    assert [one.index for one in placed] == [one.index for one in choose_scenarios(points, matrices, labels, cover=0.1)]
+
+
+def test_grades_by_places_are_those_by_the_matrix(scenarios):
+    _, places, (matrix, _), labels = scenarios
+    placed = PlacedDistances(places[0])
+    members = np.flatnonzero(labels)
+    assert find_prototype(placed, members) == find_prototype(matrix, members)
+    assert distance_alike(placed, labels) == pytest.approx(distance_alike(matrix, labels))
+    one, two = (measure_coverage(each, np.arange(0, 300, 10)) for each in (placed, matrix))
+    names = ("largest", "mean", "worst", "largest_relative", "random_largest", "random_mean", "better_mean")
+    assert [getattr(one, name) for name in names] == pytest.approx([getattr(two, name) for name in names])
+    # Each by its own way; neither is the best there is.
+    assert one.medoids_mean == pytest.approx(two.medoids_mean, rel=0.15)
+    everyone = np.arange(300)
+    trials = [Trial(everyone[60:], everyone[60:90], everyone[:60])]
+    mine, other = (measure_held_out_gaps(each, trials) for each in (placed, matrix))
+    assert mine is not None
+    assert other is not None
+    np.testing.assert_allclose(mine.kept, other.kept, atol=1e-12)
+    np.testing.assert_allclose(mine.random, other.random, atol=1e-12)
+
+
+def test_medoids_of_places_are_about_as_good_as_those_of_a_matrix(scenarios):
+    _, places, (matrix, _), _ = scenarios
+    left = [matrix[:, choose_medoids(each, 20)].min(axis=1).mean() for each in (PlacedDistances(places[0]), matrix)]
+    assert left[0] < 1.15 * left[1]
+
+
+def test_a_study_of_many_is_reduced_within_a_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(analyzing, "MOST_COMPARED", 30)
+    monkeypatch.setattr(landmarks, "LANDMARKS", 24)
+    path = tmp_path / "s.db"
+    with opened(path) as study:
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
+    found = analyze(path)
+    assert all(one.inexact is not None for one in found.values())
+    monkeypatch.setattr(reducing, "explored_scenario", lambda study, scenario: None)
+    reduced = reduce(path, tmp_path / "kept", size=8)
+    assert len(reduced) == 8
+    assert reduced.coverage["distance"].largest_relative < 0.5
+    monkeypatch.setattr(reducing, "_OF_A_SCENARIO", 10**8)
+    with pytest.raises(InputError, match=r"distances of \d+ scenarios need .* more than `memory` 500 MB"):
+        reduce(path, tmp_path / "kept", size=8, memory="500 MB")
