@@ -86,7 +86,7 @@ class PlacedDistances:
 
         Parameters
         ----------
-        rows, columns : ndarray of int64
+        rows, columns : ndarray of int64, each of shape (m,)
             Indices.
 
         Returns

@@ -122,7 +122,7 @@ def part_of(distances: Distances, rows: IntArray, columns: IntArray) -> Distance
     ----------
     distances : ndarray of float64, shape (n, n), or PlacedDistances
         Between all scenarios.
-    rows, columns : ndarray of int64
+    rows, columns : ndarray of int64, each of shape (m,)
         Indices.
 
     Returns
