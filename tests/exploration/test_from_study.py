@@ -154,3 +154,9 @@ def test_on_the_command_line(tmp_path, other):
         known = study.elsewhere()
         assert known is not None
         assert len(known[1]) == 40
+
+
+def test_it_is_replayed_and_goes_without_rounds(tmp_path, other):
+    searched(tmp_path / "new.db", from_study=other, budget=16, batch=8, asynchronous=True)
+    found = searched(tmp_path / "new.db", budget=16, batch=8, asynchronous=True, replay=True)
+    assert found.same

@@ -44,7 +44,7 @@ _TYPES: Final[dict[str, Any]] = (
 )
 # What only later versions write.
 _LATER: Final = ("asynchronous", "elsewhere", "kinds", "origin", "requirements", "suite")
-_YES_OR_NO: Final = ("asynchronous", "elsewhere", "pareto")
+_YES_OR_NO: Final = ("asynchronous", "pareto")
 
 
 MOST_AUDITS: Final = 0.5
