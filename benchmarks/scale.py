@@ -1,7 +1,7 @@
 """How time and memory of each command grow with the number of scenarios.
 
-    python benchmarks/scale.py [--quick] [--sizes N,…] [--level-set N,…] [--memory SIZE] [--folder FOLDER]
-                               [--tasks N] [--json FILE]
+    python benchmarks/scale.py [--quick] [--sizes N,…] [--level-set N,…] [--only COMMAND,…]
+                               [--memory SIZE] [--folder FOLDER] [--tasks N] [--json FILE]
 
 Each command runs in a process of its own: seconds of CPU (of the process and those that it started), of the clock, and
 the most memory of any of them, in 10^9 bytes. The scenarios are those of the X-intersection, with the metrics ``wttc``
@@ -83,6 +83,7 @@ def commands(folder: Path, count: int, memory: str) -> dict[str, Callable[[], di
     bounded = ["--memory", memory]
 
     def analyzed() -> dict[str, float]:
+        explored(source, count, "sobol")
         shutil.copyfile(source, study)
         return measured(["analyze", str(study), *bounded])
 
@@ -119,7 +120,9 @@ def told(row: dict[str, Any], digits: int) -> str:
     return f"{row.get('scenarios', 'exponent'):>9}  {row['command']:20}{cells}"
 
 
-def scaled(folder: Path, sizes: list[int], searched: list[int], memory: str) -> list[dict[str, Any]]:
+def scaled(
+    folder: Path, sizes: list[int], searched: list[int], only: list[str] | None, memory: str
+) -> list[dict[str, Any]]:
     rows = []
     for count in sorted({*sizes, *searched}):
         chosen = commands(folder, count, memory) if count in sizes else {}
@@ -127,6 +130,8 @@ def scaled(folder: Path, sizes: list[int], searched: list[int], memory: str) -> 
             path = folder / f"level-set{count}.db"
             chosen["explore, level-set"] = partial(explored, path, count, "level-set")
         for command, run in chosen.items():
+            if only is not None and command.partition(",")[0] not in only:
+                continue
             found = run()
             if found is not None:
                 rows.append({"scenarios": count, "command": command} | found)
@@ -184,6 +189,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="100 and 200 scenarios")
     parser.add_argument("--sizes", metavar="N,…", help="scenarios of the studies")
     parser.add_argument("--level-set", metavar="N,…", help="scenarios of the searches by level-set")
+    parser.add_argument("--only", metavar="COMMAND,…", help="which commands, as explore,report; default: all")
     parser.add_argument("--memory", metavar="SIZE", default="4 GB", help="what a command may take")
     parser.add_argument("--folder", type=Path, help="where studies and reports are kept")
     parser.add_argument("--tasks", type=int, metavar="N", help="measure what a cluster adds to each of so many tasks")
@@ -204,7 +210,8 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as temporary:
             folder = options.folder or Path(temporary)
             folder.mkdir(parents=True, exist_ok=True)
-            rows = scaled(folder, counts(options.sizes, SIZES), counts(options.level_set, LEVEL_SET), options.memory)
+            sizes, searched = counts(options.sizes, SIZES), counts(options.level_set, LEVEL_SET)
+            rows = scaled(folder, sizes, searched, options.only and options.only.split(","), options.memory)
         for row in fits(rows):
             print(told(row, 2))
         found = {"rows": rows, "exponents": fits(rows)}

@@ -389,7 +389,7 @@ def test_a_report_is_a_page(path, tmp_path):
 def test_what_does_not_fit_into_the_memory_is_refused(path):
     with Study.open(path, readonly=True) as study:
         run = len(study.done())
-        told = f"^what a report shows of {run} scenarios need .*, which is more than `memory` .*; give more.$"
+        told = f"^the contents of a report of {run} scenarios need .*, which is more than `memory` .*; give more.$"
         with pytest.raises(InputError, match=told):
             read_report_data(study, memory=MemoryLimit(400_000_001))
 

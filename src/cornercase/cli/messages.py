@@ -22,7 +22,6 @@ _PARAMETERS: Final = (
 _RENAMED: Final = {
     "drivers": "--driver",
     "folder": "-o",
-    "from_study": "--from",
     "metrics": "--metric",
     "output": "-o",
     "path": "-o",

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.memory import MemoryLimit
+from cornercase._common.memory import MemoryLimit, state_need
 from cornercase._common.typing import BoolArray, Float32Array, FloatArray, IntArray
 from cornercase.clustering import Analysis, read_distances
 from cornercase.exploration import Objective
@@ -180,7 +180,7 @@ def read_report_data(
     # One recording after the other: all of a large study would not fit into memory.
     for count, (scenario, recording, each) in enumerate(study.recorded()):
         if not count and memory is not None:
-            _require_room(memory, len(rows), len(metrics), len(recording.time) if figures else 0)
+            _require_room(memory, len(rows), len(metrics), len(recording.time) if figures else 0, tell is not None)
         # Most scenarios have the same instants.
         times[scenario] = known.setdefault(recording.time.tobytes(), recording.time)
         for one in metrics:
@@ -219,11 +219,13 @@ def read_report_data(
     )
 
 
-def _require_room(memory: MemoryLimit, scenarios: int, metrics: int, instants: int) -> None:
+def _require_room(memory: MemoryLimit, scenarios: int, metrics: int, instants: int, tells: bool) -> None:
     """Refuse more scenarios than fit, each with lines of its metrics and so many instants of whole courses."""
     need = scenarios * (_PER_SCENARIO + metrics * (8 * COURSE_POINTS + 4 * instants))
     instead = "give more, or leave out `figures`" if instants else "give more"
-    memory.require(need, f"what a report shows of {scenarios:,} scenarios", instead)
+    memory.require(need, f"the contents of a report of {scenarios:,} scenarios", instead)
+    if tells:
+        state_need(f"The contents of a report of {scenarios:,} scenarios", need)
 
 
 def _joined(one: Region | None, two: Region | None) -> Region | None:
