@@ -22,6 +22,7 @@ _PARAMETERS: Final = (
 _RENAMED: Final = {
     "drivers": "--driver",
     "folder": "-o",
+    "from_study": "--from",
     "metrics": "--metric",
     "output": "-o",
     "path": "-o",

@@ -129,6 +129,14 @@ def explore(
             "--replay", help="Simulate nothing; say whether the study's results give the same proposals again."
         ),
     ] = False,
+    from_study: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="OTHER.db",
+            help="Begin from the scores of a study of the same parameters: another driver, simulator or time step.",
+        ),
+    ] = None,
     profile: Profile = None,
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
@@ -179,6 +187,7 @@ def explore(
         on_collision=on_collision,
         drivers=parsing.pairs(driver or (), "--driver"),
         replay=replay,
+        from_study=from_study,
         progress=True,
     )
     tell_ending(result)

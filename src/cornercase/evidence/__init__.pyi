@@ -3,6 +3,8 @@ from .committee import Committee as Committee
 from .critical_set import REGION as REGION
 from .critical_set import CriticalSet as CriticalSet
 from .difference import SetDifference as SetDifference
+from .elsewhere import Elsewhere as Elsewhere
+from .elsewhere import with_foretold as with_foretold
 from .estimate import Estimate as Estimate
 from .gaussian_process import GaussianProcess as GaussianProcess
 from .gaussian_process import boundary_process as boundary_process

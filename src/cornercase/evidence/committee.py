@@ -59,6 +59,8 @@ class Committee:
     columns : sequence of Feature, optional
         What each column of the features is.
     seed : int, default 0
+    foretold : bool, default False
+        Whether the last coordinate of points is what another study foretells, as of `Elsewhere`.
 
     Attributes
     ----------
@@ -72,8 +74,10 @@ class Committee:
     (1992).
     """
 
-    def __init__(self, threshold: float, columns: Sequence[Feature] = (), seed: int = 0) -> None:
-        self._threshold, self._seed = threshold, seed
+    def __init__(
+        self, threshold: float, columns: Sequence[Feature] = (), seed: int = 0, *, foretold: bool = False
+    ) -> None:
+        self._threshold, self._seed, self._from_elsewhere = threshold, seed, foretold
         self._inputs = [j for j, one in enumerate(columns) if one.name not in _NOT_LEARNED]
         self._branches = [j for j, one in enumerate(columns) if one.branch]
         self.process: GaussianProcess
@@ -96,7 +100,7 @@ class Committee:
         Committee
             Itself.
         """
-        self.process = boundary_process(points, scores, self._threshold)
+        self.process = boundary_process(points, scores, self._threshold, foretold=self._from_elsewhere)
         self._grow(points, scores, features)
         self._weights = _weights(self._left_out(_FEW_TREES), self._critical)
         return self

@@ -18,6 +18,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.binomial import bounds_of_share, highest_share
 from cornercase.evidence.committee import Committee
 from cornercase.evidence.correction import Correction
+from cornercase.evidence.elsewhere import Elsewhere, with_foretold
 from cornercase.evidence.estimate import Estimate
 from cornercase.evidence.gaussian_process import boundary_process, encoded, enough
 from cornercase.evidence.places import Places
@@ -74,6 +75,9 @@ class CriticalSet:
         Points that were drawn from the space at random, and their oriented scores, which no search was told.
     happened : tuple of (sequence of Feature, ndarray of float64, shape (n, f)), optional
         Features, and what they are in the recordings of `points`; NaN for a scenario that failed.
+    elsewhere : Elsewhere, optional
+        What another study foretells. It is one more coordinate of the process, which leaves it out where it misleads;
+        the correction is learned from the scenarios at hand alone.
 
     Raises
     ------
@@ -97,6 +101,7 @@ class CriticalSet:
         filling: BoolArray | None = None,
         audits: tuple[FloatArray, FloatArray] | None = None,
         happened: tuple[Sequence[Feature], FloatArray] | None = None,
+        elsewhere: Elsewhere | None = None,
     ) -> None:
         ended = np.isfinite(scores)
         self._filling = np.ones(int(ended.sum()), dtype=np.bool_) if filling is None else filling[ended]
@@ -104,14 +109,16 @@ class CriticalSet:
         self._space, self._seed = space, seed
         self._critical = scores <= threshold
         self._places = Places.of(space, seed)
-        self._ran = encoded(space, points)
+        self._ran, self._elsewhere = encoded(space, points), elsewhere
+        coordinates, foretold = with_foretold(elsewhere, self._ran), elsewhere is not None
         self._committee: Committee | None = None
         if happened is not None and 0 < self._critical.sum() < len(scores):
             columns, values = happened
-            self._committee = Committee(threshold, columns, seed).fit(self._ran, scores, values[ended])
+            self._committee = Committee(threshold, columns, seed, foretold=foretold)
+            self._committee.fit(coordinates, scores, values[ended])
             self._process = self._committee.process
         else:
-            self._process = boundary_process(self._ran, scores, threshold)
+            self._process = boundary_process(coordinates, scores, threshold, foretold=foretold)
         mean, self._t = self._foretold(self._places.encoded)
         self._outcome = dict(zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True))
         self._certain = self._seen(self._places.points)
@@ -131,6 +138,7 @@ class CriticalSet:
 
     def _foretold(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What is below 0 at encoded places that are found, and how many deviations it is from there."""
+        at = with_foretold(self._elsewhere, at)
         if self._committee is not None:
             t = _deviate(self._committee.predict(at)[0])
             return t, t
@@ -165,7 +173,7 @@ class CriticalSet:
 
     def _drawn(self, at: IntArray, limit: FloatArray, key: int) -> BoolArray:
         """Draw critical sets on some of the places, shape (m, draws); another key gives independent draws."""
-        factor, deviation = self._process.joint(self._places.encoded[at])
+        factor, deviation = self._process.joint(with_foretold(self._elsewhere, self._places.encoded[at]))
         standard = np.random.default_rng([self._seed, key]).standard_normal((len(factor), _DRAWS))
         normal = lower_times(factor, standard)
         normal /= deviation[:, None]

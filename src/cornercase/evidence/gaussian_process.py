@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
@@ -28,6 +29,10 @@ _WHOLE = 2.0
 _LOWEST = 0.1
 # How much the process matters far from the threshold.
 _FAR = 0.02
+# Log-probability of what is left out, the process, and the number of coordinates that it may hang on.
+_Tried = tuple[float, "GaussianProcess", int]
+# Logarithm of the factor by which what another study foretells has to make scores likelier.
+_FORETOLD = float(np.log(100.0))
 # Places at which both precisions are compared, and how far they may differ at most of them, in standard deviations.
 _COMPARED, _ALIKE, _MOST = 64, 0.1, 0.9
 
@@ -108,7 +113,9 @@ def near_threshold(scores: FloatArray, threshold: float, near: float) -> FloatAr
     return np.asarray(np.tanh((scores - threshold) / near))
 
 
-def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -> GaussianProcess:
+def boundary_process(
+    points: FloatArray, scores: FloatArray, threshold: float, *, foretold: bool = False
+) -> GaussianProcess:
     """Gaussian process of `near_threshold` that best predicts which scenarios are critical.
 
     Where scores jump, a process with much noise smooths the boundary away; where they are noisy, one with little noise
@@ -116,7 +123,8 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     which side of the threshold each scenario is that is left out, of 512 of them at most: by the others of these, and
     of more than 4,000 scenarios by the nearest of all. A function that is smooth all over is told best by what lies far
     from the threshold too, so two standard deviations are tried beside `nearness`; and the most critical tenth of the
-    scores is always near.
+    scores is always near. What another study foretells is taken where that makes the scores that are left out 100 times
+    as likely.
 
     Parameters
     ----------
@@ -125,6 +133,8 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     scores : ndarray of float64, shape (n,)
         Not all the same.
     threshold : float
+    foretold : bool, default False
+        Whether the last coordinate is what another study foretells, as of `Elsewhere`.
 
     Returns
     -------
@@ -134,27 +144,37 @@ def boundary_process(points: FloatArray, scores: FloatArray, threshold: float) -
     # Of rare critical scenarios none is left out: the widths about them are learned from them.
     rare = critical if 2 * critical.sum() < len(critical) else ~critical
     some = chosen(len(points), MOST_EXACT, rare)
-    side = np.where(critical[some], 1.0, -1.0)
+    side, every = np.where(critical[some], 1.0, -1.0), points.shape[1]
 
-    def tried(near: float, most_noise: float, start: GaussianProcess | None) -> tuple[float, GaussianProcess]:
+    densities: dict[tuple[float, int], float] = {}
+
+    def tried(near: float, most_noise: float, used: int, start: GaussianProcess | None) -> _Tried:
         values = near_threshold(scores, threshold, near)
-        process = GaussianProcess(most_noise, near).learn(points, values, start, rare)
+        process = GaussianProcess(most_noise, near).learn(points, values, start, rare, used)
         if len(points) > MOST_TOGETHER:
             mean, deviation = process.told_by_nearest(points, values, some)
         else:
             mean, deviation = process.know(points[some], values[some]).leave_one_out()
-        return float(log_ndtr(-side * mean / deviation).sum()), process
+        away = (values[some] - mean) / deviation
+        densities[near, used] = float(-(0.5 * away**2 + np.log(deviation)).sum())
+        return float(log_ndtr(-side * mean / deviation).sum()), process, used
 
     # While hardly anything is critical, all scores would be far from the threshold, and told apart no more.
     least = float(np.quantile(scores, _LOWEST)) - threshold
     nears = dict.fromkeys((max(nearness(scores), least), max(_WHOLE * float(np.std(scores)), least)))
-    found = [tried(near, _NOISE, None) for near in nears]
-    start = max(found, key=itemgetter(0))[1]
+    numbers = (every, every - 1) if foretold else (every,)
+    found = [tried(near, _NOISE, used, None) for used in numbers for near in nears]
+    if foretold:
+        # The values tell that sooner than the sides.
+        near = next(iter(nears))
+        tells = densities[near, every] - densities[near, every - 1] > _FORETOLD
+        found = [one for one in found if (one[2] == every) == tells]
+    _, start, used = max(found, key=itemgetter(0))
     # Where the noise is not at its bound, another bound gives the same.
     if start.kernel.noise > _LITTLE:
-        found.append(tried(start.near, _LITTLE, start))
+        found.append(tried(start.near, _LITTLE, used, start))
     if start.kernel.noise > 0.99 * _NOISE:
-        found.append(tried(start.near, _MUCH, start))
+        found.append(tried(start.near, _MUCH, used, start))
     best = max(found, key=itemgetter(0))[1]
     return best if len(some) == len(points) else best.know_scores(points, scores, threshold)
 
@@ -208,6 +228,7 @@ class GaussianProcess:
         values: FloatArray,
         near: GaussianProcess | None = None,
         rare: BoolArray | None = None,
+        used: int | None = None,
     ) -> GaussianProcess:
         """Learn the kernel, and the mean far from all values.
 
@@ -219,6 +240,8 @@ class GaussianProcess:
             With a kernel near which to look.
         rare : ndarray of bool, shape (n,), optional
             Values that must not be lost where only some of many are learned from.
+        used : int, optional
+            Number of coordinates, the first ones, that the process may hang on; by default all.
 
         Returns
         -------
@@ -228,8 +251,15 @@ class GaussianProcess:
         self._mean = float(values.mean())
         # Sums in one order, whatever the number of threads: the points that follow hang on the last digits.
         with one_thread():
+            left = points.shape[1] - (points.shape[1] if used is None else used)
             start = None if near is None else near.kernel
-            self.kernel = learned_kernel(points, values - self._mean, self._most_noise, start, rare)
+            if not left:
+                self.kernel = learned_kernel(points, values - self._mean, self._most_noise, start, rare)
+                return self
+            start = None if start is None else replace(start, widths=start.widths[:-left])
+            kernel = learned_kernel(points[:, :-left], values - self._mean, self._most_noise, start, rare)
+            # Along a coordinate of infinite width nothing is apart.
+            self.kernel = replace(kernel, widths=np.append(kernel.widths, np.full(left, np.inf)))
         return self
 
     def know(self, points: FloatArray, values: FloatArray, matters: FloatArray | None = None) -> GaussianProcess:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from cornercase._common.arguments import by_name, flag, number, shown, text, texts, whole_number
+from cornercase._common.arguments import by_name, flag, number, path, shown, text, texts, whole_number
 from cornercase._common.dask_client import cluster_argument
 from cornercase._common.errors import InputError
 from cornercase.drivers import Driver, is_driver
@@ -78,6 +79,8 @@ class Configuration:
     on_collision : {"continue", "stop"}
     drivers : mapping of str to str or Driver
         Who drives, by entity.
+    from_study : Path or None
+        Study of the same parameters whose scores the search begins from.
 
     Raises
     ------
@@ -112,6 +115,7 @@ class Configuration:
     duration: float = 60.0
     on_collision: str = "continue"
     drivers: Mapping[str, str | Driver] = field(default_factory=dict)
+    from_study: Path | str | None = None
 
     def __post_init__(self) -> None:
         given = vars(self)
@@ -137,6 +141,8 @@ class Configuration:
             raise InputError(f"`audit` {self.audit:g}: give a share of the scenarios up to {MOST_AUDITS:g}.")
         if self.critical is not None:
             taken["critical"] = number("critical", self.critical)
+        if self.from_study is not None:
+            taken["from_study"] = path("from_study", self.from_study)
         if self.cluster is not None:
             taken["cluster"] = cluster_argument(self.cluster)
         if self.max_seconds is not None:
@@ -248,7 +254,9 @@ class Configuration:
             return objective.threshold(self.critical)
         return objective.known_threshold(self.critical)
 
-    def meta(self, objective: Objective, settings: Mapping[str, object]) -> StudyMeta:
+    def meta(
+        self, objective: Objective, settings: Mapping[str, object], elsewhere: Mapping[str, object] | None = None
+    ) -> StudyMeta:
         """What a study of this exploration is about.
 
         Parameters
@@ -256,6 +264,8 @@ class Configuration:
         objective : Objective
         settings : mapping of str to object
             Those of the simulator.
+        elsewhere : mapping of str to object, optional
+            As `StudyMeta` has it.
 
         Returns
         -------
@@ -281,6 +291,7 @@ class Configuration:
             asynchronous=self.asynchronous,
             repeats=self.repeats,
             audit=self.audit,
+            elsewhere=elsewhere or {},
         )
 
 

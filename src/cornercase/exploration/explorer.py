@@ -17,6 +17,7 @@ from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.alike import tell_alike
 from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.judging import elsewhere_of
 from cornercase.exploration.objective import Best, Objective
 from cornercase.exploration.proposing import Proposer, Search
 from cornercase.exploration.running import ScenarioRunner, StageClock
@@ -126,12 +127,15 @@ class ScenarioExplorer:
             configuration.seed,
             configuration.optimizer,
             audited=configuration.audit > 0.0,
+            elsewhere=None if threshold is None or not configuration.stop_when else elsewhere_of(study, threshold),
         )
         self._clock = StageClock(study)
         self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock, references)
         self._best, self._stale = Best(self._objective), 0
         self._patience, self._things = configuration.patience, "rounds"
         self._wants_features = "features" in optimizer.needs
+        if (known := study.elsewhere()) is not None:
+            optimizer.begin_from(*known)
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion is fulfilled.

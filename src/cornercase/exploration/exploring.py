@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 from cornercase._common.arguments import flag, path, texts
 from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
+from cornercase._common.files import require_other_file
 from cornercase._common.ledger import Notice, warn_of
 from cornercase.drivers import Driver, told_driver
 from cornercase.exploration.asynchronous import AsynchronousExplorer
+from cornercase.exploration.beginning import read_beginning
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration.objective import Objective
@@ -63,6 +65,7 @@ def explore(
     on_collision: str = "continue",
     drivers: Mapping[str, str | Driver] | None = None,
     replay: bool = False,
+    from_study: Path | str | None = None,
     progress: bool = False,
 ) -> ExplorationResult:
     """Search a logical scenario for its critical concrete scenarios.
@@ -137,6 +140,9 @@ def explore(
         Who drives, by entity: a preset, ``package.module:Class``, or a driver.
     replay : bool, default False
         Simulate nothing; look whether the results in the study give the same proposals again.
+    from_study : path, optional
+        Study of the same parameters, of another driver, simulator or time step, whose scores the search begins from.
+        They are copied; a search that goes on needs them no more.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -187,6 +193,7 @@ def explore(
         duration=duration,
         on_collision=on_collision,
         drivers={} if drivers is None else drivers,
+        from_study=from_study,
     )
     if flag("replay", replay):
         return _replay(configuration, path("study", study))
@@ -197,7 +204,7 @@ def _replay(one: Configuration, study: Path) -> ExplorationResult:
     one.require_entities()
     objective, optimizer = _searched_by(one)
     with Study.open(study, readonly=True) as opened:
-        meta = one.meta(objective, opened.meta.settings)
+        meta = one.meta(objective, opened.meta.settings, opened.meta.elsewhere)
     return replay_proposals(study, meta, objective, optimizer)
 
 
@@ -244,6 +251,12 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
     begun = time.monotonic()
     one.require_entities()
     objective, optimizer = _searched_by(one)
+    known = None
+    if one.from_study is not None:
+        require_other_file(path, one.from_study, "study")
+        if not optimizer.begins_from_studies:
+            raise InputError(f"`from_study`: {one.optimizer} learns nothing from a study; use level-set or committee.")
+        known = read_beginning(Path(one.from_study), one.logical.space, objective, one.ego, one.others)
     with (
         _on_one_cluster(one) as there,
         configured_simulator(there) as simulator,
@@ -254,9 +267,14 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
         some = one.logical.space.values(one.logical.space.samples())
         simulator.require_runnable([one.logical.concrete(values) for values in some])
         warn_of(_notices(one))
-        meta = one.meta(objective, simulator.settings)
+        meta = one.meta(objective, simulator.settings, None if known is None else known.about)
         with Study.open(path) if path.exists() else Study.create(path, meta) as study:
+            if known is None:
+                # What it began from is in the study.
+                meta = replace(meta, elsewhere=study.meta.elsewhere)
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
+            if known is not None:
+                study.keep_elsewhere(known.points, known.scores)
             study.add_elapsed("files", time.monotonic() - begun)
             kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
             try:

@@ -7,7 +7,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.rows import row_keys
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.evidence import CriticalSet
+from cornercase.evidence import CriticalSet, Elsewhere, encoded
 from cornercase.metrics import features_of, known_features
 from cornercase.optimizers import GridOptimizer, RandomOptimizer, SobolOptimizer, optimizer_needs
 from cornercase.scenario import ParameterSpace
@@ -86,6 +86,26 @@ def learns_from_features(optimizer: str) -> bool:
         return False
 
 
+def elsewhere_of(study: Study, threshold: float) -> Elsewhere | None:
+    """What another study foretells, where the search of a study began from one.
+
+    Parameters
+    ----------
+    study : Study
+    threshold : float
+        Oriented score up to which a scenario is critical.
+
+    Returns
+    -------
+    Elsewhere or None
+        None also where all that is known elsewhere is the same.
+    """
+    known = study.elsewhere()
+    if known is None or np.ptp(known[1]) == 0.0:
+        return None
+    return Elsewhere(encoded(study.space, known[0]), known[1], threshold)
+
+
 def critical_set_of(
     study: Study, scores: FloatArray, threshold: float, *, last: int | None = None, seed: int | None = None
 ) -> CriticalSet:
@@ -134,4 +154,5 @@ def critical_set_of(
         filling=blindly[[row.state == "done" for row in rows]],
         audits=(points[audits], scores[audits]),
         happened=happened,
+        elsewhere=elsewhere_of(study, threshold),
     )

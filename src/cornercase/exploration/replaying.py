@@ -53,6 +53,8 @@ def replay_proposals(path: Path, meta: StudyMeta, objective: Objective, optimize
 def _first_other(study: Study, objective: Objective, optimizer: Optimizer) -> int | None:
     """Id of the first scenario that is proposed otherwise; None where all are the same."""
     results = _Results(study, objective, "features" in optimizer.needs)
+    if (known := study.elsewhere()) is not None:
+        optimizer.begin_from(*known)
     search = Search(optimizer, study.meta.asynchronous)
     proposer, done = Proposer(search, study), 0
     for turn in turns_of(study):

@@ -11,7 +11,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.evidence import REGION, CriticalSet
+from cornercase.evidence import REGION, CriticalSet, Elsewhere
 from cornercase.exploration.judging import chosen_blindly
 from cornercase.metrics import known_features
 from cornercase.scenario import ParameterSpace
@@ -111,6 +111,8 @@ class Stopping:
         Name of the search, which says what of it fills the space.
     audited : bool, default False
         Whether there are audits.
+    elsewhere : Elsewhere, optional
+        What the study that the search began from foretells.
 
     Raises
     ------
@@ -126,13 +128,14 @@ class Stopping:
         seed: int,
         optimizer: str,
         audited: bool = False,
+        elsewhere: Elsewhere | None = None,
     ) -> None:
         if not audited and any(one.what == "audited-missed" for one in criteria):
             raise InputError("`stop_when`: audited-missed needs audits; ask for some with `audit`, as 0.1.")
         if criteria and threshold is None:
             raise InputError("`stop_when`: say with `critical` what is critical.")
         self._criteria, self._space, self._threshold, self._seed = tuple(criteria), space, threshold, seed
-        self._optimizer = optimizer
+        self._optimizer, self._elsewhere = optimizer, elsewhere
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
         self._audits, self._audited = self._points, self._scores
         self._features: list[FloatArray] = []
@@ -172,6 +175,7 @@ class Stopping:
                 filling=chosen_blindly(self._optimizer, self._space, self._seed, self._points),
                 audits=(self._audits, self._audited),
                 happened=(known_features(), np.concatenate(self._features)) if self._features else None,
+                elsewhere=self._elsewhere,
             )
         except ValueError:
             return None

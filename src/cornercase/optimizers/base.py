@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from copy import deepcopy
 from typing import Any, ClassVar, Literal
 
+from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 
 Need = Literal["threshold", "budget", "features"]
@@ -29,6 +30,8 @@ class Optimizer(ABC):
         As on the command line.
     takes_several : bool, default False
         Whether it takes several scores per scenario and searches their Pareto front.
+    begins_from_studies : bool, default False
+        Whether it takes the scores of another study to begin from, by `begin_from`.
     needs : frozenset of {"threshold", "budget", "features"}, default empty
         What it is given as keyword arguments beside ``space`` and ``seed``: ``threshold``, the oriented score up to
         which a scenario is critical; ``budget``, the number of scenarios in all; ``features``, the `Feature` of each
@@ -61,6 +64,7 @@ class Optimizer(ABC):
 
     name: str
     takes_several: ClassVar[bool] = False
+    begins_from_studies: ClassVar[bool] = False
     needs: ClassVar[frozenset[Need]] = frozenset()
     remembers_asking: ClassVar[bool] = False
 
@@ -118,3 +122,20 @@ class Optimizer(ABC):
         if len(pending):
             liar.tell(pending, *lies)
         return liar.ask(n)
+
+    def begin_from(self, points: FloatArray, scores: FloatArray) -> None:
+        """Take what another study knows, before anything is told; by default it is refused.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, d)
+            Scenarios of a study of the same parameters, of another driver, simulator or time step.
+        scores : ndarray of float64, shape (n,)
+            Oriented and finite; 10 at least, not all the same.
+
+        Raises
+        ------
+        InputError
+            It learns nothing from another study.
+        """
+        raise InputError(f"`from_study`: {self.name} learns nothing from another study; use level-set or committee.")

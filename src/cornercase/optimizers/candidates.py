@@ -56,8 +56,8 @@ class CandidateOptimizer(Optimizer):
 
     def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose points, as in `Optimizer.ask_beside`: the model knows of `pending` where it is run, and no lie."""
-        told, scores = len(self._points), self._scores[self._known]
-        if told < self._initial or len(scores) < _FEWEST or np.ptp(scores) == 0.0:
+        scores = self._scores[self._known]
+        if not self._begins() or len(scores) < _FEWEST or np.ptp(scores) == 0.0:
             return self._sequence.ask(n, besides=pending)
         self._pending = len(pending)
         points, number = self._points[self._known], self._number()
@@ -76,6 +76,10 @@ class CandidateOptimizer(Optimizer):
         self._points = np.concatenate([self._points, points])
         self._scores = np.concatenate([self._scores, scores])
         self._sequence.tell(points, scores)
+
+    def _begins(self) -> bool:
+        """Whether enough was told to learn from."""
+        return len(self._points) >= self._initial
 
     @property
     def _known(self) -> BoolArray:

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from sklearn.ensemble import ExtraTreesClassifier
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence import Committee, encoded
+from cornercase.evidence import Committee, encoded, with_foretold
 from cornercase.metrics import Feature
-from cornercase.optimizers.candidates import CandidateOptimizer
+from cornercase.optimizers.begun import BegunOptimizer
 from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
 
@@ -24,7 +24,7 @@ _WAY: Final = 0.5
 _NEAR, _STEP = 0.5, 0.1
 
 
-class CommitteeOptimizer(CandidateOptimizer):
+class CommitteeOptimizer(BegunOptimizer):
     """Asks for the scenarios of which a `Committee` is least sure.
 
     It learns from what happened in the runs, by features of their recordings, so that it follows scores that jump
@@ -36,6 +36,9 @@ class CommitteeOptimizer(CandidateOptimizer):
     While no scenario is critical, it looks for lower scores: the threshold is then the lowest score so far; and
     likewise while all are critical. Where scenarios fail, it learns where, and asks there less, the likelier they
     fail.
+
+    With another study to begin from, what it foretells is one more coordinate for all members (`Elsewhere`), and they
+    learn from fewer points where that foretells the first 10 of them, or more.
 
     The kernels of the committee are learned each time that there are ten scores more to learn from, or a tenth more
     where that is more.
@@ -89,8 +92,12 @@ class CommitteeOptimizer(CandidateOptimizer):
         self._told = None if self._told is None or features is None else np.concatenate([self._told, features])
 
     def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
-        self._committee = Committee(_level(scores, self.threshold), self._features if self._told is not None else ())
-        self._committee.fit(encoded(self._space, points), scores, self._known_features(len(points)))
+        self._committee = Committee(
+            _level(scores, self.threshold),
+            self._features if self._told is not None else (),
+            foretold=self._elsewhere is not None,
+        )
+        self._committee.fit(self._coordinates(points), scores, self._known_features(len(points)))
 
     def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         known, every = self._points[self._known], self._scores[self._known]
@@ -98,9 +105,10 @@ class CommitteeOptimizer(CandidateOptimizer):
         if len(candidates) <= n:
             return candidates
         if len(points):
-            self._committee.know(encoded(self._space, known), every, self._known_features(len(known)))
+            self._committee.know(self._coordinates(known), every, self._known_features(len(known)))
         places = encoded(self._space, candidates)
-        gain = acquisition(*self._committee.predict(places)) * (1.0 - self._failing(places))
+        told = with_foretold(self._elsewhere, places)
+        gain = acquisition(*self._committee.predict(told)) * (1.0 - self._failing(places))
         known = np.concatenate([self._points, filling])
         return candidates[_spread(places, gain, encoded(self._space, known), n)]
 

@@ -11,8 +11,13 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.evidence import GaussianProcess, boundary_process, encoded, near_threshold
-from cornercase.optimizers.candidates import CandidateOptimizer
+from cornercase.evidence import (
+    GaussianProcess,
+    boundary_process,
+    encoded,
+    near_threshold,
+)
+from cornercase.optimizers.begun import BegunOptimizer
 from cornercase.optimizers.dips import below_dips
 from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.optimizers.unseen import Unseen
@@ -35,7 +40,7 @@ _REMOTE: Final = 0.05
 _OPEN, _TIMES = (0.03, 0.08), (2.5, 1.0)
 
 
-class LevelSetOptimizer(CandidateOptimizer):
+class LevelSetOptimizer(BegunOptimizer):
     """Asks for the scenarios of which a Gaussian process knows least whether they are critical.
 
     A scenario is critical when its score is at most the threshold. Each point of a round has the largest
@@ -54,6 +59,9 @@ class LevelSetOptimizer(CandidateOptimizer):
 
     The kernel of the process is learned, and candidates are drawn, each time that ten scenarios more were told, or a
     tenth more where that is more. The 4096 candidates that are best then are those of the rounds until the next time.
+
+    With another study to begin from, what it foretells is one more coordinate of the process (`Elsewhere`), and the
+    process is learned from fewer points where that foretells the first 10 of them, or more.
 
     Parameters
     ----------
@@ -93,9 +101,11 @@ class LevelSetOptimizer(CandidateOptimizer):
         self._unseen.tell(points)
 
     def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
-        self._process = boundary_process(encoded(self._space, points), scores, self.threshold)
+        self._process = boundary_process(
+            self._coordinates(points), scores, self.threshold, foretold=self._elsewhere is not None
+        )
         candidates = SobolOptimizer(self._space, seed).ask(self._count, besides=points)
-        mean, deviation = self._process.predict(encoded(self._space, candidates))
+        mean, deviation = self._process.predict(self._coordinates(candidates))
         likely = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
         self._filling = min(self._least * float(np.interp(_open(likely), _OPEN, _TIMES)), 1.0)
         best = np.argsort(-_gain(mean, deviation), kind="stable")
@@ -138,8 +148,8 @@ class LevelSetOptimizer(CandidateOptimizer):
         process = self._process
         if len(points):
             values = near_threshold(scores, self.threshold, process.near)
-            process = process.extended(encoded(self._space, points), values)
-        return candidates[_straddle(process, encoded(self._space, candidates), encoded(self._space, filling), n)]
+            process = process.extended(self._coordinates(points), values)
+        return candidates[_straddle(process, self._coordinates(candidates), self._coordinates(filling), n)]
 
 
 def _open(likely: FloatArray) -> float:

@@ -16,6 +16,7 @@ from cornercase.report.references import tell_references
 from cornercase.report.words import (
     find_reasons,
     percent,
+    tell_beginning,
     tell_beside,
     tell_compared,
     tell_criterion,
@@ -131,6 +132,8 @@ def tell_about(data: ReportData) -> str:
     else:
         searched = f"{'the ' if meta.pareto else ''}{summary.searched}"
         said.append(f"{_scenarios(summary.run)} run, searched by {meta.optimizer} for {searched}.")
+        if meta.elsewhere:
+            said.append(f"The search began from {tell_beginning(meta)}.")
     if beside := tell_beside(summary):
         said.append(beside)
     if summary.pending:

@@ -18,6 +18,7 @@ from cornercase.report.words import (
     name_criterion,
     name_joining,
     name_range,
+    tell_beginning,
     tell_beside,
     tell_unforetold,
 )
@@ -83,6 +84,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "clusters": {name: _clusters(one, summary.run) for name, one in summary.analyses.items()},
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
         "searched": summary.searched,
+        **({"began from": tell_beginning(meta)} if meta.elsewhere else {}),
     }
     plain |= _knowledge(summary.knowledge, summary.searched)
     plain["agreement"] = {

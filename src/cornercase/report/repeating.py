@@ -119,6 +119,8 @@ def _search(meta: StudyMeta) -> Iterator[str]:
         yield from ("--audit", _plain(meta.audit))
     if meta.asynchronous:
         yield "--asynchronous"
+    if meta.elsewhere:
+        yield from ("--from", meta.elsewhere["study"])
 
 
 def _numbers(meta: StudyMeta) -> Iterator[str]:

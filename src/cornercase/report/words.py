@@ -77,6 +77,23 @@ def tell_roles(meta: StudyMeta) -> str:
     )
 
 
+def tell_beginning(meta: StudyMeta) -> str:
+    """Say what a search began from.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        Of a study whose search began from another one.
+
+    Returns
+    -------
+    str
+        A part of a sentence.
+    """
+    known = meta.elsewhere
+    return f"{known.get('scenarios', 'some')} scenarios of {known['study']} (simulator {known['simulator']})"
+
+
 def tell_beside(summary: Summary) -> str:
     """Say in how many scenarios the ego touches somebody whom it is not measured against.
 

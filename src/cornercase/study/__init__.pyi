@@ -1,6 +1,7 @@
 from .damage import damage_told as damage_told
 from .damage import made as made
 from .damage import require as require
+from .elsewhere import digest_of_scores as digest_of_scores
 from .explored import explored_scenario as explored_scenario
 from .importing import IMPORTED as IMPORTED
 from .importing import ImportResult as ImportResult

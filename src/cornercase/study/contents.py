@@ -8,6 +8,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
+import numpy as np
+
 from cornercase._common.displays import DISPLAYS
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
@@ -15,6 +17,7 @@ from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.study.arrays import read_arrays
 from cornercase.study.damage import damage_told, loaded, require
+from cornercase.study.elsewhere import digest_of_scores
 from cornercase.study.export import write_scenarios, write_table
 from cornercase.study.scenarios import ScenarioContents
 from cornercase.study.table import scenario_table
@@ -73,6 +76,31 @@ class StudyContents(ScenarioContents):
             metric = METRICS.create(self.meta.metrics[0])
             table = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable")
         return f"<p>{escape(repr(self))}</p>{table.head(_SHOWN).to_html(index=False)}"
+
+    def elsewhere(self) -> tuple[FloatArray, FloatArray] | None:
+        """Read what the study that the search began from knew.
+
+        Returns
+        -------
+        points : ndarray of float64, shape (n, d)
+            In the unit cube of this study's space.
+        scores : ndarray of float64, shape (n,)
+            Oriented. None in place of both where the search began from nothing.
+
+        Raises
+        ------
+        InputError
+            It is not there, as after a damage.
+        """
+        if not self.meta.elsewhere:
+            return None
+        with damage_told(self.path):
+            found = self._database.found("SELECT point, score FROM elsewhere ORDER BY rowid")
+            points = np.array([np.frombuffer(point, dtype="<f8") for point, _ in found], dtype=np.float64)
+            scores = np.array([score for _, score in found], dtype=np.float64)
+            digest = digest_of_scores(points, scores)
+            require(digest == self.meta.elsewhere.get("sha256"), "what the search began from is not all there")
+            return points, scores
 
     def analyses(self) -> list[str]:
         """List the aspects that the study was analysed by.

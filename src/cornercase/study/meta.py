@@ -30,6 +30,7 @@ _DIFFERENT: Final = {
     "settings": "other simulator settings",
     "repeats": "another number of repeats",
     "audit": "another share of audits",
+    "elsewhere": "another study to begin from, or one that has changed since",
     "suite": "other files, or files that have changed since",
 }
 
@@ -37,12 +38,12 @@ _DIFFERENT: Final = {
 _TYPES: Final[dict[str, Any]] = (
     dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
     | dict.fromkeys(("seed", "budget", "batch", "repeats"), int)
-    | dict.fromkeys(("settings", "weights"), dict)
+    | dict.fromkeys(("elsewhere", "settings", "weights"), dict)
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
     | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
 )
 # What only later versions write.
-_LATER: Final = ("asynchronous", "kinds", "origin", "requirements", "suite")
+_LATER: Final = ("asynchronous", "elsewhere", "kinds", "origin", "requirements", "suite")
 _YES_OR_NO: Final = ("asynchronous", "pareto")
 
 
@@ -104,6 +105,10 @@ class StudyMeta:
         Share of the scenarios that are drawn at random to judge the search, and that it is never told.
     asynchronous : bool
         Whether the search was asked for the next scenario as soon as one had ended.
+    elsewhere : mapping of str to object
+        What is known of the study that the search began from: the name of its file (``study``), its ``fingerprint``,
+        ``simulator``, ``settings`` and number of ``scenarios``, and ``sha256`` of their points and scores; empty where
+        it began from nothing.
     files : tuple of str
         Imported recordings, or the scenario files of a suite, in the order of the scenarios' ids.
     kinds : tuple of str
@@ -136,6 +141,7 @@ class StudyMeta:
     repeats: int = 1
     audit: float = 0.0
     asynchronous: bool = False
+    elsewhere: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
     requirements: tuple[str, ...] = ()
@@ -166,8 +172,9 @@ class StudyMeta:
         dict of str to object
             By the name of the field; None stands for an empty or a plain one.
         """
-        # A study of rounds is written as before there were any others.
-        written = [one.name for one in fields(self) if one.name != "asynchronous" or self.asynchronous]
+        # A study is written as before there were searches without rounds, or from other studies, unless it is of one.
+        later = {"asynchronous": self.asynchronous, "elsewhere": bool(self.elsewhere)}
+        written = [one.name for one in fields(self) if later.get(one.name, True)]
         return {name: getattr(self, name) for name in written} | {
             "space": self.space.to_json(),
             "other": self.other if isinstance(self.other, str) else list(self.other),
@@ -233,6 +240,9 @@ class StudyMeta:
         numbers = (given.get("critical", 0.0), *given.get("weights", {}).values())
         if not all(math.isfinite(float(one)) for one in numbers):
             raise ValueError("its critical or its weights are not finite")
+        known = given.get("elsewhere", {})
+        if known and not all(isinstance(known.get(key), str) for key in ("sha256", "simulator", "study")):
+            raise ValueError("it does not say what its search began from")
         if not 0.0 <= given.get("audit", 0.0) <= MOST_AUDITS:
             raise ValueError("its audit is no share")
         if not isinstance(given.get("settings", {}).get("drivers", {}), dict):
@@ -267,6 +277,9 @@ class StudyMeta:
             if name == "space":
                 # Its constraints follow from the file, and earlier versions did not write them.
                 mine, given = mine.parameters, given.parameters
+            if name == "elsewhere":
+                # Its file may lie elsewhere and be called otherwise; its scores may not be others.
+                mine, given = mine.get("sha256"), given.get("sha256")
             if name == "metrics" and condition_of(mine) != condition_of(given):
                 words = "another condition of what is critical"
             if mine != given:

@@ -48,6 +48,9 @@ AGAINST: Final = """CREATE TABLE IF NOT EXISTS against (
     PRIMARY KEY (scenario, metric)) WITHOUT ROWID"""
 """Makes the table that only a study of several others has."""
 
+ELSEWHERE: Final = "CREATE TABLE IF NOT EXISTS elsewhere (point BLOB NOT NULL, score REAL NOT NULL)"
+"""Makes the table that only a study has whose search began from another one."""
+
 RESULTS: Final = """CREATE TABLE IF NOT EXISTS results (
     number INTEGER PRIMARY KEY, scenario INTEGER NOT NULL UNIQUE REFERENCES scenarios, round INTEGER NOT NULL)"""
 """Makes the table that only a study of a search without rounds has."""
@@ -55,6 +58,7 @@ RESULTS: Final = """CREATE TABLE IF NOT EXISTS results (
 TABLES: Final = (
     "meta", "scenarios", "courses", "repeats", "outcomes", "notes", "analyses", "arrays", "elapsed", "against",
     "results",
+    "elsewhere",
 )  # fmt: skip
 """Tables of a study, of any version; those that refer to others come after them."""
 

@@ -24,7 +24,7 @@ from cornercase.study.contents import StudyContents
 from cornercase.study.damage import damage_told
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
-from cornercase.study.migrations import AGAINST, RESULTS, TABLES
+from cornercase.study.migrations import AGAINST, ELSEWHERE, RESULTS, TABLES
 from cornercase.study.second_runs import write_references
 from cornercase.study.table import Row
 
@@ -155,6 +155,22 @@ class Study(StudyContents):
                 [(json.dumps(plain[key], sort_keys=True), key) for key in _CHANGING],
             )
         self.meta, self.space = known, known.space
+
+    def keep_elsewhere(self, points: FloatArray, scores: FloatArray) -> None:
+        """Keep what another study knows, so that the search goes on from it without that study.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (n, d)
+            In the unit cube of this study's space.
+        scores : ndarray of float64, shape (n,)
+            Oriented. Nothing is written where they are kept already.
+        """
+        rows = [(one.astype("<f8").tobytes(), score) for one, score in zip(points, scores.tolist(), strict=True)]
+        with self._database.writing() as connection:
+            if connection.execute("SELECT 1 FROM elsewhere LIMIT 1").fetchone() is not None:
+                return
+            connection.executemany("INSERT INTO elsewhere VALUES (?, ?)", rows)
 
     def clear(self) -> None:
         """Remove all scenarios, and what is known of them."""
@@ -335,7 +351,8 @@ class Study(StudyContents):
 
 def _more_tables(meta: StudyMeta) -> tuple[str, ...]:
     """Make the tables that not every study has."""
-    return ((AGAINST,) if len(meta.others) > 1 else ()) + ((RESULTS,) if meta.asynchronous else ())
+    wanted = {AGAINST: len(meta.others) > 1, RESULTS: meta.asynchronous, ELSEWHERE: bool(meta.elsewhere)}
+    return tuple(statement for statement, there in wanted.items() if there)
 
 
 def _remove_content(connection: Connection) -> None:

@@ -1,0 +1,162 @@
+"""A search that begins from another study: what it takes of it, keeps and refuses."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+
+from command_line import SPACE, X, cornercase
+from cornercase._common.errors import InputError
+from cornercase.exploration import critical_set_of, explore
+from cornercase.exploration.beginning import read_beginning
+from cornercase.exploration.objective import Objective
+from cornercase.metrics import METRICS
+from cornercase.report import summarize
+from cornercase.scenario import LogicalScenario
+from cornercase.study import Study, StudyMeta
+
+WHOLE = LogicalScenario.read(X, SPACE)
+
+
+def searched(path, *, logical=WHOLE, driver="normal:reaction_time=0.8", metrics=("wttc",), **more):
+    options: dict[str, Any] = {"optimizer": "level-set", "critical": 0.5, "budget": 20, "seed": 1} | more
+    return explore(logical, path, ego="Ego", other="Pedestrian", metrics=metrics, drivers={"Ego": driver}, **options)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    """A study of another driver, with one more metric than is searched."""
+    path = tmp_path_factory.mktemp("other") / "other.db"
+    searched(path, driver="normal", metrics=("distance", "wttc"), optimizer="sobol", budget=40, batch=20)
+    return path
+
+
+def content(path):
+    with closing(sqlite3.connect(path)) as connection:
+        tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        return {name: connection.execute(f"SELECT * FROM {name}").fetchall() for name in tables if name != "elapsed"}
+
+
+def beginning(path, space, *names):
+    return read_beginning(path, space, Objective([METRICS.create(name) for name in names]), "Ego", ("Pedestrian",))
+
+
+def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
+    copied = tmp_path / "gone" / "other.db"
+    copied.parent.mkdir()
+    copied.write_bytes(other.read_bytes())
+    searched(tmp_path / "once.db", from_study=other, budget=30)
+    searched(tmp_path / "twice.db", from_study=copied, budget=20)
+    copied.unlink()
+    searched(tmp_path / "twice.db", budget=30)
+    assert content(tmp_path / "once.db") == content(tmp_path / "twice.db")
+    searched(tmp_path / "cold.db", budget=30)
+    with Study.open(tmp_path / "once.db", readonly=True) as begun, Study.open(tmp_path / "cold.db") as cold:
+        assert cold.elsewhere() is None
+        assert "elsewhere" not in {key for key, _ in content(cold.path)["meta"]}
+        assert not np.array_equal(begun.points(), cold.points())
+        assert StudyMeta.from_json(begun.meta.to_json()) == begun.meta
+        # What is said of the critical set is by the other study too, and of the scenarios of this one.
+        scores = begun.scores("wttc")
+        assert 0.0 < critical_set_of(begun, scores, 0.5).share.value < 1.0
+        assert len(scores) == 30
+    summarize(tmp_path / "once.db")
+
+
+def test_scores_and_points_are_those_of_the_other_study(other):
+    known = beginning(other, WHOLE.space, "wttc")
+    with Study.open(other, readonly=True) as study:
+        np.testing.assert_array_equal(known.scores, study.scores("wttc"))
+        np.testing.assert_allclose(known.points, study.points(), atol=1e-12)
+    assert known.about["scenarios"] == 40
+    assert known.about["simulator"] == "builtin"
+
+
+def test_a_metric_that_it_lacks_is_measured_from_its_recordings(tmp_path, other):
+    searched(
+        tmp_path / "lacks.db",
+        driver="normal",
+        metrics=("distance",),
+        optimizer="sobol",
+        critical=1,
+        budget=40,
+        batch=20,
+    )
+    np.testing.assert_array_equal(
+        beginning(tmp_path / "lacks.db", WHOLE.space, "wttc").scores, beginning(other, WHOLE.space, "wttc").scores
+    )
+
+
+def test_scenarios_outside_of_the_new_ranges_are_left_out(other):
+    name = WHOLE.space.names[0]
+    narrow = WHOLE.space.with_ranges([f"{name}=30:60"])
+    known = beginning(other, narrow, "wttc")
+    with Study.open(other, readonly=True) as study:
+        starts = [float(row.values[name]) for row in study.rows()]
+    there = [start for start in starts if 30 <= start <= 60]
+    assert [values[name] for values in narrow.values(known.points)] == pytest.approx(there)
+    assert 10 <= len(there) < 40
+
+
+def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other):
+    new = tmp_path / "new.db"
+    fewer = LogicalScenario.read(X, ranges=["ego_start=20:80"])
+    cases: dict[str, dict[str, Any]] = {
+        "this space has no parameter": {"logical": fewer},
+        "bayes learns nothing from a study; use level-set": {"optimizer": "bayes"},
+        "there is no such study": {"from_study": tmp_path / "missing.db"},
+        "10 with different scores are needed": {"logical": LogicalScenario.read(X, SPACE, ["ego_start=80:90"])},
+    }
+    for words, more in cases.items():
+        with pytest.raises(InputError, match=words):
+            searched(new, **{"from_study": other} | more)
+        assert not new.exists()
+    with pytest.raises(InputError, match="has no parameter"):
+        searched(new, from_study=_of(fewer, tmp_path))
+
+
+def _of(logical, folder):
+    searched(folder / "fewer.db", logical=logical, optimizer="sobol")
+    return folder / "fewer.db"
+
+
+def test_another_study_to_begin_from_is_another_search(tmp_path, other):
+    searched(tmp_path / "new.db", from_study=other)
+    searched(tmp_path / "third.db", driver="normal", optimizer="sobol", seed=5)
+    with pytest.raises(InputError, match="another study to begin from"):
+        searched(tmp_path / "new.db", from_study=tmp_path / "third.db", budget=30)
+    with Study.open(tmp_path / "new.db") as study:
+        assert len(study.done()) == 20
+
+
+def test_a_damaged_beginning_is_told(tmp_path, other):
+    searched(tmp_path / "new.db", from_study=other)
+    with closing(sqlite3.connect(tmp_path / "new.db")) as connection, connection:
+        connection.execute("DELETE FROM elsewhere WHERE rowid = 1")
+    with pytest.raises(InputError, match="what the search began from"):
+        searched(tmp_path / "new.db", budget=30)
+
+
+def test_on_the_command_line(tmp_path, other):
+    arguments = (
+        "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--critical", "0.5",
+        "--budget", "12", "--from", other, "-o", tmp_path / "new.db",
+    )  # fmt: skip
+    refused = cornercase(*arguments, "--optimizer", "sobol")
+    assert refused.returncode == 2
+    assert "--from: sobol learns nothing from a study; use level-set or committee." in refused.stderr
+    assert cornercase(*arguments, "--optimizer", "level-set").returncode == 0
+    with Study.open(tmp_path / "new.db", readonly=True) as study:
+        known = study.elsewhere()
+        assert known is not None
+        assert len(known[1]) == 40
+
+
+def test_it_is_replayed_and_goes_without_rounds(tmp_path, other):
+    searched(tmp_path / "new.db", from_study=other, budget=16, batch=8, asynchronous=True)
+    found = searched(tmp_path / "new.db", budget=16, batch=8, asynchronous=True, replay=True)
+    assert found.same

@@ -1,0 +1,91 @@
+"""Searches that begin from what another study knows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cornercase._common.errors import InputError
+from cornercase.evidence import CriticalSet, Elsewhere, boundary_process
+from cornercase.optimizers import OPTIMIZERS, LevelSetOptimizer, SobolOptimizer, create_optimizer
+from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
+
+KNOWN = SobolOptimizer(CUBE, 100).ask(200)
+
+
+def moved(points):
+    """The two regions, a little elsewhere and a little larger: what another driver would make of them."""
+    return two_regions(points - (0.03, -0.02, 0.03)) - 0.1
+
+
+def recall_after(count, seed, function, known=None):
+    optimizer = LevelSetOptimizer(CUBE, seed, THRESHOLD)
+    elsewhere = None
+    if known is not None:
+        optimizer.begin_from(KNOWN, known)
+        elsewhere = Elsewhere(KNOWN, known, THRESHOLD)
+    points = explored(optimizer, count, batch=5, function=function)
+    found = CriticalSet(CUBE, points, function(points), THRESHOLD, seed, elsewhere=elsewhere)
+    told, true = found.found(EVERYWHERE), function(EVERYWHERE) <= THRESHOLD
+    return (told & true).sum() / true.sum()
+
+
+def test_it_finds_sooner_what_another_study_foretells():
+    begun = [recall_after(25, seed, moved, two_regions(KNOWN)) for seed in range(3)]
+    cold = [recall_after(25, seed, moved) for seed in range(3)]
+    assert np.median(begun) > 0.9
+    assert np.mean(begun) > np.mean(cold) + 0.1
+
+
+def test_what_misleads_is_dropped():
+    misleading = two_regions(KNOWN[:, ::-1] * (1.0, -1.0, 1.0) + (0.0, 1.0, 0.0))
+    assert recall_after(60, 0, moved, misleading) > recall_after(60, 0, moved) - 0.02
+
+
+def test_a_coordinate_that_says_nothing_is_left_out_of_the_process():
+    points = SobolOptimizer(CUBE, 3).ask(60)
+    noise = np.random.default_rng(0).normal(size=(60, 1))
+    plain = boundary_process(points, two_regions(points), THRESHOLD)
+    process = boundary_process(np.hstack([points, noise]), two_regions(points), THRESHOLD, foretold=True)
+    # Out of sight, or so wide that nothing is apart.
+    assert process.kernel.widths[-1] > 5.0
+    for there in (-1.0, 1.0):
+        told = process.predict(np.column_stack([EVERYWHERE, np.full(len(EVERYWHERE), there)]))[0] <= 0.0
+        assert (told == (plain.predict(EVERYWHERE)[0] <= 0.0)).mean() > 0.97
+
+
+def test_a_coordinate_that_says_all_is_used():
+    points = SobolOptimizer(CUBE, 3).ask(30)
+    told = np.column_stack([points, np.tanh(moved(points) - THRESHOLD)])
+    process = boundary_process(told, moved(points), THRESHOLD, foretold=True)
+    at = np.column_stack([EVERYWHERE, np.tanh(moved(EVERYWHERE) - THRESHOLD)])
+    right = (process.predict(at)[0] <= 0.0) == (moved(EVERYWHERE) <= THRESHOLD)
+    plain = boundary_process(points, moved(points), THRESHOLD).predict(EVERYWHERE)[0] <= 0.0
+    assert right.mean() > 0.99 > (plain == (moved(EVERYWHERE) <= THRESHOLD)).mean()
+
+
+@pytest.mark.parametrize("name", ["level-set", "committee"])
+def test_a_search_that_is_told_again_asks_the_same(name):
+    def begun():
+        optimizer = create_optimizer(name, CUBE, 3, threshold=THRESHOLD, budget=40)
+        optimizer.begin_from(KNOWN, two_regions(KNOWN))
+        return optimizer
+
+    first, again, rounds = begun(), begun(), []
+    for _ in range(4):
+        points = first.ask(8)
+        first.tell(points, moved(points))
+        rounds.append(points)
+    for points in rounds:
+        np.testing.assert_array_equal(again.ask(8), points)
+        again.tell(points, moved(points))
+    cold = explored(create_optimizer(name, CUBE, 3, threshold=THRESHOLD, budget=40), 32, batch=8, function=moved)
+    assert not np.array_equal(cold, np.concatenate(rounds))
+
+
+@pytest.mark.parametrize("name", sorted({*OPTIMIZERS.names()} - {"level-set", "committee", "optuna"}))
+def test_others_refuse_it_by_name(name):
+    optimizer = create_optimizer(name, CUBE, 3, threshold=THRESHOLD, budget=40)
+    assert not optimizer.begins_from_studies
+    with pytest.raises(InputError, match=f"{name} learns nothing from another study"):
+        optimizer.begin_from(KNOWN, two_regions(KNOWN))
