@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from command_line import SPACE, X
 
 FOLDER = Path(__file__).parents[1] / "as_on_windows"
@@ -58,6 +60,7 @@ def test_workers_crash_and_hang_and_their_children_end(tmp_path):
     assert done.stdout.strip() == "[0, 'the simulator did not end within 2 s, tried 2 times', 2, 3]"
 
 
+@pytest.mark.slow
 def test_an_exploration_goes_on_and_is_written_by_one_only(tmp_path):
     explore = [
         "-c", "from cornercase.cli import main; main()", "explore", X, "--space", SPACE, "--ego", "Ego", "--other",

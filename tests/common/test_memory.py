@@ -58,11 +58,11 @@ def test_data_fits_beside_python_and_what_does_not_is_refused_with_what_to_do():
     limit = MemoryLimit.of("4 GB")
     limit.require(limit.free, "distances", "give more")
     assert limit.free < limit.size
-    sentence = "distances need 21 GB, which is more than `memory` 4 GB; compare fewer."
+    sentence = "distances need up to 21 GB, which is more than `memory` 4 GB; compare fewer."
     with pytest.raises(InputError, match=f"^{re.escape(sentence)}$"):
         limit.require(20e9, "distances", "compare fewer")
     # What does not fit never reads as if it did.
-    with pytest.raises(InputError, match=r"need 4\.1 GB, which is more than `memory` 4 GB"):
+    with pytest.raises(InputError, match=r"need up to 4\.1 GB, which is more than `memory` 4 GB"):
         limit.require(limit.free + 1e6, "distances", "compare fewer")
 
 

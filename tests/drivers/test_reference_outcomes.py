@@ -27,6 +27,7 @@ def ahead(gap, speed, aside=0.0, collides=None, heading=0.0):
     return met(BRAKES, (gap + 4.0 + speed * T, aside, heading, speed), collides)
 
 
+@pytest.mark.slow
 def test_it_agrees_with_the_outcomes_of_the_commission_where_an_encounter_ends_at_the_intrusion():
     rows = pd.read_csv(ROOT / "tests" / "data" / "r157" / "cut_in.csv")
     rows = rows[(rows.model == "CC_human_driver") & (rows.lateral_m_s > 0.4)]

@@ -44,6 +44,7 @@ def test_leaving_one_out_is_learning_from_the_others():
         assert deviations[i] == pytest.approx(np.sqrt(variance), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_intervals_hold_the_truth_about_as_often_as_they_say():
     within = {"share": 0, "missed": 0}
     runs = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -295,6 +296,13 @@ def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
     ended = CliRunner().invoke(app, [*words, "--replay"])
     assert ended.exit_code == 0
     assert "the same 24 scenarios were proposed again" in " ".join(ended.output.split())
+    shutil.copy(tmp_path / "s.db", tmp_path / "other.db")
+    with sqlite3.connect(tmp_path / "other.db") as connection:
+        ran = "UPDATE scenarios SET parameters = (SELECT parameters FROM scenarios WHERE id = 3) WHERE id = 5"
+        connection.execute(ran)
+    ended = CliRunner().invoke(app, [*words[:-1], str(tmp_path / "other.db"), "--replay"])
+    assert ended.exit_code == 1
+    assert "the scenario 5 of 24 is proposed otherwise" in " ".join(ended.output.split())
     with sqlite3.connect(tmp_path / "s.db") as connection:
         connection.execute("UPDATE courses SET score = 9 WHERE scenario = 20")
         connection.execute("UPDATE courses SET score = 0 WHERE scenario = 21")

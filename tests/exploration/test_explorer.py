@@ -205,7 +205,7 @@ def contents(path):
         return [connection.execute(f"SELECT * FROM {table}").fetchall() for table in ("meta", "scenarios", "courses")]
 
 
-@pytest.mark.parametrize("optimizer", ["bayes", "committee"])
+@pytest.mark.parametrize("optimizer", ["bayes", pytest.param("committee", marks=pytest.mark.slow)])
 def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, tmp_path):
     with opened(tmp_path / "whole.db") as study:
         result = explorer(study, optimizer=optimizer, metrics=("distance", "wttc")).run()

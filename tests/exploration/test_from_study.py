@@ -108,12 +108,13 @@ def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other
     cases: dict[str, dict[str, Any]] = {
         "this space has no parameter": {"logical": fewer},
         "bayes learns nothing from a study; use level-set": {"optimizer": "bayes"},
+        "is not of the condition 'collision'; begin from one with the same `critical_if`": {"critical_if": "collision"},
         "there is no such study": {"from_study": tmp_path / "missing.db"},
         "10 with different scores are needed": {"logical": LogicalScenario.read(X, SPACE, ["ego_start=80:90"])},
     }
     for words, more in cases.items():
         with pytest.raises(InputError, match=words):
-            searched(new, **{"from_study": other} | more)
+            searched(new, **{"critical": None if "critical_if" in more else 0.5, "from_study": other} | more)
         assert not new.exists()
     with pytest.raises(InputError, match="has no parameter"):
         searched(new, from_study=_of(fewer, tmp_path))
@@ -127,7 +128,7 @@ def _of(logical, folder):
 def test_another_study_to_begin_from_is_another_search(tmp_path, other):
     searched(tmp_path / "new.db", from_study=other)
     searched(tmp_path / "third.db", driver="normal", optimizer="sobol", seed=5)
-    with pytest.raises(InputError, match="another study to begin from"):
+    with pytest.raises(InputError, match="a search that began from another study"):
         searched(tmp_path / "new.db", from_study=tmp_path / "third.db", budget=30)
     with Study.open(tmp_path / "new.db") as study:
         assert len(study.done()) == 20

@@ -115,6 +115,7 @@ def test_it_looks_for_low_scores_while_nothing_is_critical():
     assert not (bowl(SobolOptimizer(CUBE, 2).ask(100)) <= THRESHOLD).any()
 
 
+@pytest.mark.slow
 def test_it_asks_little_where_scenarios_fail():
     def fails(points):
         scores, told = outcome(points)

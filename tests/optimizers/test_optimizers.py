@@ -229,7 +229,9 @@ MODELS: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == "committee" else ()) for name in MODELS]
+)
 def test_what_is_asked_for_hangs_on_what_was_told_not_on_what_was_asked_or_on_the_rounds(name):
     """So a study that was killed goes on as if nothing had happened."""
     whole = explored(MODELS[name](), 90, batch=7)

@@ -14,6 +14,7 @@ pytest.importorskip("distributed")
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "worker_kills.py"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="it kills as Unix does")
 def test_killed_workers_leave_no_trace_in_the_study(tmp_path):
     command = [sys.executable, str(BENCHMARK), "--kills", "2", "--seed", "1", "--json", str(tmp_path / "found.json")]

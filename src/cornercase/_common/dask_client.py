@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import signal
 import sys
 import time
 from collections.abc import Collection, Iterator
@@ -17,7 +18,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, WorkerPlugin
 
 LOCAL: Final = "local"
 """The cluster that is started on this machine."""
@@ -113,7 +114,13 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
                     dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
                 )
-                return Client(local)
+                client = Client(local)
+                client.register_plugin(_deaf_to_interrupts())
+                return client
+        if "://" not in cluster and ":" not in cluster and not Path(cluster).is_file():
+            raise InputError(
+                f"`cluster` {cluster}: there is no such file, and it is no address such as tcp://host:8786."
+            )
         address = json.loads(read_file(cluster))["address"] if Path(cluster).is_file() else cluster
         return Client(str(address), timeout=_ANSWERS)
     except (OSError, ValueError, TypeError, KeyError) as error:
@@ -121,6 +128,17 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
             f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
             " as tcp://host:8786, or the file that a scheduler wrote."
         ) from error
+
+
+def _deaf_to_interrupts() -> WorkerPlugin:
+    """What makes workers leave Ctrl-C, which the terminal sends to them too, to the process that ends them."""
+    from distributed import WorkerPlugin
+
+    class DeafToInterrupts(WorkerPlugin):
+        def setup(self, worker: Any) -> None:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    return DeafToInterrupts()
 
 
 def leave(client: Client) -> None:

@@ -144,8 +144,8 @@ class MemoryLimit:
         """
         if not self.holds(need):
             raise InputError(
-                f"{what} need {size_in_words(need + _LOADED)}, which is more than `memory` {size_in_words(self.size)};"
-                f" {instead}."
+                f"{what} need up to {size_in_words(need + _LOADED)}, which is more than `memory`"
+                f" {size_in_words(self.size)}; {instead}."
             )
 
 

@@ -246,10 +246,9 @@ def _require_memory(study: Study, seen: dict[str, list[FloatArray]], count: int,
     first = max(map(len, seen.values()), default=0)
     series = sum(one.nbytes for series in seen.values() for one in series) / max(first, 1)
     pairs = min(count, MOST_COMPARED) ** 2 * _OF_A_PAIR
+    fewer = ", or analyze by fewer aspects at a time with `by`" if count * series > pairs and len(seen) > 1 else ""
     limit.require(
-        pairs + count * (series + _OF_A_SCENARIO),
-        f"{study.path}: the series of {count} scenarios",
-        "give more, or analyze by fewer aspects at a time with `by`",
+        pairs + count * (series + _OF_A_SCENARIO), f"{study.path}: the series of {count} scenarios", f"give more{fewer}"
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.objective import Objective
-from cornercase.metrics import measured
+from cornercase.metrics import condition_of, measured
 from cornercase.scenario import ParameterSpace, Value
 from cornercase.study import Row, Study, digest_of_scores
 
@@ -131,6 +131,11 @@ def _oriented(study: Study, objective: Objective, rows: Sequence[Row], ego: str,
         if same and metric.name in meta.metrics:
             scores[:, k] = study.scores(metric.name)[places]
         else:
+            if condition := condition_of([metric.name]):
+                raise InputError(
+                    f"`from_study` {study.path}: is not of the condition '{condition}'; begin from one with the same"
+                    " `critical_if`."
+                )
             metric.require()
             missing.append((k, metric))
     if missing:

@@ -56,6 +56,10 @@ def _first_other(study: Study, objective: Objective, optimizer: Optimizer) -> in
     if (known := study.elsewhere()) is not None:
         optimizer.begin_from(*known)
     search = Search(optimizer, study.meta.asynchronous)
+    rows = study.rows()
+    ran = study.space.values(np.array([row.point for row in rows]).reshape(-1, study.space.dimension))
+    if other := next((row.id for row, values in zip(rows, ran, strict=True) if dict(row.values) != values), None):
+        return other
     proposer, done = Proposer(search, study), 0
     for turn in turns_of(study):
         if searched := [row for row in turn.ended if not study.meta.is_audit(row.id)]:

@@ -170,9 +170,8 @@ def _require_memory(study: Study, limit: MemoryLimit) -> None:
     count = max(len(one.ids) for one in known)
     pairs = [len(one.ids) ** 2 for one in known if one.inexact is None]
     need = _OF_A_PAIR * sum(pairs) + _OF_A_SCENARIO * count * len(known) + _OF_BLOCKS
-    limit.require(
-        need, f"{study.path}: the distances of {count} scenarios", "give more, or `analyze` it again by fewer aspects"
-    )
+    fewer = ", or `analyze` it again by fewer aspects" if len(known) > 1 else ""
+    limit.require(need, f"{study.path}: the distances of {count} scenarios", f"give more{fewer}")
 
 
 def _compared(ran: Ran, analysis: Analysis) -> list[Distances]:

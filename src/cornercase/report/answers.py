@@ -132,6 +132,8 @@ def tell_about(data: ReportData) -> str:
     else:
         searched = f"{'the ' if meta.pareto else ''}{summary.searched}"
         said.append(f"{_scenarios(summary.run)} run, searched by {meta.optimizer} for {searched}.")
+        if meta.asynchronous:
+            said.append("Each scenario was proposed as soon as one had ended.")
         if meta.elsewhere:
             said.append(f"The search began from {tell_beginning(meta)}.")
     if beside := tell_beside(summary):

@@ -85,6 +85,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
         "searched": summary.searched,
         **({"began from": tell_beginning(meta)} if meta.elsewhere else {}),
+        **({"rounds": "none: each scenario was proposed as soon as one had ended"} if meta.asynchronous else {}),
     }
     plain |= _knowledge(summary.knowledge, summary.searched)
     plain["agreement"] = {

@@ -30,7 +30,7 @@ _DIFFERENT: Final = {
     "settings": "other simulator settings",
     "repeats": "another number of repeats",
     "audit": "another share of audits",
-    "elsewhere": "another study to begin from, or one that has changed since",
+    "elsewhere": "a search that began from another study, from none, or from one that has changed since",
     "suite": "other files, or files that have changed since",
 }
 
