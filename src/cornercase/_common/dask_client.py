@@ -97,6 +97,12 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise InputError("Dask is not installed; it comes with pip install 'cornercase[cluster]'.") from error
+    there = Path(cluster).is_file()
+    if cluster != LOCAL and not there and ":" not in cluster:
+        raise InputError(
+            f"`cluster` {cluster}: there is no such file, so no scheduler answers there; give 'local', an address such"
+            " as tcp://host:8786, or the file that a scheduler wrote."
+        )
     # What of it concerns a user is told by cornercase.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -117,11 +123,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
                 client = Client(local)
                 client.register_plugin(_deaf_to_interrupts())
                 return client
-        if "://" not in cluster and ":" not in cluster and not Path(cluster).is_file():
-            raise InputError(
-                f"`cluster` {cluster}: there is no such file, and it is no address such as tcp://host:8786."
-            )
-        address = json.loads(read_file(cluster))["address"] if Path(cluster).is_file() else cluster
+        address = json.loads(read_file(cluster))["address"] if there else cluster
         return Client(str(address), timeout=_ANSWERS)
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InputError(
