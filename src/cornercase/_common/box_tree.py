@@ -70,3 +70,14 @@ def node_after(node):
     while node & 1:
         node >>= 1
     return node + 1 if node > 0 else 0
+
+
+@kernel(error_model="numpy")
+def with_run(runs, count, step, other):
+    """Begin one more of the `count` runs, as in `Meetings.runs`; in an array twice as long where it is full."""
+    if count == len(runs):
+        grown = np.empty((2 * count, 3), dtype=np.int64)
+        grown[:count] = runs
+        runs = grown
+    runs[count, 0], runs[count, 1] = step, other
+    return runs

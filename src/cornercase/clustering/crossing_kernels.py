@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from cornercase._common.box_tree import next_near, node_after
+from cornercase._common.box_tree import next_near, node_after, with_run
 from cornercase._common.compiling import kernel
 
 _MARGIN = 1e-3
@@ -39,11 +39,7 @@ def find_overlaps(a, size_a, b, size_b, tree):
             x, y = b[0, j] - a[0, i], b[1, j] - a[1, i]
             if x * x + y * y <= reach * reach and _overlap(x, y, a[2, i], a[3, i], size_a, b[2, j], b[3, j], size_b):
                 if j != last + 1:
-                    if count == len(runs):
-                        grown = np.empty((2 * count, 3), dtype=np.int64)
-                        grown[:count] = runs
-                        runs = grown
-                    runs[count, 0], runs[count, 1] = i, j
+                    runs = with_run(runs, count, i, j)
                     count += 1
                 runs[count - 1, 2] = last = j
             node = next_near(tree, node_after(node), low_x, low_y, high_x, high_y)

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from cornercase._common.box_tree import next_near, node_after
+from cornercase._common.box_tree import next_near, node_after, with_run
 from cornercase._common.compiling import kernel
 
 _MARGIN = 1e-3
@@ -78,11 +78,7 @@ def find_meetings(corners_a, axes_a, middle_a, reach_a, corners_b, axes_b, middl
                 and _widest_gap(corners_a[i], axes_a[i], corners_b[j], axes_b[j], True) <= 0.0
             ):
                 if j != last + 1:
-                    if count == len(runs):
-                        grown = np.empty((2 * count, 3), dtype=np.int64)
-                        grown[:count] = runs
-                        runs = grown
-                    runs[count, 0], runs[count, 1] = i, j
+                    runs = with_run(runs, count, i, j)
                     count += 1
                 runs[count - 1, 2] = last = j
             node = next_near(tree, node_after(node), low_x, low_y, high_x, high_y)
