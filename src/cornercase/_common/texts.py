@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 import re
 import textwrap
-from typing import Final
+from typing import Any, Final
 
 # Control characters but for tab and newline, marks that turn the direction of writing, and halves of characters.
 _ORDERS: Final = re.compile(
@@ -186,3 +187,35 @@ def text_of_cell(cell: str) -> str:
     '=1+1'
     """
     return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def json_text(value: object) -> str:
+    r"""Return a value as JSON that every program reads and that gives a terminal no orders.
+
+    Parameters
+    ----------
+    value : object
+        Dictionaries, lists, texts, numbers. What is not finite, which JSON cannot say, becomes null.
+
+    Returns
+    -------
+    str
+        Indented; letters of all alphabets stay.
+
+    Examples
+    --------
+    >>> print(json_text({"é": float("nan")}))
+    {
+      "é": null
+    }
+    """
+    text = json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False)
+    return _ORDERS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

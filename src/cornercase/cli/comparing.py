@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cornercase._common.texts import json_text
 from cornercase.cli.options import app, err, out
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def compare(
         written = write_comparison(found, old, new, output, scenario=scenario)
         err.print(f"The page is {written.resolve()}")
     if as_json:
-        sys.stdout.write(json.dumps(found.to_json(), indent=2, ensure_ascii=False) + "\n")
+        sys.stdout.write(json_text(found.to_json()) + "\n")
     else:
         for section in suite.tell_comparison(found):
             _show(section)

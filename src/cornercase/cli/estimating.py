@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cornercase._common.texts import json_text
 from cornercase.cli import parsing
 from cornercase.cli.options import (
     Cluster,
@@ -86,7 +86,7 @@ def estimate(
         progress=True,
     )
     if as_json:
-        sys.stdout.write(json.dumps(found.to_json(), indent=2, ensure_ascii=False) + "\n")
+        sys.stdout.write(json_text(found.to_json()) + "\n")
     else:
         _tell(found)
     if found.interrupted:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -36,6 +37,8 @@ class _PlainConsole(Console):
 _PLAIN: Final[Any] = {"soft_wrap": True, "highlight": False, "markup": False, "emoji": False}
 out = _PlainConsole(**_PLAIN)
 err = _PlainConsole(stderr=True, **_PLAIN)
+debugging: ContextVar[bool] = ContextVar("debugging", default=False)
+"""Whether tracebacks are shown too."""
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
 SpaceFile = Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")]
@@ -106,7 +109,12 @@ Workers = Annotated[int, typer.Option(metavar="N", help="Simulators that run sid
 @app.callback(invoke_without_command=True)
 def _main(
     version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False,
+    debug: Annotated[
+        bool,
+        typer.Option("--debug", envvar="CORNERCASE_DEBUG", help="Show tracebacks too: cornercase --debug explore …"),
+    ] = False,
 ) -> None:
+    debugging.set(debug)
     if version:
         out.print(f"cornercase {__version__}")
         raise typer.Exit

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,7 @@ import typer
 from rich.table import Column, Table
 
 from cornercase._common.files import require_other_file
-from cornercase._common.texts import first_line
+from cornercase._common.texts import first_line, json_text
 from cornercase.cli import parsing
 from cornercase.cli.options import (
     Cluster,
@@ -380,7 +379,7 @@ def metrics(
     if as_json:
         keys = ("name", "unit", "lower_is_critical", "cap", "source")
         rows = [{key: getattr(one, key) for key in keys} | {"definition": first_line(one)} for one in known]
-        sys.stdout.write(json.dumps(rows, indent=2, ensure_ascii=False) + "\n")
+        sys.stdout.write(json_text(rows) + "\n")
         return
     table = Table("metric", "unit", "critical is", "what it is", "source", box=None)
     for one in known:
@@ -406,7 +405,7 @@ def simulators(
 
     found = availabilities()
     if as_json:
-        sys.stdout.write(json.dumps({name: asdict(one) for name, one in found.items()}, indent=2) + "\n")
+        sys.stdout.write(json_text({name: asdict(one) for name, one in found.items()}) + "\n")
         return
     # Addresses are whole however narrow the terminal is.
     missing = Column("what is missing", overflow="fold")

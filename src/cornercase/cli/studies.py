@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -12,6 +11,7 @@ from rich.table import Column, Table
 
 from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY
+from cornercase._common.texts import json_text
 from cornercase.cli import parsing
 from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import (
@@ -406,7 +406,7 @@ def show(
 
     words = put_in_words(summarize(study))
     if as_json:
-        sys.stdout.write(json.dumps(words, indent=2) + "\n")
+        sys.stdout.write(json_text(words) + "\n")
         return
     for key, value in words.items():
         _show(key, value)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 from rich.table import Column, Table
 
+from cornercase._common.texts import json_text
 from cornercase.cli import parsing
 from cornercase.cli.options import (
     Cluster,
@@ -143,7 +142,7 @@ def test_(
         progress=True,
     )
     if as_json:
-        sys.stdout.write(json.dumps(_plain(result.to_json()), indent=2, ensure_ascii=False) + "\n")
+        sys.stdout.write(json_text(result.to_json()) + "\n")
     else:
         _print(result)
         for written in (junit, summary):
@@ -195,12 +194,3 @@ def _print_exposure(result: SuiteResult, exposure: Exposure) -> None:
         out.print(f"By none: {' '.join(exposure.unexposed)}.")
     if exposure.failed.all():
         out.print(f"{exposure.driver} itself fails in all scenarios, so that no mutant can be exposed.")
-
-
-def _plain(value: Any) -> Any:
-    """Values as JSON has them, which knows nothing that is not finite."""
-    if isinstance(value, dict):
-        return {str(key): _plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,105 @@
+"""What is left over of any failure is one sentence; the traceback is for who asks for it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import subprocess
+import sys
+
+import pytest
+
+from command_line import X
+from cornercase import simulators
+from cornercase._common.texts import json_text
+from strangers import command
+
+
+def failing(error):
+    def check(scenario, space):
+        if isinstance(error, RecursionError):
+            return check(scenario, space)
+        raise error
+
+    return check
+
+
+FAULTS = {
+    "a fault": (ZeroDivisionError("division\nby zero"), ("fault of cornercase itself", "ZeroDivisionError", "please report")),
+    "a key": (KeyError("x"), ("KeyError: 'x'", "please report")),
+    "a fault that says little": (AssertionError(), ("AssertionError", "please report")),
+    "memory": (MemoryError(), ("needs more memory than there is",)),
+    "recursion": (RecursionError(), ("nested too deep", "please report")),
+    "a full disk": (OSError(errno.ENOSPC, "No space left on device"), ("No space left on device", "make room")),
+    "a named file": (PermissionError(errno.EACCES, "Permission denied", "/a/b.csv"), ("/a/b.csv: ", "Permission denied")),
+    "a long message": (ValueError("\x1b[2J" + "x" * 100_000), ("\\x1b[2J", "please report")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_it_is_one_sentence_with_the_file(monkeypatch, name):
+    error, words = FAULTS[name]
+    monkeypatch.setattr(simulators, "check", failing(error))
+    monkeypatch.delenv("CORNERCASE_DEBUG", raising=False)
+    result = command("check", X)
+    assert (result.returncode, result.stdout) == (2, "")
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("cornercase: ")
+    assert len(line) < 1500
+    assert all(word in line for word in words)
+    if not isinstance(error, OSError):
+        assert str(X) in line
+
+
+def test_the_traceback_is_for_who_asks_for_it(monkeypatch):
+    monkeypatch.setattr(simulators, "check", failing(ZeroDivisionError("no")))
+    monkeypatch.delenv("CORNERCASE_DEBUG", raising=False)
+    asked = command("--debug", "check", X)
+    assert asked.returncode == 2
+    assert "Traceback (most recent call last)" in asked.stderr
+    assert "please report" in asked.stderr.splitlines()[-1]
+    # Asked for once is not asked for ever.
+    assert "Traceback" not in command("check", X).stderr
+    monkeypatch.setenv("CORNERCASE_DEBUG", "1")
+    assert "Traceback" in command("check", X).stderr
+
+
+def test_an_exception_stays_one_in_python(monkeypatch):
+    monkeypatch.setattr(simulators, "check", failing(ZeroDivisionError("no")))
+    with pytest.raises(ZeroDivisionError):
+        simulators.check(X, None)
+
+
+def test_ctrl_c_is_no_failure(monkeypatch):
+    monkeypatch.setattr(simulators, "check", failing(KeyboardInterrupt()))
+    result = command("check", X)
+    assert (result.returncode, "Traceback" in result.stderr) == (130, False)
+
+
+def test_orders_to_the_terminal_in_options_are_written_out():
+    result = command("show", "--no\x1b[2J")
+    assert result.returncode == 2
+    assert "--no\\x1b[2J" in result.stderr
+    assert "\x1b" not in result.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes end otherwise there")
+@pytest.mark.parametrize("more", [(), ("--json",)])
+def test_who_reads_only_the_head_gets_no_complaint(more):
+    code = "from cornercase.cli import main; main()"
+    running = subprocess.Popen(
+        [sys.executable, "-c", code, "metrics", *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    # Closed before anything is written.
+    running.stdout.close()
+    assert running.stderr.read() == b""
+    running.stderr.close()
+    assert running.wait() == 1
+
+
+def test_json_is_valid_whatever_is_in_it():
+    value = {"a": float("nan"), "b": [float("inf"), 1.5], "c\x1b\x9b": "\ud800é\n"}
+    text = json_text(value)
+    assert json.loads(text, parse_constant=pytest.fail) == {"a": None, "b": [None, 1.5], "c\x1b\x9b": "\ud800é\n"}
+    assert not set(text) & {"\x1b", "\x9b", "\ud800"}
+    text.encode()
