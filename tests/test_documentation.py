@@ -151,15 +151,16 @@ def test_the_cheap_commands_run_where_their_files_are(page, checkout):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_options_that_are_named_exist(page):
-    commands = command_line().commands
-    known = {name for command in commands.values() for one in command.params for name in one.opts} | EXTERNAL
+    group = command_line()
+    commands = group.commands
+    known = {name for command in (group, *commands.values()) for one in command.params for name in one.opts} | EXTERNAL
     for code in inline_code_of(page):
         if (benchmark := re.match(r"python (benchmarks/\w+\.py)", code)) is not None:
             here = (ROOT / benchmark[1]).read_text("utf-8")
             assert all(f'"{option}"' in here for option in re.findall(r"--[\w-]+", code)), code
         elif code.startswith(("--", "cornercase ")):
             assert set(re.findall(r"(?<![\w-])--[\w-]+", code)) <= known, code
-        if (command := re.match(r"cornercase ([a-z-]+)", code)) is not None:
+        if (command := re.match(r"cornercase (?:--\w+ )*([a-z][a-z-]*)", code)) is not None:
             assert command[1] in commands, code
 
 
