@@ -1,16 +1,43 @@
-"""The command line in a process of its own."""
+"""The command line: in this process, which has everything loaded, or in one of its own, as users start it."""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 from conftest import EXAMPLES
+from cornercase.cli import main
 
 X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 SPACE = EXAMPLES / "x_intersection" / "x_intersection.space.xosc"
 
+Ended = subprocess.CompletedProcess[str]
 
-def cornercase(*arguments, cwd=None) -> subprocess.CompletedProcess[str]:
+
+def cornercase(*arguments: object, cwd: Path | None = None) -> Ended:
+    """Run a command here; a traceback of it is one of the test."""
+    words = ["cornercase", *map(str, arguments)]
+    said, told, before = io.StringIO(), io.StringIO(), sys.argv
+    folder = contextlib.chdir(cwd) if cwd is not None else contextlib.nullcontext()
+    sys.argv = words
+    code = 0
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told), folder:
+            main()
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    finally:
+        sys.argv = before
+    return Ended(words, code, said.getvalue(), told.getvalue())
+
+
+def process(*arguments: object, cwd: Path | None = None, environment: dict[str, str] | None = None) -> Ended:
+    """Run a command in a process of its own, which takes a second longer."""
     command = [sys.executable, "-c", "from cornercase.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300)
+    return subprocess.run(
+        command, capture_output=True, text=True, cwd=cwd, timeout=300, env={**os.environ, **(environment or {})}
+    )

@@ -1,8 +1,14 @@
 from __future__ import annotations
 
+# ruff: noqa: E402 - what is set here is read once, when NumPy is imported
+import os
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
+
+# Threads of linear algebra wait for each other in a loop, which took a third of all time on two busy processors.
+for _library in ("OPENBLAS", "OMP"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
@@ -23,6 +29,11 @@ def interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+def at_night(values: Iterable[object], rest: Container[object]) -> list[object]:
+    """Parameters of a test, of which the rest is left to `make test-all`."""
+    return [pytest.param(one, marks=pytest.mark.slow) if one in rest else one for one in values]
 
 
 def example(name: str) -> LogicalScenario:

@@ -1,36 +1,17 @@
-"""Files that a stranger could have sent, and the commands tried on them in this process."""
+"""Files that a stranger could have sent."""
 
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import shutil
 import sqlite3
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 from conftest import car, scenario_file, speed_action, teleport
 from cornercase import analyze, explore, reduce
-from cornercase.cli import main
 
 SPEED = '<ParameterDeclaration name="v" parameterType="double" value="10"/>'
-
-
-def command(*arguments):
-    """Run a command here; a traceback of it is one of the test."""
-    said, told, before = io.StringIO(), io.StringIO(), sys.argv
-    sys.argv = ["cornercase", *map(str, arguments)]
-    code = 0
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
-            main()
-    except SystemExit as ended:
-        code = int(ended.code or 0)
-    finally:
-        sys.argv = before
-    return SimpleNamespace(returncode=code, stdout=said.getvalue(), stderr=told.getvalue())
 
 
 def whole_study(folder):

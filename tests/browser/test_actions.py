@@ -9,9 +9,9 @@ import shlex
 import pytest
 
 from browser.studies import X
+from command_line import cornercase
 from cornercase.recordings import read_recording
 from cornercase.study import Study
-from strangers import command
 
 WORDS = "id => cornercase.actions.running.words(id)"
 COMMAND = "id => cornercase.actions.running.command(id)"
@@ -35,7 +35,7 @@ def test_the_command_runs_the_scenario_to_the_last_bit(tab, studies, reports, na
             assert page.locator("#scenario-command").text_content() == page.evaluate(COMMAND, scenario)
             assert shlex.split(page.evaluate(COMMAND, scenario)) == words
             assert words[0] == "cornercase"
-            done = command(*words[1:-1], tmp_path / "run.csv")
+            done = cornercase(*words[1:-1], tmp_path / "run.csv")
             assert done.returncode == 0, done.stderr
             study.recording(scenario).to_csv(tmp_path / "study.csv")
             assert (tmp_path / "run.csv").read_bytes() == (tmp_path / "study.csv").read_bytes()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
 
 import pytest
 
-from conftest import ROAD, car, scenario_file, speed_action, teleport
-from strangers import command
+from command_line import cornercase
+from conftest import ROAD, at_night, car, scenario_file, speed_action, teleport
 
 INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("10")}</Private>'
 
@@ -142,6 +144,14 @@ HOSTILE = {
 }
 
 
+LINKS = {
+    "to its beginning": '<successor elementType="road" elementId="1" contactPoint="start"/>',
+    "to its end": '<successor elementType="road" elementId="1" contactPoint="end"/>',
+    "both ways": '<predecessor elementType="road" elementId="1" contactPoint="end"/>'
+    '<successor elementType="road" elementId="1" contactPoint="start"/>',
+}
+
+
 def limits():
     import resource
 
@@ -151,48 +161,76 @@ def limits():
 
 # Windows has none.
 LIMITS = limits if find_spec("resource") is not None else None
+# A line for each command as soon as it has ended, so that one which takes all of the process can be told.
+EACH = """
+import json, sys
+from command_line import cornercase
+
+for name, arguments in json.load(sys.stdin):
+    ended = cornercase(*arguments)
+    print(json.dumps([name, ended.returncode, ended.stderr]), flush=True)
+"""
 
 
-def run(*arguments):
-    command = [sys.executable, "-c", "from cornercase.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=90, preexec_fn=LIMITS)
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """Folder, exit code and words of `simulate` on each, all in one process that may take a minute and 6 GB."""
+    folders, commands = {}, []
+    makers = {name: make for name, (make, _) in HOSTILE.items()}
+    makers |= {name: lambda f, link=link: with_road(f, lambda _: ring(link)) for name, link in LINKS.items()}
+    for name, make in makers.items():
+        folders[name] = tmp_path_factory.mktemp("hostile")
+        (folders[name] / "in").mkdir()
+        output = str(folders[name] / "r.csv")
+        commands.append((name, ["simulate", str(make(folders[name] / "in")), "--duration", "2", "-o", output]))
+    ended = subprocess.run(
+        [sys.executable, "-c", EACH], input=json.dumps(commands), capture_output=True, text=True, timeout=300,
+        preexec_fn=LIMITS, env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )  # fmt: skip
+    found = {name: (code, said) for name, code, said in map(json.loads, ended.stdout.splitlines())}
+    return {name: (folder, *found.get(name, (None, ended.stderr))) for name, folder in folders.items()}
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_file_is_refused_in_one_sentence(tmp_path, name):
-    make, said = HOSTILE[name]
-    folder = tmp_path / "in"
-    folder.mkdir()
-    result = run("simulate", make(folder), "--duration", "2", "-o", tmp_path / "r.csv")
-    assert result.returncode == 2, result.stderr
-    lines = result.stderr.strip().splitlines()
+def test_a_hostile_file_is_refused_in_one_sentence(simulated, name):
+    folder, code, said = simulated[name]
+    assert code == 2, said
+    lines = said.strip().splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("cornercase: ")
-    assert any(word in lines[0] for word in said.split("|")), lines[0]
+    assert any(word in lines[0] for word in HOSTILE[name][1].split("|")), lines[0]
     assert len(lines[0]) < 1500
-    assert not (tmp_path / "r.csv").exists()
-    assert not list(tmp_path.rglob("harm"))
+    assert not (folder / "r.csv").exists()
+    assert not list(folder.rglob("harm"))
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("link", LINKS)
+def test_roads_linked_in_a_circle_come_to_an_end(simulated, link):
+    _, code, said = simulated[link]
+    assert code == 0, said
+
+
+@pytest.mark.parametrize("name", at_night(HOSTILE, {"half a million cars"}))
 def test_no_other_command_takes_it_or_leaves_anything_behind(tmp_path, name):
     make, said = HOSTILE[name]
     folder, out = tmp_path / "in", tmp_path / "out"
     folder.mkdir()
     path = make(folder)
     entities = ("--ego", "Ego", "--other", "c1")
-    checked = command("check", path)
+    checked = cornercase("check", path)
     # What a file holds is told before it turns out that it cannot be run; then the answer is "no".
     assert checked.returncode in (1, 2)
     assert "cannot be run" in checked.stdout or any(word in checked.stderr for word in said.split("|"))
     refused = [
-        command("convert", path, "--ego", "Ego", "-o", out / "converted.xosc"),
-        command("explore", path, *entities, "--metric", "ttc", "--range", "v=1:2", "--budget", "1", "-o", out / "s.db"),
+        cornercase("convert", path, "--ego", "Ego", "-o", out / "converted.xosc"),
+        cornercase(
+            "explore", path, *entities, "--metric", "ttc", "--range", "v=1:2", "--budget", "1", "-o", out / "s.db"
+        ),
         # Nothing of it is a recording, a table or a study.
-        command("measure", path, *entities, "-o", out / "courses.csv"),
-        command("import", folder, "--parameters", path, *entities, "--metric", "ttc", "-o", out / "s.db"),
-        *(command(one, path) for one in ("show", "analyze")),
-        *(command(one, path, "-o", out / one) for one in ("report", "export", "reduce")),
+        cornercase("measure", path, *entities, "-o", out / "courses.csv"),
+        cornercase("import", folder, "--parameters", path, *entities, "--metric", "ttc", "-o", out / "s.db"),
+        *(cornercase(one, path) for one in ("show", "analyze")),
+        *(cornercase(one, path, "-o", out / one) for one in ("report", "export", "reduce")),
     ]
     for result in refused:
         assert result.returncode == 2
@@ -201,17 +239,3 @@ def test_no_other_command_takes_it_or_leaves_anything_behind(tmp_path, name):
         assert len(result.stderr) < 1500
     assert not out.exists()
     assert not list(tmp_path.rglob("harm"))
-
-
-@pytest.mark.parametrize(
-    "link",
-    [
-        '<successor elementType="road" elementId="1" contactPoint="start"/>',
-        '<successor elementType="road" elementId="1" contactPoint="end"/>',
-        '<predecessor elementType="road" elementId="1" contactPoint="end"/>'
-        '<successor elementType="road" elementId="1" contactPoint="start"/>',
-    ],
-)
-def test_roads_linked_in_a_circle_come_to_an_end(tmp_path, link):
-    result = run("simulate", with_road(tmp_path, lambda _: ring(link)), "--duration", "2", "-o", tmp_path / "r.csv")
-    assert result.returncode == 0, result.stderr

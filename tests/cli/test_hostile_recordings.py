@@ -10,8 +10,8 @@ from importlib.util import find_spec
 import pytest
 
 import foreign_recordings as foreign
+from command_line import cornercase
 from cornercase.recordings.recording import COLUMNS
-from strangers import command
 
 HEADER = ",".join(COLUMNS)
 OSI = pytest.mark.skipif(find_spec("osi3") is None, reason="needs the extra 'osi'")
@@ -172,8 +172,8 @@ def test_a_hostile_recording_is_refused_in_one_sentence(tmp_path, make, said):
     (folder / "good.csv").write_text("\n".join((HEADER, *(row(t, n) for t in (0, 1) for n in ("Ego", "C")))))
     (folder / "parameters.csv").write_text(f"file,v\n{path.name},1\ngood.csv,2\n")
     names = ("--ego", "Ego", "--other", "B", "--metric", "distance")
-    measured = command("measure", path, *names, "-o", out / "courses.csv")
-    imported = command("import", folder, *names, "-o", out / "s.db")
+    measured = cornercase("measure", path, *names, "-o", out / "courses.csv")
+    imported = cornercase("import", folder, *names, "-o", out / "s.db")
     for result in (measured, imported):
         assert result.returncode == 2
         lines = result.stderr.strip().splitlines()
@@ -193,7 +193,7 @@ def test_a_table_of_recordings_may_be_hostile_too(tmp_path):
         b"file,v\nr.csv\n",
     ):
         (tmp_path / "parameters.csv").write_bytes(content)
-        result = command(
+        result = cornercase(
             "import", tmp_path, "--ego", "Ego", "--other", "B", "--metric", "distance", "-o", tmp_path / "s.db"
         )
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
@@ -207,7 +207,7 @@ PIPES = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes
 @pytest.mark.parametrize("name", ["r.csv", "r.erg", "r.log", "r.xml", "r.osi", "r.xz", "r"])
 def test_a_pipe_is_no_recording_and_nobody_waits_for_it(tmp_path, name):
     os.mkfifo(tmp_path / name)
-    result = command("measure", tmp_path / name, "--ego", "Ego", "--other", "B", "-o", tmp_path / "out.csv")
+    result = cornercase("measure", tmp_path / name, "--ego", "Ego", "--other", "B", "-o", tmp_path / "out.csv")
     assert result.returncode == 2
     assert "is not a file" in result.stderr
     assert not (tmp_path / "out.csv").exists()
@@ -220,7 +220,7 @@ def test_a_table_of_recordings_is_a_file(tmp_path):
     (tmp_path / "long.csv").write_text(",".join(f"column{k}" for k in range(10_000)) + "\n")
     options = ("--ego", "Ego", "--other", "B", "--metric", "ttc", "-o", tmp_path / "s.db")
     for name, said in (("pipe", "is not a file"), ("endless", "is not a file"), ("long", "needs a header with 'file'")):
-        result = command("import", tmp_path, "--parameters", tmp_path / f"{name}.csv", *options)
+        result = cornercase("import", tmp_path, "--parameters", tmp_path / f"{name}.csv", *options)
         assert (result.returncode, len(result.stderr.splitlines())) == (2, 1)
         assert said in result.stderr
         assert len(result.stderr) < 1500
@@ -230,7 +230,7 @@ def test_a_table_of_recordings_is_a_file(tmp_path):
 def test_a_link_that_leads_to_itself_is_no_output(tmp_path):
     (tmp_path / "loop.csv").symlink_to(tmp_path / "loop.csv")
     table(row(0, "Ego"), row(0, "B", "9"), row(1, "Ego"), row(1, "B", "9"))(tmp_path)
-    result = command(
+    result = cornercase(
         "measure",
         tmp_path / "r.csv",
         "--ego",

@@ -6,10 +6,10 @@ from typing import Any
 
 import typer.main
 
+from command_line import cornercase
 from conftest import car, scenario_file, speed_action, teleport
 from cornercase.cli import app
 from cornercase.cli.messages import _COMMANDS, _PARAMETERS, _RENAMED, in_words_of_the_command_line
-from strangers import command
 
 
 def test_parameters_become_options_and_functions_become_commands():
@@ -43,7 +43,9 @@ def test_an_exploration_tells_how_many_failed(tmp_path):
     )
     path = scenario_file(tmp_path, init=init, parameters=start, entities=car("Ego") + car("B"))
     asked = ("--ego", "Ego", "--other", "B", "--metric", "distance", "--optimizer", "grid", "--budget", "4")
-    done = command("explore", path, "--range", "start=-200:400:200", *asked, "--duration", "1", "-o", tmp_path / "s.db")
+    done = cornercase(
+        "explore", path, "--range", "start=-200:400:200", *asked, "--duration", "1", "-o", tmp_path / "s.db"
+    )
     assert done.returncode == 0, done.stderr
     assert "4 scenarios in" in done.stdout
     assert ", 1 of which failed; ended because" in " ".join(done.stdout.split())

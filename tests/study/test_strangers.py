@@ -16,11 +16,12 @@ import pandas as pd
 import pytest
 
 import cornercase as cc
+from command_line import cornercase
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.study import Study
 from cornercase.study.codec import pack_arrays, unpack_arrays
-from strangers import change, command, copied, set_meta, whole_study
+from strangers import change, copied, set_meta, whole_study
 from synthetic import SPACE, about
 
 HARM = "from pathlib import Path\nPath('harm').touch()\nclass Driver:\n    settings = {}\n"
@@ -85,7 +86,7 @@ def test_no_path_in_a_study_is_read_and_nothing_in_it_is_imported(sent, tmp_path
     )  # fmt: skip
     opened_files.clear()
     for one in every_command(sent):
-        result = command(*one)
+        result = cornercase(*one)
         assert result.returncode == (2 if one[0] == "reduce" else 0), result.stderr
         if one[0] == "reduce":
             assert "its scenario file 'secret.xosc' lies neither beside it nor in the current folder" in result.stderr
@@ -100,18 +101,18 @@ def test_a_metric_that_is_not_registered_is_refused_and_not_imported(sent, opene
     (sent.parent / "harmful.py").write_text(HARM)
     set_meta(sent, metrics=[metric])
     opened_files.clear()
-    result = command("show", sent)
+    result = cornercase("show", sent)
     assert (result.returncode, len(result.stderr.splitlines())) == (2, 1)
     assert not [one for one in opened_files if "harmful" in one]
 
 
 def test_the_scenario_file_is_asked_for_or_found_beside_the_study(whole, sent, tmp_path):
-    result = command("reduce", sent, "--scenario", whole.parent / "scenario.xosc", "-o", tmp_path / "a")
+    result = cornercase("reduce", sent, "--scenario", whole.parent / "scenario.xosc", "-o", tmp_path / "a")
     assert result.returncode == 0, result.stderr
     for name in ("scenario.xosc", "road.xodr"):
         (sent.parent / name).write_bytes((whole.parent / name).read_bytes())
     os.rename(sent.parent / "scenario.xosc", sent.parent / "another name.xosc")
-    assert command("reduce", sent, "-o", tmp_path / "b").returncode == 0
+    assert cornercase("reduce", sent, "-o", tmp_path / "b").returncode == 0
     assert [one.read_bytes() for one in sorted((tmp_path / "a").iterdir())] == [
         one.read_bytes() for one in sorted((tmp_path / "b").iterdir())
     ]
@@ -206,7 +207,7 @@ HOSTILE = {
 def test_a_hostile_study_is_refused_in_one_sentence(sent, name):
     statement, value = HOSTILE[name]
     change(sent, (statement, (value(),)))
-    results = [command("show", sent), command("export", sent, "-o", sent.parent / "tables")]
+    results = [cornercase("show", sent), cornercase("export", sent, "-o", sent.parent / "tables")]
     refused = [one for one in results if one.returncode]
     assert refused
     for one in refused:
@@ -258,7 +259,7 @@ TEXTS = (
 def test_scenarios_have_numbers_of_their_own(sent, statements, words):
     change(sent, *statements)
     for one in (("export", sent, "-o", sent.parent / "tables"), ("show", sent)):
-        result = command(*one)
+        result = cornercase(*one)
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
     assert words in result.stderr
 
@@ -272,7 +273,7 @@ def test_an_analysis_of_no_scenario_is_refused(sent):
     }
     change(sent, *(("UPDATE arrays SET data = ? WHERE name = ?", (pack_arrays({k: v}), k)) for k, v in nothing.items()))
     for one in (("show", sent), ("report", sent, "-o", sent.parent / "r.html")):
-        result = command(*one)
+        result = cornercase(*one)
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
         assert "an analysis of no scenario" in result.stderr
 
@@ -280,7 +281,7 @@ def test_an_analysis_of_no_scenario_is_refused(sent):
 def test_a_course_that_is_longer_than_its_recording_is_refused(sent):
     change(sent, (COURSE, (pack_arrays({"course": np.zeros(10_000)}),)))
     for one in (("report", sent, "-o", sent.parent / "r.html"), ("export", sent, "-o", sent.parent / "tables")):
-        result = command(*one)
+        result = cornercase(*one)
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
         assert "10000 instants of distance in the scenario 1, of which the recording has 21" in result.stderr
 
@@ -295,7 +296,7 @@ def varies(sent, **values):
 @pytest.mark.parametrize("step", [1e-300, 5e-324])
 def test_a_parameter_with_more_steps_than_can_be_counted_is_refused(sent, step):
     varies(sent, step=step)
-    result = command("show", sent)
+    result = cornercase("show", sent)
     assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
     assert "the parameter v has more steps than can be counted" in result.stderr
 
@@ -313,7 +314,7 @@ def test_a_parameter_with_more_steps_than_can_be_counted_is_refused(sent, step):
 def test_facts_that_cannot_be_used_are_refused(sent, values, words):
     set_meta(sent, **values)
     for one in (("show", sent), ("report", sent, "-o", sent.parent / "r.html")):
-        result = command(*one)
+        result = cornercase(*one)
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
         assert words in result.stderr
 
@@ -329,7 +330,7 @@ def test_facts_that_cannot_be_used_are_refused(sent, values, words):
 )
 def test_names_that_xml_cannot_hold_are_refused_or_written_out(whole, sent, values, code):
     set_meta(sent, **values)
-    result = command("reduce", sent, "--scenario", whole.parent / "scenario.xosc", "-o", sent.parent / "reduced")
+    result = cornercase("reduce", sent, "--scenario", whole.parent / "scenario.xosc", "-o", sent.parent / "reduced")
     assert (result.returncode, len(result.stderr.strip().splitlines())) == (code, bool(code)), result.stderr
     assert (sent.parent / "reduced").exists() == (not code)
 
@@ -347,7 +348,7 @@ def test_an_analysis_that_was_made_up_is_refused(sent, name, made_up, words):
         info = study.reduction() if name == "reduction" else study.analysis(name)[1]
     made_up(info)
     change(sent, ("UPDATE analyses SET info = ? WHERE name = ?", (json.dumps(info), name)))
-    result = command("report", sent, "-o", sent.parent / "r.html")
+    result = cornercase("report", sent, "-o", sent.parent / "r.html")
     assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
     assert words in result.stderr
 
@@ -366,14 +367,14 @@ def test_an_analysis_that_was_made_up_is_refused(sent, name, made_up, words):
 def test_a_study_that_would_do_something_is_refused(sent, statement):
     change(sent, statement)
     for one in (("show", sent), ("analyze", sent)):
-        result = command(*one)
+        result = cornercase(*one)
         assert result.returncode == 2
         assert "is no study as cornercase writes it; it holds the " in result.stderr
 
 
 def test_a_view_in_place_of_a_table_is_refused(sent):
     change(sent, "DROP TABLE elapsed", "CREATE VIEW elapsed AS SELECT 'x' AS stage, 1.0 AS seconds")
-    assert "it holds the view 'elapsed'" in command("show", sent).stderr
+    assert "it holds the view 'elapsed'" in cornercase("show", sent).stderr
 
 
 def test_what_a_file_says_of_itself_is_not_trusted(sent):
@@ -388,7 +389,7 @@ def test_a_link_in_place_of_the_lock_is_not_followed(sent, tmp_path):
     lock = sent.with_name("s.db.lock")
     lock.unlink(missing_ok=True)
     lock.symlink_to(precious)
-    result = command("analyze", sent)
+    result = cornercase("analyze", sent)
     assert (result.returncode, precious.read_text()) == (2, "precious")
     assert "is a link" in result.stderr
 
@@ -449,15 +450,19 @@ def test_names_are_escaped_in_notebooks(oddly_named):
 
 
 def test_names_give_no_orders_to_the_terminal(oddly_named):
-    result = command("show", oddly_named)
+    result = cornercase("show", oddly_named)
     assert result.returncode == 0, result.stderr
     assert r"\x1b[2J" in result.stdout
-    for told in (result, command("show", oddly_named.with_name("\x1b[2J.db")), command("show", oddly_named, "--json")):
+    for told in (
+        result,
+        cornercase("show", oddly_named.with_name("\x1b[2J.db")),
+        cornercase("show", oddly_named, "--json"),
+    ):
         assert not {"\x1b", "\x07", "\x9b", "\u202e"} & set(told.stdout + told.stderr)
 
 
 def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
-    result = command("export", oddly_named, "-o", tmp_path)
+    result = cornercase("export", oddly_named, "-o", tmp_path)
     assert result.returncode == 0, result.stderr
     tables = sorted(tmp_path.rglob("*.csv"))
     assert len(tables) == 23
