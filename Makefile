@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-all torture coverage lint bench clean
+.PHONY: demo test test-all durations torture coverage lint bench clean
 
 # The stamp is newer than pyproject.toml once everything in it is installed.
 $(VENV)/.installed: pyproject.toml
@@ -21,7 +21,12 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 2
 
 test-all: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n 2 -m "not torture"
+	OPENBLAS_NUM_THREADS=2 OMP_NUM_THREADS=2 $(BIN)/python -m pytest -n 2 -m "not torture"
+
+# Which tests take longest: seconds of the processor, once what is compiled has been kept.
+durations: $(VENV)/.installed-dev
+	$(BIN)/cornercase warm-up
+	$(BIN)/python -m pytest -n 2 --cpu-times
 
 torture: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest tests/reliability -m torture -s

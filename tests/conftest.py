@@ -17,6 +17,9 @@ from cornercase import SimulationError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.simulators import BuiltinSimulator, Simulator
+from cpu_times import pytest_addoption, pytest_configure, pytest_runtest_protocol, pytest_sessionfinish
+
+__all__ = ["pytest_addoption", "pytest_configure", "pytest_runtest_protocol", "pytest_sessionfinish"]
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

@@ -6,6 +6,7 @@ The other entity stands at 10 |a - b| m from the ego; a scenario with a > 0.9 fa
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -83,7 +84,17 @@ def opened(path, **more):
     return Study.open(path) if os.path.exists(path) else Study.create(path, about(SPACE, "distance", "wttc", **more))
 
 
+def go_on(path, optimizer, survives=None, **without):
+    """Explore to the end, or until the simulator has killed its process."""
+    with opened(path, **without) as study:
+        return explorer(study, Synthetic(survives), optimizer, ("distance", "wttc"), **without).run()
+
+
+def go_on_until_killed(path, optimizer, survives, *asynchronous):
+    """Explore in a process of its own, which its simulator kills."""
+    program = [sys.executable, __file__, path, str(survives), optimizer, *asynchronous]
+    assert subprocess.run(program, check=False).returncode != 0
+
+
 if __name__ == "__main__":
-    without = {"asynchronous": True} if sys.argv[4:] else {}
-    with opened(sys.argv[1], **without) as study:
-        print(explorer(study, Synthetic(int(sys.argv[2])), sys.argv[3], ("distance", "wttc"), **without).run())
+    go_on(sys.argv[1], sys.argv[3], int(sys.argv[2]), **({"asynchronous": True} if sys.argv[4:] else {}))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-import subprocess
-import sys
 import threading
 import time
 from dataclasses import replace
@@ -163,13 +161,10 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
 
 
 def test_with_one_worker_it_is_deterministic_and_goes_on_where_it_was_killed(tmp_path):
-    program = [sys.executable, synthetic.__file__]
-    for k, name in enumerate(("a.db", "b.db")):
-        deaths = 0
-        for survives in ("2", "13", "9", "100") if k else ("100",):
-            ended = subprocess.run([*program, tmp_path / name, survives, "level-set", "asynchronous"], check=False)
-            deaths += ended.returncode != 0
-        assert deaths == 3 * k
+    synthetic.go_on(tmp_path / "a.db", "level-set", asynchronous=True)
+    for survives in (2, 13):
+        synthetic.go_on_until_killed(tmp_path / "b.db", "level-set", survives, "asynchronous")
+    synthetic.go_on(tmp_path / "b.db", "level-set", asynchronous=True)
     assert contents(tmp_path / "a.db") == contents(tmp_path / "b.db")
     rounds = [row[1] for row in contents(tmp_path / "a.db")[1]]
     assert rounds == list(range(1, 48))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from conftest import at_night
 from cornercase.evidence import Committee, boundary_process, committee
 from cornercase.metrics import Feature
 from cornercase.optimizers import CommitteeOptimizer, LevelSetOptimizer, SobolOptimizer
@@ -37,9 +38,13 @@ def agreement(told, true):
     return (told & true).sum() / true.sum(), (told & true).sum() / max(told.sum(), 1)
 
 
-def test_it_follows_a_score_that_jumps_where_one_process_cannot():
+@pytest.mark.parametrize("by", at_night(["sobol", "search"], {"search"}))
+def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
+    def chosen(optimizer, function):
+        return SobolOptimizer(CUBE, 1).ask(200) if by == "sobol" else search(optimizer, 200, function)
+
     true = outcome(EVERYWHERE)[0] <= THRESHOLD
-    points = search(CommitteeOptimizer(CUBE, 2, THRESHOLD, FEATURES), 200)
+    points = chosen(CommitteeOptimizer(CUBE, 2, THRESHOLD, FEATURES), outcome)
     scores, told = outcome(points)
     critical, branch = Committee(THRESHOLD, FEATURES).fit(points, scores, told).predict(EVERYWHERE)
     recall, precision = agreement(critical > 0.5, true)
@@ -48,7 +53,7 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot():
     # It knows which way it goes, but at the edge.
     sure = np.abs(outcome(EVERYWHERE)[1][:, 1]) > 0.1
     assert (branch[sure] > 0.8).mean() > 0.95
-    others = explored(LevelSetOptimizer(CUBE, 2, THRESHOLD), 200, function=lambda at: outcome(at)[0])
+    others = chosen(LevelSetOptimizer(CUBE, 2, THRESHOLD), lambda at: outcome(at)[:1])
     alone = boundary_process(others, outcome(others)[0], THRESHOLD).predict(EVERYWHERE)[0] < 0.0
     assert recall > agreement(alone, true)[0] + 0.09
 
@@ -87,13 +92,14 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most(monkeypatch):
     assert some.out_of_fold().shape == (300,)
 
 
-def test_without_features_it_finds_both_regions():
-    points = explored(CommitteeOptimizer(CUBE, 0, THRESHOLD), 150, function=two_regions)
+@pytest.mark.parametrize("budget", at_night([100, 150], {150}))
+def test_without_features_it_finds_both_regions(budget):
+    points = explored(CommitteeOptimizer(CUBE, 0, THRESHOLD), budget, function=two_regions)
     critical, _ = Committee(THRESHOLD).fit(points, two_regions(points)).predict(EVERYWHERE)
     recall, precision = agreement(critical > 0.5, two_regions(EVERYWHERE) <= THRESHOLD)
     assert recall > 0.93
     assert precision > 0.93
-    assert len(np.unique(points, axis=0)) == 150
+    assert len(np.unique(points, axis=0)) == budget
 
 
 def test_it_goes_on_as_if_it_had_never_stopped():

@@ -13,6 +13,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from command_line import SPACE, X, cornercase
+from conftest import at_night
 from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, encoded
 from cornercase.evidence.kernel import _loss
 from cornercase.metrics import METRICS
@@ -51,7 +52,7 @@ def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
     assert recall["level-set"] > max(recall["bayes"], recall["sobol"])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", at_night(range(3), {1, 2}))
 def test_it_finds_both_regions(seed):
     points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 150, function=two_regions)
     recall, precision = found(points, two_regions(points))
@@ -95,7 +96,7 @@ def ball(points, centre, radius):
     return THRESHOLD + 2 * np.tanh(4 * (np.linalg.norm(points - np.array(centre), axis=1) - radius))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", at_night(range(3), {1, 2}))
 def test_few_scenarios_are_run_where_they_fail(seed):
     """A fifth of the space that fails cuts the critical region."""
 
@@ -134,7 +135,7 @@ def found_of(function, points, scores=None):
     return (told & true).sum() / true.sum(), (told & true).sum() / told.sum()
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", at_night(range(2), {1}))
 def test_the_space_is_filled_once_the_boundary_is_found(seed):
     """So that a further region of 1 % is met, which nothing points to."""
 
@@ -149,7 +150,7 @@ def test_the_space_is_filled_once_the_boundary_is_found(seed):
     assert precision > 0.98
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", at_night(range(3), {1, 2}))
 def test_two_islands_of_half_a_percent_are_both_found(seed):
     """Their scores fall from 0.1 above them on, and are flat in most of the space."""
     centres = (0.2, 0.3, 0.75), (0.8, 0.7, 0.25)

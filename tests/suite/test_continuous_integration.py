@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -20,6 +21,7 @@ from conftest import EXAMPLES
 from cornercase import InputError
 from cornercase.cli import app
 from cornercase.study import Study
+from test_golden import same
 
 EXAMPLE = EXAMPLES / "suite"
 FILES = (".github/workflows/suite.yml", ".gitlab-ci.yml", "Jenkinsfile", "Dockerfile")
@@ -81,14 +83,17 @@ def test_the_scenario_is_that_of_the_regulation():
         assert (EXAMPLE / "scenario" / name).read_bytes() == (EXAMPLES / "r157" / name).read_bytes()
 
 
-def test_the_commands_make_the_suite_again_byte_for_byte(repository):
+def test_the_commands_make_the_suite_again(repository):
     lines = README.replace("\\\n", " ")
     commands = re.findall(r"^    (cornercase (?:explore|analyze|reduce) .*)$", lines, re.MULTILINE)
     assert len(commands) == 3
     before = {file.name: file.read_bytes() for file in Path("suite").iterdir()}
     shutil.rmtree("suite")
     assert [run(one) for one in commands] == [0, 0, 0]
-    assert {file.name: file.read_bytes() for file in Path("suite").iterdir()} == before
+    after = {file.name: file.read_bytes() for file in Path("suite").iterdir()}
+    # Of which a few numbers come from a surrogate, whose fit hangs on the last digits of the processor's sums.
+    same(*(json.loads(files.pop("manifest.json")) for files in (after, before)), "manifest")
+    assert after == before
     with Study.open("study.db", readonly=True) as study:
         assert not any(study.recording(row.id).collisions for row in study.done())
 
