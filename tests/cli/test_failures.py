@@ -9,10 +9,9 @@ import sys
 
 import pytest
 
-from command_line import X
+from command_line import X, cornercase
 from cornercase import simulators
 from cornercase._common.texts import json_text
-from strangers import command
 
 
 def failing(error):
@@ -41,7 +40,7 @@ def test_it_is_one_sentence_with_the_file(monkeypatch, name):
     error, words = FAULTS[name]
     monkeypatch.setattr(simulators, "check", failing(error))
     monkeypatch.delenv("CORNERCASE_DEBUG", raising=False)
-    result = command("check", X)
+    result = cornercase("check", X)
     assert (result.returncode, result.stdout) == (2, "")
     (line,) = result.stderr.splitlines()
     assert line.startswith("cornercase: ")
@@ -54,14 +53,14 @@ def test_it_is_one_sentence_with_the_file(monkeypatch, name):
 def test_the_traceback_is_for_who_asks_for_it(monkeypatch):
     monkeypatch.setattr(simulators, "check", failing(ZeroDivisionError("no")))
     monkeypatch.delenv("CORNERCASE_DEBUG", raising=False)
-    asked = command("--debug", "check", X)
+    asked = cornercase("--debug", "check", X)
     assert asked.returncode == 2
     assert "Traceback (most recent call last)" in asked.stderr
     assert "please report" in asked.stderr.splitlines()[-1]
     # Asked for once is not asked for ever.
-    assert "Traceback" not in command("check", X).stderr
+    assert "Traceback" not in cornercase("check", X).stderr
     monkeypatch.setenv("CORNERCASE_DEBUG", "1")
-    assert "Traceback" in command("check", X).stderr
+    assert "Traceback" in cornercase("check", X).stderr
 
 
 def test_an_exception_stays_one_in_python(monkeypatch):
@@ -72,12 +71,12 @@ def test_an_exception_stays_one_in_python(monkeypatch):
 
 def test_ctrl_c_is_no_failure(monkeypatch):
     monkeypatch.setattr(simulators, "check", failing(KeyboardInterrupt()))
-    result = command("check", X)
+    result = cornercase("check", X)
     assert (result.returncode, "Traceback" in result.stderr) == (130, False)
 
 
 def test_orders_to_the_terminal_in_options_are_written_out():
-    result = command("show", "--no\x1b[2J")
+    result = cornercase("show", "--no\x1b[2J")
     assert result.returncode == 2
     assert "--no\\x1b[2J" in result.stderr
     assert "\x1b" not in result.stderr
@@ -90,6 +89,8 @@ def test_who_reads_only_the_head_gets_no_complaint(more):
     running = subprocess.Popen(
         [sys.executable, "-c", code, "metrics", *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
+    assert running.stdout is not None
+    assert running.stderr is not None
     # Closed before anything is written.
     running.stdout.close()
     assert running.stderr.read() == b""

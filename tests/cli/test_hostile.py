@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from importlib.util import find_spec
 
 import pytest
@@ -177,7 +178,7 @@ def simulated(tmp_path_factory):
     """Folder, exit code and words of `simulate` on each, all in one process that may take a minute and 6 GB."""
     folders, commands = {}, []
     makers = {name: make for name, (make, _) in HOSTILE.items()}
-    makers |= {name: lambda f, link=link: with_road(f, lambda _: ring(link)) for name, link in LINKS.items()}
+    makers |= {name: partial(with_road, change=lambda _, link=link: ring(link)) for name, link in LINKS.items()}
     for name, make in makers.items():
         folders[name] = tmp_path_factory.mktemp("hostile")
         (folders[name] / "in").mkdir()
