@@ -277,8 +277,7 @@ def test_parquet_without_its_package_names_the_extra(study, tmp_path, monkeypatc
 
 def test_a_row_of_the_table_is_a_scenario(study):
     study.finish(3, recording(1), courses(1))
-    study.save_analysis("wttc", {"ids": np.array([1, 3]), "labels": np.array([0, -1])}, {})
-    study.save_outcomes({1: "Ego first"})
+    study.save_analyses({"wttc": ({"ids": np.array([1, 3]), "labels": np.array([0, -1])}, {})}, {1: "Ego first"})
     table = study.table()
     assert list(table) == [
         "id", "round", "state", "a", "b", "distance", "wttc", "cluster by wttc", "outcome", "error"

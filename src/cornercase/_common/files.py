@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Final
 
 from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
-from cornercase._common.platform import new_file_mode, replace_file
+from cornercase._common.pending_files import pending_files, unwritten
 
 # What a file name of Windows must not have in it and what a terminal takes for orders, the names of its devices, and
 # how long a name may be: file systems take 255 bytes, of which an ending and a temporary name need some.
@@ -86,6 +85,9 @@ def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
 def written_whole(path: Path | str) -> Iterator[Path]:
     """Give a temporary name beside `path`, and rename it to `path` when the block ends well.
 
+    The content is on the disk before that, so that a power cut leaves what was there or what is new. Within
+    `cornercase._common.pending_files.written_together` it is renamed at the end of that block.
+
     Parameters
     ----------
     path : path
@@ -103,29 +105,12 @@ def written_whole(path: Path | str) -> Iterator[Path]:
         behind.
     """
     path = Path(path)
-    # A folder, a pipe or a device must not be replaced by a file.
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: is not a file; choose another name.")
-    # A link stays a link: the file that it points to is written.
-    try:
-        path = path.resolve()
-    except (OSError, RuntimeError) as error:
-        raise InputError(f"{path}: is a link that leads nowhere; choose another name.") from error
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        os.close(handle)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
-    temporary = Path(name)
-    try:
-        yield temporary
-        os.chmod(temporary, new_file_mode())
-        replace_file(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    with pending_files() as files:
+        temporary = files.begin(path)
+        try:
+            yield temporary
+        except OSError as error:
+            raise unwritten(path, error) from error
 
 
 # What SQLite and the lock of a study add to its name.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -14,6 +15,8 @@ from typing import Final
 _WINDOWS: Final = sys.platform == "win32"
 # A virus scanner or an indexer may hold a new file for a moment.
 _TRIES, _PAUSE = 20, 0.05
+# How a file system says that it does not know an order.
+_UNKNOWN_ORDER: Final = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 # From here on, exit codes are exceptions of Windows, which are known by their hexadecimal numbers.
 _EXCEPTIONS: Final = 0xC0000000
 
@@ -78,6 +81,60 @@ def replace_file(source: Path, target: Path) -> None:
             return
         time.sleep(_PAUSE)
     os.replace(source, target)
+
+
+def force_file(path: Path) -> None:
+    """Wait until the content of a file is on the disk, where a power cut cannot reach it.
+
+    Where the file system knows no such order, nothing is waited for.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    OSError
+        The disk is full or broken.
+    """
+    # The user's choice of permissions may be that nobody writes to new files.
+    _force(path, os.O_RDWR | getattr(os, "O_BINARY", 0) if _WINDOWS else os.O_RDONLY)
+
+
+def force_folder(path: Path) -> None:
+    """Wait until the names in a folder are on the disk; on Windows that is left to the file system.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    OSError
+        The disk is full or broken.
+    """
+    if not _WINDOWS:
+        # One may be writable and not readable.
+        with suppress(PermissionError):
+            _force(path, os.O_RDONLY)
+
+
+def _force(path: Path, flags: int) -> None:
+    handle = os.open(path, flags)
+    try:
+        if sys.platform == "darwin":
+            import fcntl
+
+            # There fsync leaves it to the disk when it writes what it has got.
+            with suppress(OSError):
+                fcntl.fcntl(handle, fcntl.F_FULLFSYNC)
+                return
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in _UNKNOWN_ORDER:
+            raise
+    finally:
+        os.close(handle)
 
 
 def bytes_of_path(path: Path) -> bytes:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.clusters import Candidate, Clustering
@@ -94,22 +95,28 @@ class Analysis:
         )
 
 
-def save_analysis(study: Study, analysis: Analysis, compared: FloatArray, distances: Distances) -> None:
-    """Store an analysis in a study, in place of the one by the same aspect.
+def stored_analysis(
+    analysis: Analysis, compared: FloatArray, distances: Distances
+) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
+    """Give what a study stores of an analysis.
 
     Parameters
     ----------
-    study : Study
-        Open for writing.
     analysis : Analysis
         What was found.
     compared : ndarray of float64, shape (n, n) or (m, m)
         Distances that the clusters were found by: between all scenarios, or the landmarks.
     distances : ndarray of float64, shape (n, n), or PlacedDistances
         Between all scenarios.
+
+    Returns
+    -------
+    arrays : dict of str to array_like
+    info : dict
+        As `cornercase.study.Study.save_analysis` takes them.
     """
     found = analysis.clustering
-    arrays = {"ids": analysis.ids, "distances": compared}
+    arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": compared}
     if isinstance(distances, PlacedDistances):
         arrays = {"ids": analysis.ids, "between": compared, "places": distances.places}
     arrays |= {
@@ -136,7 +143,7 @@ def save_analysis(study: Study, analysis: Analysis, compared: FloatArray, distan
     }
     if analysis.inexact is not None:
         info |= {"every": analysis.every, "inexact": analysis.inexact}
-    study.save_analysis(analysis.by, arrays, info)
+    return arrays, info
 
 
 def read_analysis(study: Study, by: str) -> Analysis:

@@ -17,7 +17,7 @@ from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.agreement import agree_with_facts, find_facts
-from cornercase.clustering.analysis import Analysis, read_analysis, read_between, read_distances, save_analysis
+from cornercase.clustering.analysis import Analysis, read_analysis, read_between, read_distances, stored_analysis
 from cornercase.clustering.clauses import Account
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
 from cornercase.clustering.comparing import (
@@ -45,8 +45,10 @@ if TYPE_CHECKING:
 
 # Recordings that say how long all are, and how much memory they take.
 _LOOKED_AT: Final = 100
-# Bytes: of a pair in the matrix and in what is made of it, and of a scenario beside its series.
+# Bytes: of a pair in the matrix and in what is made of it, of a pair by an aspect that is not stored yet, and of a
+# scenario beside its series.
 _OF_A_PAIR: Final = 60
+_OF_A_STORED_PAIR: Final = 8
 _OF_A_SCENARIO: Final = 8_000
 
 
@@ -180,9 +182,8 @@ def _analyzed(
             bar.stop()
     instants_within(seen.times, window)
     facts = find_facts(study, seen.outcomes)
-    study.save_outcomes({i: one.text for i, one in zip(ids.tolist(), seen.outcomes, strict=True)})
-    study.add_elapsed("read", time.monotonic() - begun)
-    results = {}
+    spent = {"read": time.monotonic() - begun, "compare": 0.0, "cluster": 0.0}
+    results, to_store = {}, {}
     for by in aspects:
         begun = time.monotonic()
         before = earlier.pop(by, None)
@@ -195,9 +196,12 @@ def _analyzed(
         tells = agree_with_facts(found.labels, facts)
         unit = unit_of(study, by)
         results[by] = Analysis(by, unit, within, ids, found, fitted, profiles, tells, every[by], inexact)
-        save_analysis(study, results[by], stored, known)
-        study.add_elapsed("compare", comparing.seconds)
-        study.add_elapsed("cluster", time.monotonic() - begun - comparing.seconds)
+        to_store[by] = stored_analysis(results[by], stored, known)
+        spent["compare"] += comparing.seconds
+        spent["cluster"] += time.monotonic() - begun - comparing.seconds
+    outcomes = {i: one.text for i, one in zip(ids.tolist(), seen.outcomes, strict=True)}
+    study.save_analyses(to_store, outcomes)
+    study.add_all_elapsed(spent)
     return results
 
 
@@ -232,7 +236,7 @@ def _read(
         for one, aspect in compared.items():
             seen[one].append(thinned(series_in(study, i, recording, aspect, main), every[one]))
         if count == _LOOKED_AT:
-            _require_memory(study, seen, len(ids), limit)
+            _require_memory(study, seen, len(every), len(ids), limit)
         if bar:
             bar.update(count, "read")
     for one, series in seen.items():
@@ -241,11 +245,13 @@ def _read(
     return _Seen(outcomes, account, times, seen)
 
 
-def _require_memory(study: Study, seen: dict[str, list[FloatArray]], count: int, limit: MemoryLimit) -> None:
+def _require_memory(
+    study: Study, seen: dict[str, list[FloatArray]], aspects: int, count: int, limit: MemoryLimit
+) -> None:
     """Refuse what will not fit, by the first scenarios."""
     first = max(map(len, seen.values()), default=0)
     series = sum(one.nbytes for series in seen.values() for one in series) / max(first, 1)
-    pairs = min(count, MOST_COMPARED) ** 2 * _OF_A_PAIR
+    pairs = min(count, MOST_COMPARED) ** 2 * (_OF_A_PAIR + (aspects - 1) * _OF_A_STORED_PAIR)
     fewer = ", or analyze by fewer aspects at a time with `by`" if count * series > pairs and len(seen) > 1 else ""
     limit.require(
         pairs + count * (series + _OF_A_SCENARIO), f"{study.path}: the series of {count} scenarios", f"give more{fewer}"

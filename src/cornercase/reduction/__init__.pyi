@@ -12,10 +12,11 @@ from .exposure import Exposure as Exposure
 from .exposure import Grade as Grade
 from .held_out import HeldOut as HeldOut
 from .held_out import HeldOutCritical as HeldOutCritical
-from .manifest import MANIFEST as MANIFEST
 from .manifest import MANIFEST_FORMAT as MANIFEST_FORMAT
 from .manifest import read_reduction as read_reduction
 from .medoids import choose_medoids as choose_medoids
 from .reduced_set import KeptScenario as KeptScenario
 from .reduced_set import ReducedSet as ReducedSet
 from .reducing import reduce as reduce
+from .set_folder import MANIFEST as MANIFEST
+from .set_folder import finish_set as finish_set

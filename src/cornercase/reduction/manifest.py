@@ -18,9 +18,6 @@ from cornercase.reduction.kept import Role
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.study import Study, damage_told, made, require
 
-MANIFEST: Final = "manifest.json"
-"""Name of the file that says what is kept."""
-
 MANIFEST_FORMAT: Final = 1
 """Version of what it holds."""
 

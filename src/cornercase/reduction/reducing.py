@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
 from cornercase._common.arguments import number, text, whole_number
-from cornercase._common.errors import InputError
-from cornercase._common.files import portable_name, read_file, require_folder, written_whole
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.files import portable_name, require_folder
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, Distances, read_analyses, read_analysis
@@ -27,9 +26,10 @@ from cornercase.reduction.grading import Ran, find_gaps, grade, grade_critical, 
 from cornercase.reduction.held_out import Trial
 from cornercase.reduction.hulls import find_hull
 from cornercase.reduction.kept import Kept
-from cornercase.reduction.manifest import MANIFEST, make_manifest, save_reduction
+from cornercase.reduction.manifest import make_manifest, save_reduction
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
-from cornercase.scenario import Scenario, write_concrete
+from cornercase.reduction.set_folder import replaced_set
+from cornercase.scenario import Scenario, fill_concrete, read_beside
 from cornercase.study import IMPORTED, Study, damage_told, explored_scenario, open_study
 
 # Bytes: of a pair in a matrix and in what the choice makes of it, of a scenario and aspect in places, gaps of random
@@ -76,7 +76,8 @@ def reduce(
         Open for writing, or the file; analysed.
     folder : path
         Folder to write. Each file in it runs by itself and gives the same recording; ``manifest.json`` says why each is
-        there. Of a study of imported recordings only the manifest is written.
+        there. Of a study of imported recordings only the manifest is written. An earlier set in it is replaced as a
+        whole; files that belong to none stay.
     by : str, optional
         Aspect whose clusters count; by default the searched metric.
     size : int, optional
@@ -114,6 +115,11 @@ def reduce(
         The study was not analysed, an argument is out of range, the scenario file is not found or not the one that was
         explored, the folder cannot be written, or the distances do not fit in the memory.
 
+    Warns
+    -----
+    NoticeWarning
+        Fewer are kept than `size` or `share` asks for, as all others are like a kept one.
+
     See Also
     --------
     cornercase.analyze : Finds the clusters.
@@ -123,6 +129,7 @@ def reduce(
         raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
     if exposure is not None and (cover is not None or archetypes is not None):
         raise InputError(f"`exposure`, `{'cover' if archetypes is None else 'archetypes'}`: give one of them.")
+    asked = size is not None or share is not None
     size = None if size is None else whole_number("size", size, least=1)
     share = None if share is None else number("share", share, above=0.0)
     cover = None if cover is None else number("cover", cover, above=0.0)
@@ -159,9 +166,17 @@ def reduce(
             reduced = with_exposure(reduced, exposure, [int(analysis.ids[one.index]) for one in plain])
         kinds = {profile.cluster: profile.label for profile in analysis.profiles}
         _write(opened, explored, reduced, kinds, folder)
-        save_reduction(opened, reduced)
         opened.add_elapsed("reduce", time.monotonic() - begun)
+    if size is not None and asked and len(reduced) < size:
+        _tell_fewer(size, len(reduced), len(analysis.ids))
     return reduced
+
+
+def _tell_fewer(asked: int, kept: int, among: int) -> None:
+    there = f"each of the other {among - kept} is like one of these, to a thousandth of the largest distance"
+    if kept == among:
+        there = "the study has no more"
+    warnings.warn(f"{asked} scenarios were asked for, and {kept} are kept: {there}", NoticeWarning, stacklevel=3)
 
 
 def _require_memory(study: Study, limit: MemoryLimit) -> None:
@@ -237,20 +252,26 @@ def _facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -
 def _write(
     study: Study, scenario: Scenario | None, reduced: ReducedSet, kinds: Mapping[int, str], folder: Path
 ) -> None:
-    """Write the kept scenarios, and last the manifest."""
-    drivers = study.meta.settings.get("drivers", {})
-    written: dict[str, Path] = {}
-    for one in reduced.kept if scenario is not None else ():
-        assert scenario is not None
-        files = write_concrete(
-            scenario,
-            one.values,
-            folder / one.file,
-            drivers={entity: driver for entity, driver in drivers.items() if isinstance(driver, str)},
-            description=f"Scenario {one.id} of the logical scenario {study.meta.title}: {one.why}",
-        )
-        written |= {file.relative_to(folder).as_posix(): file for file in files}
-    digests = {place: hashlib.sha256(read_file(file)).hexdigest() for place, file in sorted(written.items())}
-    manifest = make_manifest(study, reduced, kinds, digests)
-    with written_whole(folder / MANIFEST) as temporary:
-        temporary.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8", newline="\n")
+    """Write the kept scenarios and the manifest, and note in the study which they are: all of it or nothing."""
+    drivers = {
+        entity: driver for entity, driver in study.meta.settings.get("drivers", {}).items() if isinstance(driver, str)
+    }
+    beside: dict[Path, bytes] = {}
+    with replaced_set(folder) as written:
+        for one in reduced.kept if scenario is not None else ():
+            assert scenario is not None
+            why = f"Scenario {one.id} of the logical scenario {study.meta.title}: {one.why}"
+            made = fill_concrete(scenario, one.values, folder / one.file, drivers, why)
+            for source, place, root in made.beside:
+                if source not in beside:
+                    beside[source] = read_beside(source, root)
+                written.add(place, beside[source])
+            written.add(one.file, made.content)
+        written.seal(make_manifest(study, reduced, kinds, written.digests))
+        before = study.reduction()
+        save_reduction(study, reduced)
+        try:
+            written.replace()
+        except InputError:
+            study.save_analyses({"reduction": None if before is None else ({}, before)})
+            raise

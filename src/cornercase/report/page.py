@@ -19,6 +19,7 @@ from cornercase._common import arguments
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
+from cornercase._common.pending_files import written_together
 from cornercase._common.progress import ProgressBar
 from cornercase._common.texts import plain_text
 from cornercase.report.contents import page_contents
@@ -155,12 +156,14 @@ def write_report(
             opened.add_elapsed("draw", time.monotonic() - begun)
             data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
     roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing, "rerun": rerun}
-    if folder is not False:
-        from cornercase.report.album import write_figures
+    # The page and its figures tell the same.
+    with written_together():
+        if folder is not False:
+            from cornercase.report.album import write_figures
 
-        write_figures(data, arguments.path("figures", folder))
-    with written_whole(path) as temporary:
-        temporary.write_text(fill_page(data, packed, roads), encoding="utf-8", newline="\n")
+            write_figures(data, arguments.path("figures", folder))
+        with written_whole(path) as temporary:
+            temporary.write_text(fill_page(data, packed, roads), encoding="utf-8", newline="\n")
     return path
 
 

@@ -1,6 +1,7 @@
 from .concrete_files import ConcreteFile as ConcreteFile
 from .concrete_files import copy_beside as copy_beside
 from .concrete_files import fill_concrete as fill_concrete
+from .concrete_files import read_beside as read_beside
 from .concrete_files import write_concrete as write_concrete
 from .constraints import Constraint as Constraint
 from .constraints import Declaration as Declaration

@@ -194,13 +194,38 @@ def _set_driver(scenario_object: etree._Element, driver: str, target: Path) -> N
 def copy_beside(source: Path, target: Path, root: str) -> None:
     """Copy an XML file that a scenario needs, unless it is there already.
 
-    A scenario may come from a stranger and name any file, so only one that is what it is needed for is copied.
-
     Parameters
     ----------
     source, target : Path
     root : str
         Tag of its root element.
+
+    Raises
+    ------
+    InputError
+        As `read_beside`, or it cannot be written.
+    """
+    content = read_beside(source, root)
+    if target.exists() and target.read_bytes() == content:
+        return
+    with written_whole(target) as temporary:
+        temporary.write_bytes(content)
+
+
+def read_beside(source: Path, root: str) -> bytes:
+    """Read an XML file that a scenario needs, to copy it.
+
+    A scenario may come from a stranger and name any file, so only one that is what it is needed for is copied.
+
+    Parameters
+    ----------
+    source : Path
+    root : str
+        Tag of its root element.
+
+    Returns
+    -------
+    bytes
 
     Raises
     ------
@@ -213,7 +238,4 @@ def copy_beside(source: Path, target: Path, root: str) -> None:
     found = parse_xml(content, source).tag
     if found != root:
         raise InputError(f"{source}: the root element is <{found}>; the scenario needs a file with <{root}> there.")
-    if target.exists() and target.read_bytes() == content:
-        return
-    with written_whole(target) as temporary:
-        temporary.write_bytes(content)
+    return content

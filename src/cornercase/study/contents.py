@@ -12,6 +12,7 @@ import numpy as np
 
 from cornercase._common.displays import DISPLAYS
 from cornercase._common.errors import InputError
+from cornercase._common.pending_files import written_together
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
@@ -269,15 +270,17 @@ class StudyContents(ScenarioContents):
         Raises
         ------
         InputError
-            The folder cannot be written, or the package that writes Parquet is not installed.
+            The folder cannot be written, or the package that writes Parquet is not installed; no file of it has
+            changed then.
         """
         folder = Path(folder)
         table = self.table()
         # A damaged study leaves no part of an export behind: all is read before any is written.
         for _ in self.recorded():
             pass
-        write_table(folder, table, parquet)
-        write_scenarios(folder, self.recorded())
+        with written_together():
+            write_table(folder, table, parquet)
+            write_scenarios(folder, self.recorded())
 
     def recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
         """Read what is known over time of each scenario that was run.

@@ -295,17 +295,6 @@ class Study(StudyContents):
                 (scenario,),
             )
 
-    def save_outcomes(self, outcomes: Mapping[int, str]) -> None:
-        """Store how scenarios ended, in words.
-
-        Parameters
-        ----------
-        outcomes : mapping of int to str
-            By id.
-        """
-        with self._database.writing() as connection:
-            connection.executemany("INSERT OR REPLACE INTO outcomes VALUES (?, ?)", sorted(outcomes.items()))
-
     def save_analysis(self, name: str, arrays: Mapping[str, npt.ArrayLike], info: Mapping[str, Any]) -> None:
         """Store a result under a name, instead of the one that was there.
 
@@ -317,10 +306,31 @@ class Study(StudyContents):
         info : mapping of str to object
             Further facts, plain values.
         """
+        self.save_analyses({name: (arrays, info)})
+
+    def save_analyses(
+        self,
+        results: Mapping[str, tuple[Mapping[str, npt.ArrayLike], Mapping[str, Any]] | None],
+        outcomes: Mapping[int, str] | None = None,
+    ) -> None:
+        """Store results under their names, instead of those that were there: all of them or none.
+
+        Parameters
+        ----------
+        results : mapping of str to (tuple or None)
+            Arrays and further facts by name, as `save_analysis` takes them; None removes what is there.
+        outcomes : mapping of int to str, optional
+            How scenarios ended, in words, by id; stored with them.
+        """
         with self._database.writing() as connection:
-            connection.execute("INSERT OR REPLACE INTO analyses VALUES (?, ?)", (name, json.dumps(dict(info))))
-            connection.execute("DELETE FROM arrays WHERE analysis = ?", (name,))
-            write_arrays(connection, name, arrays)
+            connection.executemany("INSERT OR REPLACE INTO outcomes VALUES (?, ?)", sorted((outcomes or {}).items()))
+            for name, result in results.items():
+                connection.execute("DELETE FROM analyses WHERE name = ?", (name,))
+                connection.execute("DELETE FROM arrays WHERE analysis = ?", (name,))
+                if result is not None:
+                    arrays, info = result
+                    connection.execute("INSERT INTO analyses VALUES (?, ?)", (name, json.dumps(dict(info))))
+                    write_arrays(connection, name, arrays)
 
     def add_elapsed(self, stage: str, seconds: float) -> None:
         """Add to the time spent in a stage.

@@ -15,7 +15,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase.metrics import METRICS
-from cornercase.reduction import MANIFEST_FORMAT
+from cornercase.reduction import MANIFEST, MANIFEST_FORMAT, finish_set
 from cornercase.scenario import ParameterSpace, Scenario
 from cornercase.simulators import checked_settings
 from cornercase.study import IMPORTED
@@ -28,6 +28,8 @@ _SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_col
 
 def read_manifest(path: Path) -> SuiteContents:
     """Read a manifest, and the files that it names.
+
+    Where a `reduce` was interrupted while it replaced them, that is ended first.
 
     Parameters
     ----------
@@ -43,6 +45,8 @@ def read_manifest(path: Path) -> SuiteContents:
     InputError
         It is none, or of another format; or a file is gone or has changed since.
     """
+    if path.name == MANIFEST:
+        finish_set(path.parent)
     plain = _loaded(path)
     try:
         return _contents(path, plain)
