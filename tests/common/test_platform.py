@@ -12,7 +12,9 @@ import psutil
 import pytest
 
 from cornercase._common import platform
+from cornercase._common.errors import InputError
 from cornercase._common.files import portable_name, written_whole
+from cornercase._common.pending_files import written_together
 
 
 def test_a_tree_of_processes_ends_as_a_whole():
@@ -90,6 +92,65 @@ def test_a_file_that_is_looked_at_for_a_moment_is_replaced_all_the_same(monkeypa
         temporary.write_text("new")
     assert (tmp_path / "file.txt").read_text() == "new"
     assert len(tries) == 3
+
+
+def test_the_content_is_on_the_disk_before_it_gets_its_name_and_the_name_after_it(monkeypatch, tmp_path):
+    told = []
+    for name in ("fsync", "replace"):
+        real = getattr(os, name)
+
+        def order(*values, name=name, real=real):
+            kind = "folder" if name == "fsync" and os.path.isdir(f"/proc/self/fd/{values[0]}") else "file"
+            told.append((name, kind))
+            return real(*values)
+
+        monkeypatch.setattr(os, name, order)
+    with written_whole(tmp_path / "new" / "file.txt") as temporary:
+        temporary.write_text("new")
+    if sys.platform == "linux":
+        assert told[:3] == [("fsync", "file"), ("replace", "file"), ("fsync", "folder")]
+        # That of the new folder, too.
+        assert told[3:] == [("fsync", "folder")]
+
+
+def test_files_that_are_written_together_appear_together_or_not_at_all(tmp_path):
+    (tmp_path / "a.txt").write_text("earlier")
+
+    def write(failing: str) -> None:
+        with written_together():
+            for name in ("a.txt", "new/b.txt"):
+                with written_whole(tmp_path / name) as temporary:
+                    temporary.write_text("new")
+                    assert (tmp_path / "a.txt").read_text() == "earlier"
+                    if name == failing:
+                        raise OSError(28, "No space left on device")
+
+    with pytest.raises(InputError, match=r"b\.txt: cannot be written"):
+        write("new/b.txt")
+    assert [one.name for one in tmp_path.iterdir()] == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "earlier"
+    write("none")
+    assert {one.name for one in tmp_path.rglob("*.*")} == {"a.txt", "b.txt"}
+
+
+def test_what_a_killed_writer_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
+    program = """
+import os, sys
+from cornercase._common.files import written_whole
+with written_whole(sys.argv[1]) as temporary:
+    temporary.with_name(temporary.name + "-journal").write_text("of SQLite")
+    os.kill(os.getpid(), 9)
+"""
+    target = tmp_path / "file.txt"
+    killed = subprocess.run([sys.executable, "-c", program, str(target)], check=False)
+    assert killed.returncode != 0
+    assert len(list(tmp_path.iterdir())) == 2
+    (tmp_path / ".file.txt.other").write_text("of another program")
+    with written_whole(target) as first, written_whole(target) as second:
+        assert first != second
+        first.write_text("one")
+        second.write_text("two")
+    assert {one.name for one in tmp_path.iterdir()} == {"file.txt", ".file.txt.other"}
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="permissions are those of POSIX")

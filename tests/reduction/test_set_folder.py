@@ -86,7 +86,7 @@ def test_a_file_that_somebody_has_changed_is_not_removed(tmp_path):
 @pytest.mark.parametrize("foreign", ["s-00004.xosc", MANIFEST, "catalogs"])
 def test_a_file_of_others_is_never_replaced(tmp_path, foreign):
     (tmp_path / foreign).write_text("{}")
-    with pytest.raises(InputError, match="`folder` .*(choose another folder)"):
+    with pytest.raises(InputError, match=r"`folder` .*choose another folder"):
         write(tmp_path, NEW)
     assert content(tmp_path) == {foreign: b"{}"}
 
@@ -138,11 +138,12 @@ def test_an_error_at_any_order_is_a_sentence_and_loses_nothing(tmp_path, monkeyp
         if earlier is not None:
             write(folder, earlier)
         with orders(monkeypatch, lambda k, turn=turn: OSError(28, "No space left") if k == turn else None) as given:
+            sentence = None
             try:
                 write(folder, NEW)
             except InputError as error:
-                assert str(folder) in str(error)
-                assert "No space left" in str(error)
+                sentence = str(error)
+        assert sentence is None or ("No space left" in sentence and str(folder) in sentence)
         if len(given) < turn:
             break
         if earlier is None and not (folder / MANIFEST).exists():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
+import re
 import tempfile
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -10,12 +12,17 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Final
+from zlib import crc32
 
 from cornercase._common.errors import InputError
-from cornercase._common.platform import force_file, force_folder, new_file_mode, replace_file
+from cornercase._common.platform import force_file, force_folder, is_process, new_file_mode, replace_file
 
 # A disk takes the files that several threads wait for at once; beyond this it gets no faster.
 _AT_ONCE: Final = 16
+# Characters of a file's name in its temporary one, which may be no longer than 255 bytes.
+_OF_THE_NAME: Final = 50
+# How temporary names end, with what SQLite writes beside a database.
+_LEFT: Final = re.compile(r"\.[0-9a-f]{8}-(\d{1,9})-[a-z0-9_]{8}(-journal|-wal|-shm)?$")
 
 
 class PendingFiles:
@@ -24,6 +31,7 @@ class PendingFiles:
     def __init__(self) -> None:
         self._temporary: dict[Path, Path] = {}
         self._made: list[Path] = []
+        self._swept: set[Path] = set()
 
     def begin(self, path: Path) -> Path:
         """Make an empty file beside where one is to be.
@@ -44,7 +52,7 @@ class PendingFiles:
             The folder is not writable, the disk is full, or something that is no file has the name.
         """
         # A folder, a pipe or a device must not be replaced by a file.
-        with _told(path):
+        with _sentence(path):
             other = path.exists() and not path.is_file()
         if other:
             raise InputError(f"{path}: is not a file; choose another name.")
@@ -58,7 +66,9 @@ class PendingFiles:
             return earlier
         try:
             self._made += made_folders(path.parent)
-            handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+            self._sweep(path.parent)
+            prefix = f".{path.name[:_OF_THE_NAME]}.{_mark(os.getpid())}-"
+            handle, name = tempfile.mkstemp(prefix=prefix, dir=path.parent)
             self._temporary[path] = Path(name)
             os.close(handle)
         except OSError as error:
@@ -75,18 +85,18 @@ class PendingFiles:
         """
         mode = new_file_mode()
         for path, temporary in self._temporary.items():
-            with _told(path):
+            with _sentence(path):
                 os.chmod(temporary, mode)
         force_all(self._temporary.values(), list(self._temporary))
         folders = {one.parent for one in self._made}
         for path, temporary in list(self._temporary.items()):
-            with _told(path):
+            with _sentence(path):
                 replace_file(temporary, path)
             del self._temporary[path]
             folders.add(path.parent)
         self._made.clear()
         for folder in sorted(folders):
-            with _told(folder):
+            with _sentence(folder):
                 force_folder(folder)
 
     def discard(self) -> None:
@@ -100,6 +110,24 @@ class PendingFiles:
                 folder.rmdir()
         self._temporary.clear()
         self._made.clear()
+
+    def _sweep(self, folder: Path) -> None:
+        """Remove what writers that were killed have left in a folder."""
+        if folder in self._swept:
+            return
+        self._swept.add(folder)
+        # One may be writable and not readable.
+        with suppress(PermissionError):
+            for one in list(folder.iterdir()):
+                found = _LEFT.search(one.name)
+                if found and found[0].startswith(f".{_mark(int(found[1]))}-") and not is_process(int(found[1])):
+                    with suppress(OSError):
+                        one.unlink(missing_ok=True)
+
+
+def _mark(process: int) -> str:
+    """Tell which process of which machine writes a file; others may share its folder."""
+    return f"{crc32(platform.node().encode()):08x}-{process}"
 
 
 _together: ContextVar[PendingFiles | None] = ContextVar("together", default=None)
@@ -198,7 +226,7 @@ def force_all(files: Iterable[Path], names: Iterable[Path]) -> None:
     pairs = list(zip(files, names, strict=True))
 
     def force(pair: tuple[Path, Path]) -> None:
-        with _told(pair[1]):
+        with _sentence(pair[1]):
             force_file(pair[0])
 
     if len(pairs) < 2:
@@ -226,7 +254,7 @@ def unwritten(path: Path, error: OSError) -> InputError:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _sentence(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:

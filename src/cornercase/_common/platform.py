@@ -188,6 +188,22 @@ def end_process_tree(number: int) -> None:
             one.kill()
 
 
+def is_process(number: int) -> bool:
+    """Say whether there is a process of a number.
+
+    Parameters
+    ----------
+    number : int
+
+    Returns
+    -------
+    bool
+    """
+    import psutil
+
+    return psutil.pid_exists(number)
+
+
 def words_of_exit_code(code: int | None) -> str:
     """Say how a process ended.
 

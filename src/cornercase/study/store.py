@@ -317,7 +317,7 @@ class Study(StudyContents):
 
         Parameters
         ----------
-        results : mapping of str to (tuple or None)
+        results : mapping of str to (tuple or None), arrays of any shape
             Arrays and further facts by name, as `save_analysis` takes them; None removes what is there.
         outcomes : mapping of int to str, optional
             How scenarios ended, in words, by id; stored with them.
