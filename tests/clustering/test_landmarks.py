@@ -69,8 +69,11 @@ def test_what_is_asked_of_places_is_what_the_matrix_says():
     assert placed.max() == pytest.approx(matrix.max())
     some = np.arange(50, 90)
     assert placed.middle(some) == some[matrix[np.ix_(some, some)].sum(axis=1).argmin()]
-    for size in (5, 60):
-        choices = np.array([np.random.default_rng(k).choice(400, size, replace=False) for k in range(7)])
+    drawn = [
+        np.array([np.random.default_rng(k).choice(400, size, replace=False) for k in range(7)]) for size in (5, 60)
+    ]
+    # Of most scenarios none of the nearest ones is in this choice.
+    for choices in (*drawn, places[:, 0].argsort()[None, -60:]):
         expected = np.array([matrix[one].min(axis=0) for one in choices])
         np.testing.assert_allclose(placed.nearest_of(choices), expected, atol=1e-12)
     part = placed.part(np.arange(10), np.arange(100, 130))

@@ -8,8 +8,9 @@ from scipy.spatial.distance import pdist, squareform
 
 from cornercase._common.errors import InputError
 from cornercase.clustering import PlacedDistances, analyze, analyzing, landmarks
-from cornercase.reduction import choose_medoids, measure_coverage, reduce, reducing
+from cornercase.reduction import choose_medoids, gap_sums, measure_coverage, reduce, reducing
 from cornercase.reduction.critical_coverage import distance_alike
+from cornercase.reduction.gap_cells import CellSums
 from cornercase.reduction.held_out import Trial, measure_held_out_gaps
 from cornercase.reduction.medoids import find_prototype
 from cornercase.reduction.selection import choose_scenarios
@@ -32,6 +33,36 @@ def test_the_choice_by_places_is_that_by_the_matrix(scenarios):
     }
     placed = choose_scenarios(points, [PlacedDistances(one) for one in places], labels, cover=0.1)
     assert [one.index for one in placed] == [one.index for one in choose_scenarios(points, matrices, labels, cover=0.1)]
+
+
+@pytest.mark.parametrize("size", [20, 60, 400])
+def test_the_choice_by_cells_is_that_by_the_matrix(scenarios, monkeypatch, size):
+    points, places, _, labels = scenarios
+    # Of 300 scenarios all distances are in memory; these are made to be too many, and do not fill the last cell.
+    monkeypatch.setattr(gap_sums, "_MOST_WHOLE", 10)
+    doubled = [np.concatenate((one, one[:7])) for one in places]
+    points, labels = (np.concatenate((one, one[:7])) for one in (points, labels))
+    placed = choose_scenarios(points, [PlacedDistances(one) for one in doubled], labels, [1], size=size)
+    whole = choose_scenarios(points, [squareform(pdist(one, "sqeuclidean")) for one in doubled], labels, [1], size=size)
+    assert [one.index for one in placed] == [one.index for one in whole]
+    assert len(placed) == min(size, len({one.index % 300 for one in placed}))
+
+
+def test_cells_find_what_is_left_in_places_of_any_size():
+    rng = np.random.default_rng(4)
+    for count, axes, power in ((1, 1, 3), (16, 3, 2), (37, 19, 3), (200, 8, 2)):
+        places = [rng.random((count, axes)) * rng.random(axes), rng.random((count, 2))]
+        heavy, usual, kept = rng.random((2, count)), [0.3, 0.7], [0, count // 2]
+        sums = CellSums(places, usual, list(heavy), power, kept)
+        costs = [
+            (squareform(pdist(one, "sqeuclidean")) / unit) ** power * weight
+            for one, unit, weight in zip(places, usual, heavy, strict=True)
+        ]
+        left = [one[kept].min(axis=0) for one in costs]
+        gains = sum(np.maximum(now - one, 0.0).sum(axis=1) for now, one in zip(left, costs, strict=True))
+        np.testing.assert_allclose(sums.gains, gains, atol=1e-12)
+        assert sums.best(np.ones(count), 0.0) == gains.argmax()
+        assert sums.best(np.zeros(count), 0.0) is None
 
 
 def test_grades_by_places_are_those_by_the_matrix(scenarios):

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # What is compiled depends neither on how many scenarios there are nor on how long they take.
 _SCENARIOS, _SECONDS = 12, 3.0
+# More than are all compared with each other.
+_MANY: Final = 2100
 # Machine code is made of what these words stand in.
 _SIGNS: Final = ("compiling import kernel", "compiling.kernel")
 _LATER: Final = "from cornercase.cli.warming import compile_later; compile_later()"
@@ -158,6 +160,8 @@ def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
         yield "evidence", partial(report.summarize, study)
     # So few scenarios of an example need not have any groups that could be judged.
     yield "clustering", partial(clustering.cluster, _two_groups())
+    # So few scenarios are all compared with each other.
+    yield "reduction", _reduce_many
     # So short runs do not come to a crossing.
     yield "clustering", partial(clustering.find_outcome, _crossing(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_SECONDS)
@@ -175,6 +179,18 @@ def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
                 return
 
         yield "optimizers", explore
+
+
+def _reduce_many() -> None:
+    """Choose from more scenarios than are all compared with each other, and compare the choice with others."""
+    import numpy as np
+
+    from cornercase import clustering, reduction
+
+    points = np.linspace(0.0, 1.0, _MANY)[:, None]
+    distances = clustering.PlacedDistances(points)
+    kept = reduction.choose_scenarios(points, [distances], np.zeros(len(points), dtype=np.int64), size=2)
+    reduction.measure_gaps(distances, [one.index for one in kept] + list(range(0, _MANY, 10)), draws=1)
 
 
 def _two_groups() -> FloatArray:

@@ -14,6 +14,7 @@ from sklearn.exceptions import ConvergenceWarning
 
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering.place_kernels import nearest_chosen
 
 DIMENSIONS: Final = 48
 """Most coordinates of a place."""
@@ -70,12 +71,16 @@ class PlacedDistances:
         if isinstance(rows, (int, np.integer)):
             row: FloatArray = self[[int(rows)]][0]
             return row
-        with one_thread():
-            found: FloatArray = self._rows[rows] @ self._columns[columns].T
+        found = self._products(rows, columns)
         found *= -2.0
         found += self._row_norms[rows][:, None]
         found += self._column_norms[columns]
         np.maximum(found, 0.0, out=found)
+        return found
+
+    def _products(self, rows: Any, columns: Any) -> FloatArray:
+        with one_thread():
+            found: FloatArray = self._rows[rows] @ self._columns[columns].T
         return found
 
     def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> FloatArray:
@@ -176,17 +181,8 @@ class PlacedDistances:
         found = np.empty((len(choices), len(self._columns)))
         turned = PlacedDistances(self._columns, self._rows)
         for block in turned.blocks():
-            away = turned[block]
-            near = np.argpartition(away, _NEAR - 1, axis=1)[:, :_NEAR]
-            near = np.take_along_axis(near, np.take_along_axis(away, near, axis=1).argsort(axis=1), axis=1)
-            rising = np.take_along_axis(away, near, axis=1)
-            each = np.arange(len(away))
-            for k, mask in enumerate(chosen):
-                there = mask[near]
-                found[k, block] = rising[each, there.argmax(axis=1)]
-                (missed,) = np.nonzero(~there.any(axis=1))
-                if len(missed):
-                    found[k, block.start + missed] = away[np.ix_(missed, choices[k])].min(axis=1)
+            rows, columns = turned._row_norms[block], turned._column_norms
+            nearest_chosen(turned._products(block, slice(None)), rows, columns, chosen, _NEAR, found[:, block])
         return found
 
     def medoids(self, count: int) -> IntArray:

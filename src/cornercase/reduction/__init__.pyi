@@ -18,5 +18,6 @@ from .medoids import choose_medoids as choose_medoids
 from .reduced_set import KeptScenario as KeptScenario
 from .reduced_set import ReducedSet as ReducedSet
 from .reducing import reduce as reduce
+from .selection import choose_scenarios as choose_scenarios
 from .set_folder import MANIFEST as MANIFEST
 from .set_folder import finish_set as finish_set

@@ -10,6 +10,7 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering import Distances, PlacedDistances
+from cornercase.reduction.gap_cells import CellSums
 from cornercase.reduction.kept import ALIKE, Selection
 
 # Most scenarios for which all costs are in memory.
@@ -18,8 +19,6 @@ _MOST_WHOLE: Final = 2000
 _AT_ONCE: Final = 2**15
 ROUNDS: Final = 3
 BLOCK: Final = 256
-# Candidates that are looked at together, where distances are made of places.
-_TOGETHER: Final = 32
 # Scenarios by which what is usual between neighbours is measured, at most, where distances are made of places.
 _USUAL_OF: Final = 2000
 
@@ -56,13 +55,12 @@ class GapSums:
         self, distances: Sequence[Distances], critical: BoolArray, composition: Composition, size: int
     ) -> None:
         near = min(-(-len(critical) // size), len(critical) - 1)
-        # A product of matrices is fast with many rows, and a matrix that is there gives them one by one.
-        self._together = _TOGETHER if isinstance(distances[0], PlacedDistances) else 1
         self._weights = np.where(critical, composition.critical, 1.0)
         self._power = composition.power
         self._distances = distances
         self._usual = [_usual(matrix, near) for matrix in distances]
         self._heavy = [composition.first if k == 0 else 1.0 for k in range(len(distances))]
+        self._placed = isinstance(distances[0], PlacedDistances)
         # All costs at once are as large as all distances.
         self._whole = (
             [self._costs(k, np.arange(len(critical))) for k in range(len(distances))]
@@ -74,7 +72,7 @@ class GapSums:
         """Costs of some candidates in a clustering: a row for each, a column for each scenario, with its weight."""
         costs: FloatArray = self._distances[k][candidates] / self._usual[k]
         # Products are many times as fast as a general power, and may have another last digit.
-        quick = self._together > 1 and self._power == 3
+        quick = self._placed and self._power == 3
         costs = costs * costs * costs if quick else costs**self._power
         costs *= self._weights * self._heavy[k]
         return costs
@@ -120,7 +118,7 @@ class GapSums:
             By candidate.
         """
         gains = np.zeros(len(candidates))
-        block = max(self._together, _AT_ONCE // len(self._weights))
+        block = max(1, _AT_ONCE // len(self._weights))
         for first in range(0, len(candidates), block):
             for now, costs in zip(left, self._rows(candidates[first : first + block]), strict=True):
                 # The rows are copies, which need not be kept.
@@ -130,9 +128,6 @@ class GapSums:
 
     def added(self, kept: list[int], size: int, selection: Selection) -> list[int]:
         """Return scenarios that lower the sum most, one after the other.
-
-        What a scenario gains can only fall as others are added, so it need be computed again only for those that had
-        the largest gain before.
 
         Parameters
         ----------
@@ -149,26 +144,18 @@ class GapSums:
             Indices of those that are added.
         """
         found: list[int] = []
-        left = self.left(kept)
+        sums = self._cells(kept) if self._placed and self._whole is None else _Rows(self, kept)
         gap = selection.gap.copy()
-        queue = [(-gain, k) for k, gain in enumerate(self.gains(left, np.arange(len(gap))).tolist())]
-        heapq.heapify(queue)
-        while queue and len(kept) + len(found) < size:
-            _, best = heapq.heappop(queue)
-            if gap[best] <= ALIKE:
-                continue
-            again = [best, *(heapq.heappop(queue)[1] for _ in range(min(self._together - 1, len(queue))))]
-            gains = self.gains(left, np.array(again)).tolist()
-            for gain, k in zip(gains[1:], again[1:], strict=True):
-                heapq.heappush(queue, (-gain, k))
-            if queue and (-gains[0], best) > queue[0]:
-                heapq.heappush(queue, (-gains[0], best))
-                continue
+        while len(kept) + len(found) < size and (best := sums.best(gap, ALIKE)) is not None:
             found.append(best)
-            rows = self._rows(np.array([best]))
-            left = [np.minimum(now, costs[0]) for now, costs in zip(left, rows, strict=True)]
+            sums.keep(best)
             gap = np.minimum(gap, selection.apart([best])[0])
         return found
+
+    def _cells(self, kept: Sequence[int]) -> CellSums:
+        heavy = [self._weights * each for each in self._heavy]
+        places = [one.places for one in self._distances if isinstance(one, PlacedDistances)]
+        return CellSums(places, self._usual, heavy, self._power, kept)
 
     def exchanged(self, kept: list[int], fixed: int, selection: Selection) -> list[int]:
         """Return as many scenarios, each but the first ones exchanged for another one where that lowers the sum.
@@ -204,6 +191,31 @@ class GapSums:
             if kept == before:
                 break
         return kept
+
+
+class _Rows:
+    """What is left by rows of costs, as `CellSums` by cells."""
+
+    def __init__(self, sums: GapSums, kept: Sequence[int]) -> None:
+        self._sums = sums
+        self._left = sums.left(kept)
+        gains = sums.gains(self._left, np.arange(len(self._left[0])))
+        self._queue = [(-gain, k) for k, gain in enumerate(gains.tolist())]
+        heapq.heapify(self._queue)
+
+    def best(self, gap: FloatArray, alike: float) -> int | None:
+        while self._queue:
+            _, best = heapq.heappop(self._queue)
+            if gap[best] <= alike:
+                continue
+            again = (-float(self._sums.gains(self._left, np.array([best]))[0]), best)
+            if not self._queue or again <= self._queue[0]:
+                return best
+            heapq.heappush(self._queue, again)
+        return None
+
+    def keep(self, index: int) -> None:
+        self._left = [np.minimum(now, new) for now, new in zip(self._left, self._sums.left([index]), strict=True)]
 
 
 def _usual(distances: Distances, near: int) -> float:

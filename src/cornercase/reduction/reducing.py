@@ -123,7 +123,7 @@ def reduce(
     See Also
     --------
     cornercase.analyze : Finds the clusters.
-    cornercase.reduction.selection.choose_scenarios : Chooses the scenarios.
+    cornercase.reduction.choose_scenarios : Chooses the scenarios.
     """
     if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
         raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")

@@ -60,7 +60,7 @@ def choose_scenarios(
     ----------
     points : ndarray of float64, shape (n, d)
         Parameters in the unit cube.
-    distances : sequence of ndarray of float64, each (n, n), or of PlacedDistances
+    distances : sequence of ndarray of float64, each of shape (n, n), or of PlacedDistances
         Of all clusterings; the first is that of `labels`.
     labels : ndarray of int64, shape (n,)
         -1 is noise.
