@@ -1,8 +1,11 @@
-"""Recordings as other tools write them, of an ego that overtakes nobody on a straight road."""
+"""Recordings as other tools write them, of an ego on a straight road."""
 
 from __future__ import annotations
 
+import lzma
+import math
 import struct
+from pathlib import Path
 
 import numpy as np
 
@@ -107,3 +110,96 @@ def fcd(path):
             "</timestep>",
         ]
     path.write_text("\n".join([*lines, "</fcd-export>"]))
+
+
+# Of OSI traces.
+TIMES = np.arange(0, 20) * 0.1
+
+
+def osi_messages(kind: str, times=TIMES) -> list[bytes]:
+    """A car at 20 m/s north-east behind a truck at 10 m/s, 30 m apart; a pedestrian from the tenth message on."""
+    from osi3.osi_groundtruth_pb2 import GroundTruth
+    from osi3.osi_object_pb2 import MovingObject
+    from osi3.osi_sensorview_pb2 import SensorView
+
+    messages = []
+    for k, t in enumerate(times):
+        message = GroundTruth() if kind == "GroundTruth" else SensorView()
+        truth = message if kind == "GroundTruth" else message.global_ground_truth
+        for stamp in (message.timestamp, truth.timestamp):
+            stamp.seconds, stamp.nanos = int(t), round((t % 1) * 1e9)
+        for number, start, speed, length in ((4, 0.0, 20.0, 4.0), (17, 37.0, 10.0, 10.0)):
+            one = truth.moving_object.add()
+            one.id.value, one.type = number, MovingObject.TYPE_VEHICLE
+            one.vehicle_classification.type = (
+                MovingObject.VehicleClassification.TYPE_HEAVY_TRUCK
+                if number == 17
+                else MovingObject.VehicleClassification.TYPE_MEDIUM_CAR
+            )
+            along = (start + speed * t) * math.sqrt(0.5)
+            one.base.position.x = one.base.position.y = along
+            one.base.orientation.yaw = math.pi / 4
+            one.base.velocity.x = one.base.velocity.y = speed * math.sqrt(0.5)
+            one.base.dimension.length, one.base.dimension.width = length, 2.0
+        if k >= 10:
+            walker = truth.moving_object.add()
+            walker.id.value, walker.type = 5, MovingObject.TYPE_PEDESTRIAN
+            walker.base.position.x, walker.base.position.y = 50.0, -3.0 + t
+            walker.base.orientation.yaw = math.pi / 2
+            walker.base.dimension.length = walker.base.dimension.width = 0.5
+        messages.append(message.SerializeToString())
+    return messages
+
+
+def single_channel(path: Path, messages: list[bytes]) -> Path:
+    data = b"".join(struct.pack("<L", len(one)) + one for one in messages)
+    path.write_bytes(lzma.compress(data) if path.suffix in (".xz", ".lzma") else data)
+    return path
+
+
+def multi_channel(path: Path, kind: str) -> Path:
+    from mcap_protobuf.writer import Writer
+    from osi3.osi_groundtruth_pb2 import GroundTruth
+    from osi3.osi_sensorview_pb2 import SensorView
+
+    with open(path, "wb") as file, Writer(file) as writer:
+        for k, data in enumerate(osi_messages(kind)):
+            message = {"GroundTruth": GroundTruth, "SensorView": SensorView}[kind]()
+            message.ParseFromString(data)
+            writer.write_message(topic="traffic", message=message, log_time=k, publish_time=k)
+    return path
+
+
+def state(tag: str, x: str, y: str, step: int, speed: float, heading: str = "0.0") -> str:
+    return f"""<{tag}><position><point><x>{x}</x><y>{y}</y></point></position>
+<orientation><exact>{heading}</exact></orientation><time><exact>{step}</exact></time>
+<velocity><exact>{speed}</exact></velocity></{tag}>"""
+
+
+def commonroad(path: Path, extra: str = "", head: str = "") -> Path:
+    """A car at 20 m/s behind one at 10 m/s, 30 m apart, on a road of one lane, and a parked one beside them."""
+    cars = ""
+    for number, start, speed in ((42, 0.0, 20.0), (43, 34.0, 10.0)):
+        states = [(start + speed * 0.1 * k, k) for k in range(21)]
+        cars += f"""<dynamicObstacle id="{number}"><type>car</type>
+<shape><rectangle><length>4.0</length><width>2.0</width></rectangle></shape>
+{state("initialState", str(states[0][0]), "0.0", 0, speed)}
+<trajectory>{"".join(state("state", repr(x), "0.0", k, speed) for x, k in states[1:])}</trajectory></dynamicObstacle>"""
+    bound = "".join(f"<point><x>{x}</x><y>{{y}}</y></point>" for x in (0.0, 100.0))
+    path.write_text(
+        f"""<?xml version="1.0" encoding="UTF-8"?>{head}
+<commonRoad timeStepSize="0.1" commonRoadVersion="2020a" benchmarkID="DEU_Test-1_1_T-1" author="a" affiliation="b"
+ source="c" date="2026-01-01">
+<location><geoNameId>0</geoNameId><gpsLatitude>0</gpsLatitude><gpsLongitude>0</gpsLongitude></location>
+<scenarioTags><urban/></scenarioTags>
+<lanelet id="1"><leftBound>{bound.format(y=2.0)}</leftBound><rightBound>{bound.format(y=-2.0)}</rightBound>
+<laneletType>urban</laneletType></lanelet>
+<staticObstacle id="44"><type>parkedVehicle</type>
+<shape><rectangle><length>4.5</length><width>1.8</width></rectangle></shape>
+{state("initialState", "20.0", "4.0", 0, 0.0, "0.1")}</staticObstacle>
+{cars}{extra}
+<planningProblem id="99">{state("initialState", "0.0", "0.0", 0, 20.0).replace("</initialState>", "<yawRate><exact>0.0</exact></yawRate><slipAngle><exact>0.0</exact></slipAngle></initialState>")}
+<goalState><time><intervalStart>0</intervalStart><intervalEnd>20</intervalEnd></time></goalState></planningProblem>
+</commonRoad>"""
+    )
+    return path

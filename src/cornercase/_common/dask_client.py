@@ -125,7 +125,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
                 return client
         address = json.loads(read_file(cluster))["address"] if there else cluster
         return Client(str(address), timeout=_ANSWERS)
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise InputError(
             f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
             " as tcp://host:8786, or the file that a scheduler wrote."

@@ -18,6 +18,7 @@ from cornercase._common.pending_files import pending_files, unwritten
 _REFUSED: Final = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]+')
 _DEVICES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²³]|lpt[\d¹²³])\s*(\.|$)", re.IGNORECASE)
 _LONGEST: Final = 150
+_AT_ONCE: Final = 1 << 20
 LARGEST: Final = 200_000_000
 """Bytes of a file that is read whole."""
 
@@ -72,8 +73,11 @@ def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
         raise InputError(f"{path}: is not a file.")
     try:
         with open(path, "rb") as file:
+            # To ask for the largest would take its memory, whatever the size.
+            content = file.read(min(os.fstat(file.fileno()).st_size, largest) + 1)
             # Some files of the system say that they are empty.
-            content = file.read(largest + 1)
+            while len(content) <= largest and (more := file.read(_AT_ONCE)):
+                content += more
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     if len(content) > largest:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from cornercase._common.errors import InputError, suggestion
+
+# Of a count: what has more is counted by nobody.
+_DIGITS: Final = 15
 
 
 def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
@@ -58,6 +61,6 @@ def count_or_auto(text: str, option: str) -> int | Literal["auto"]:
     """A positive whole number, or auto."""
     if text == "auto":
         return "auto"
-    if not text.isdecimal() or int(text) < 1:
+    if not text.isdecimal() or len(text) > _DIGITS or int(text) < 1:
         raise InputError(f"{option} {text}: give a positive whole number or auto.")
     return int(text)

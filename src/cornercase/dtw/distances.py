@@ -255,7 +255,8 @@ def _settings(
         raise InputError(f"device is {device!r}; choose 'cpu' or 'cuda'.")
     if dtype not in ("float64", "float32", np.float64, np.float32, np.dtype("float64"), np.dtype("float32")):
         raise InputError(f"dtype is {dtype!r}; choose 'float64' or 'float32'.")
-    window = None if window is None else _positive("window", window)
+    # Kernels take 64 bits, and no series is as long as this.
+    window = None if window is None else min(_positive("window", window), 2**40)
     threads = available_cpus() if n_jobs is None else _positive("n_jobs", n_jobs)
     if device == "cuda":
         pairs.require_gpu()

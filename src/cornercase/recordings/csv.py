@@ -15,7 +15,7 @@ from cornercase._common.files import read_file, written_whole
 from cornercase._common.texts import cell_text, text_of_cell
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings.recording import BOX, COLUMNS, MOTION, Collision, Recording
-from cornercase.recordings.samples import require_motion, require_size
+from cornercase.recordings.samples import require_box, require_motion, require_size, require_times
 
 
 def read_csv(path: Path) -> Recording:
@@ -44,6 +44,7 @@ def read_csv(path: Path) -> Recording:
     names, entity = tuple(rows.kinds), np.frombuffer(rows.entities, dtype=np.int64)
     if not np.isfinite(numbers[:, 0]).all():
         raise InputError(f"{path}: every row needs a finite time.")
+    require_times(path, numbers[:, 0])
     time, instant = np.unique(numbers[:, 0], return_inverse=True)
     require_size(path, len(names), len(time))
     _refuse_doubles(path, rows.lines, entity * len(time) + instant)
@@ -54,6 +55,8 @@ def read_csv(path: Path) -> Recording:
     box = numbers[first, 1 + len(MOTION) :].T
     if not (np.isfinite(box).all() and (box[:2] >= 0).all()):
         raise InputError(f"{path}: length and width must be finite and not negative for every entity.")
+    for name, one in zip(names, box.T.tolist(), strict=True):
+        require_box(path, name, *one)
     x, y, heading, speed, acceleration = motion
     length, width, center_x = box
     known = set(names)

@@ -17,6 +17,10 @@ from cornercase.recordings.recording import Collision, Recording
 # Pairs of an entity and an instant: 1 GB.
 _MOST: Final = 20_000_000
 _FARTHEST: Final = 1e9
+# Of a box in m: no ship or train is longer.
+_LONGEST: Final = 10_000.0
+# s: a thousand times the age of the clocks of computers.
+_LATEST: Final = 1e12
 
 
 @dataclass
@@ -74,7 +78,8 @@ def box_center(x: float, y: float, heading: float, ahead: float, left: float = 0
     x, y : float
         m.
     """
-    cos, sin = math.cos(heading), math.sin(heading)
+    # What is no direction is refused when the recording is put together.
+    cos, sin = (math.cos(heading), math.sin(heading)) if math.isfinite(heading) else (math.nan, math.nan)
     return x + ahead * cos - left * sin, y + ahead * sin + left * cos
 
 
@@ -97,6 +102,50 @@ def require_size(path: Path, entities: int, instants: int) -> None:
         raise InputError(
             f"{path}: has {entities} entities and {instants} instants; at most {_MOST} pairs of both are read."
         )
+
+
+def require_box(path: Path, name: str, length: float, width: float, center_x: float = 0.0) -> None:
+    """Refuse a bounding box that nothing on earth has.
+
+    Parameters
+    ----------
+    path : Path
+        For the message.
+    name : str
+        Whose it is.
+    length, width, center_x : float
+        As in `Recording`, in m.
+
+    Raises
+    ------
+    InputError
+        One is not finite or negative, or is beyond 10 km.
+    """
+    if not (0.0 <= length <= _LONGEST and 0.0 <= width <= _LONGEST and abs(center_x) <= _LONGEST):
+        raise InputError(
+            f"{path}: entity {name} has a box of {length} m x {width} m; lengths from 0 to {_LONGEST:g} m can be."
+        )
+
+
+def require_times(path: Path, time: FloatArray) -> None:
+    """Refuse times that are none.
+
+    Parameters
+    ----------
+    path : Path
+        For the message.
+    time : ndarray of float64
+        s.
+
+    Raises
+    ------
+    InputError
+        One is not finite, or farther from 0 than any clock.
+    """
+    if not np.isfinite(time).all():
+        raise InputError(f"{path}: has a time that is not finite.")
+    if len(time) and (latest := float(np.abs(time).max())) > _LATEST:
+        raise InputError(f"{path}: has a time of {latest:g} s, where at most {_LATEST:g} s can be.")
 
 
 def require_motion(path: Path, motion: FloatArray) -> None:
@@ -147,13 +196,11 @@ def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Seque
     time = np.unique([t for track in tracks.values() for t in track.samples])
     if not len(time):
         raise InputError(f"{path}: holds no moving entity with a position.")
-    if not np.isfinite(time).all():
-        raise InputError(f"{path}: has a time that is not finite.")
+    require_times(path, time)
     require_size(path, len(tracks), len(time))
     motion = np.full((5, len(tracks), len(time)), np.nan)
     for row, (name, track) in enumerate(tracks.items()):
-        if not (np.isfinite([track.length, track.width]).all() and min(track.length, track.width) >= 0.0):
-            raise InputError(f"{path}: entity {name} has a box of {track.length} m x {track.width} m.")
+        require_box(path, name, track.length, track.width)
         at = np.searchsorted(time, list(track.samples))
         motion[:, row, at] = np.array(list(track.samples.values())).T
         require_motion(path, motion[:, row])

@@ -79,8 +79,9 @@ def _loaded(path: Path) -> Any:
         return _of_yaml(path, text)
     try:
         return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: is no TOML ({error}).") from error
+    except (ValueError, RecursionError) as error:
+        # Also of whole numbers that are too long for Python.
+        raise InputError(f"{path}: is no TOML ({str(error)[:200]}).") from error
 
 
 def _of_yaml(path: Path, text: str) -> Any:

@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase.recordings.recording import Recording
 from cornercase.recordings.samples import EntitySamples, recording_of
 from cornercase.scenario import read_xml
 
+# Of any number, and of an angle in rad.
+_MOST, _MOST_TURNED = 1e12, 1e4
 _KINDS = {
     "truck": "truck",
     "bus": "bus",
@@ -51,7 +54,8 @@ def read_commonroad(path: Path | str) -> Recording:
         another shape, no orientation or a set of predicted occupancies instead of a trajectory.
     """
     path = Path(path)
-    read_xml(path)  # refuses what commonroad-io would take: document types, endless files
+    # Refuses what commonroad-io would take: document types, endless files, and ...
+    _require_numbers(path, read_xml(path))
     try:
         from commonroad.common.file_reader import CommonRoadFileReader
     except ImportError as error:
@@ -82,6 +86,20 @@ def read_commonroad(path: Path | str) -> Recording:
         for step in sorted(steps or {0}):
             track.samples[step * scenario.dt] = (x, y, heading, 0.0, 0.0)
     return recording_of(path, tracks)
+
+
+def _require_numbers(path: Path, root: etree._Element) -> None:
+    """Refuse numbers that commonroad-io would work on for ever: it turns angles back round by round."""
+    for element in root.iter("*"):
+        try:
+            number = abs(float(element.text or ""))
+        except ValueError:
+            continue
+        most = _MOST_TURNED if any(one.tag == "orientation" for one in (element, *element.iterancestors())) else _MOST
+        if not number <= most:
+            raise InputError(
+                f"{path}, line {element.sourceline}: <{element.tag}> is {element.text}; at most {most:g} can be."
+            )
 
 
 def _trajectory(path: Path, obstacle: Any) -> list[Any]:
@@ -117,6 +135,8 @@ def _sample(path: Path, obstacle: Any, state: Any) -> tuple[float, float, float,
         )
     shape = obstacle.obstacle_shape
     ahead, left = getattr(shape, "center", (0.0, 0.0))
+    if not math.isfinite(heading):
+        raise InputError(f"{path}: obstacle {obstacle.obstacle_id} has an orientation of {heading}.")
     cos, sin = math.cos(heading), math.sin(heading)
     speed, acceleration = (getattr(state, name, None) for name in ("velocity", "acceleration"))
     return (

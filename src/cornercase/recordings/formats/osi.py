@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import lzma
 import math
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.texts import in_one_line
 from cornercase.recordings.recording import Recording
 from cornercase.recordings.samples import EntitySamples, recording_of
 
 # Bytes of a message and of all, unpacked: a few bytes of a packed file can become many.
 _LARGEST_MESSAGE: Final = 64_000_000
 _LARGEST: Final = 2_000_000_000
+# Of a chunk of an MCAP file, unpacked; those who write it pack them by the megabyte.
+_LARGEST_CHUNK: Final = 256_000_000
+# The words at both ends of an MCAP file, the head of a record, and the kind of it that is a chunk.
+_MAGIC, _HEAD, _CHUNK = 8, 9, 6
 
 
 def read_osi(path: Path | str) -> Recording:
@@ -77,7 +81,8 @@ def read_osi(path: Path | str) -> Recording:
             if time in track.samples:
                 raise InputError(f"{path}: object {name} is there twice at {time} s.")
             heading = base.orientation.yaw
-            cos, sin = math.cos(heading), math.sin(heading)
+            # What is no direction is refused when the recording is put together.
+            cos, sin = (math.cos(heading), math.sin(heading)) if math.isfinite(heading) else (math.nan, math.nan)
             track.samples[time] = (
                 base.position.x,
                 base.position.y,
@@ -133,14 +138,14 @@ def _of_one_channel(path: Path, kind: str) -> Iterator[Any]:
 
 
 def _of_channels(path: Path, kind: str) -> Iterator[Any]:
-    from google.protobuf.message import DecodeError
     from mcap.exceptions import McapError
     from osi3trace.osi_trace import OSITrace
 
     try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(f"{path}: has more than {_LARGEST} bytes, which are not read.")
+        _require_sizes(path)
         trace = OSITrace(str(path), kind)
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except (McapError, EOFError) as error:
@@ -148,12 +153,34 @@ def _of_channels(path: Path, kind: str) -> Iterator[Any]:
     except ValueError:
         # It has no channel of this kind.
         return
+    except Exception as error:
+        raise InputError(f"{path}: is not an MCAP file, or is damaged ({in_one_line(error)}).") from error
     count = 0
     try:
         for message in trace:
             count += 1
             yield message
-    except (DecodeError, McapError, EOFError, ValueError, struct.error) as error:
-        raise InputError(f"{path}: is broken or cut off after {count} messages ({error}).") from error
+    except Exception as error:
+        # What unpacks chunks raises errors of its own.
+        raise InputError(f"{path}: is broken or cut off after {count} messages ({in_one_line(error)}).") from error
     finally:
         trace.close()
+
+
+def _require_sizes(path: Path) -> None:
+    """Refuse records that are longer than the file, and chunks that grow: the package believes what they say."""
+    size = path.stat().st_size
+    if size > _LARGEST:
+        raise InputError(f"{path}: has more than {_LARGEST} bytes, which are not read.")
+    with open(path, "rb") as file:
+        at = _MAGIC
+        while at + _HEAD <= size - _MAGIC:
+            file.seek(at)
+            # A chunk says its first and its last instant, and then how large it is unpacked.
+            head = file.read(_HEAD + 24)
+            length, unpacked = (int.from_bytes(head[begin : begin + 8], "little") for begin in (1, _HEAD + 16))
+            if length > size - at - _HEAD:
+                raise InputError(f"{path}: is not an MCAP file, or is cut off (a record of {length} bytes).")
+            if head[0] == _CHUNK and unpacked > _LARGEST_CHUNK:
+                raise InputError(f"{path}: has a chunk of {unpacked} bytes; at most {_LARGEST_CHUNK} are read.")
+            at += _HEAD + length

@@ -151,7 +151,7 @@ def _validate(root: etree._Element) -> tuple[str | None, list[str]]:
     """Version of the schema, and errors with their lines."""
     header = root.find("FileHeader")
     minor = "" if header is None else header.get("revMinor", "")
-    version = _SCHEMAS.get(int(minor) if minor.isdecimal() else -1, _SCHEMAS[3])
+    version = _SCHEMAS.get(int(minor) if minor.isdecimal() and len(minor) < 4 else -1, _SCHEMAS[3])
     try:
         folder = resources.files("qc_openscenario") / "schema"
     except ModuleNotFoundError:
