@@ -1,11 +1,13 @@
 """Try mutants of files of all formats, and of command lines, on the commands that take them.
 
     python tests/reliability/fuzz.py --count 1000 --seed 7 [--only NAME] [--kept FOLDER]
+    python tests/reliability/fuzz.py --corpus tests/reliability/corpus
 
 Each mutant is a function of the seed and its number. Commands run in this process's children, of which each tries some
 hundred mutants; one that takes more than 10 s of CPU or 1 GB of memory ends its child, and counts as a failure.
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
 
 import os
@@ -34,9 +36,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from fuzz_targets import Target, all_targets
-
 import typer.main
+from fuzz_judging import files_in, trouble_of
+from fuzz_targets import all_targets
 
 import cornercase.cli
 
@@ -46,11 +48,7 @@ cornercase.cli.app = typer.main.get_command(cornercase.cli.app)
 CPU, MEMORY = 10.0, 1_000_000_000
 # s of waiting, for whatever else than work holds a command up.
 _WALL = 120
-_PER_CHILD = 200
-_ORDERS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-# Beside a study.
-_BESIDE = (".lock", "-wal", "-shm")
-_LONGEST = 1500
+_PER_CHILD = 500
 
 
 def run(words: list[str]) -> tuple[object, str, str]:
@@ -68,38 +66,6 @@ def run(words: list[str]) -> tuple[object, str, str]:
     finally:
         sys.argv, warnings.showwarning = before, shown
     return code, said.getvalue(), told.getvalue()
-
-
-def files_in(folder: Path) -> set[str]:
-    return {str(one.relative_to(folder)) for one in folder.rglob("*") if one.is_file()}
-
-
-def trouble_of(code: object, said: str, told: str, before: set[str], after: set[str]) -> list[str]:
-    """What must not be, of how a command ended."""
-    found = []
-    if code not in (0, 1, 2):
-        found.append(f"exit code {code}")
-    lines = [one for one in told.splitlines() if one.startswith("cornercase: ")]
-    for word in ("please report", "Traceback", "MemoryError", "needs more memory than there is"):
-        if word in told:
-            found.append(word)
-    if re.search(r"\w+Warning: ", told):
-        found.append("a warning of a library")
-    usage = told.startswith("Usage: ")
-    if len(lines) > 1 or (code == 2 and not lines and not usage):
-        found.append(f"{len(lines)} sentences")
-    if not usage and any(len(one) > _LONGEST for one in lines):
-        found.append("a long sentence")
-    if _ORDERS.search(said) or _ORDERS.search(told):
-        found.append("orders to the terminal")
-    new = {one for one in after - before if not one.endswith(_BESIDE)}
-    if any(Path(one).name.startswith(".") for one in new):
-        found.append("a temporary file left behind")
-    if code == 2 and new:
-        found.append("a file of a command that failed")
-    if before - after:
-        found.append("a file that is gone")
-    return found
 
 
 class Tried:
@@ -153,6 +119,18 @@ class Tried:
         trouble, ended = self.tried(name, words, change)
         return name, words, trouble, ended
 
+    def known(self, file: Path):
+        """Try a file that failed once: in place of the one that its target changes, or as a command line."""
+        target = self.targets[file.parent.name]
+        words = target.all_commands()[0] if target.changed else shlex.split(file.read_text("utf-8"))
+
+        def change(folder: Path) -> None:
+            if target.changed:
+                shutil.copyfile(file, folder / target.changed)
+
+        trouble, ended = self.tried(target.name, words, change)
+        return f"{target.name}/{file.name}", words, trouble, ended
+
 
 def limited() -> None:
     """Let this process have 1 GB more than it has now."""
@@ -162,7 +140,15 @@ def limited() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def child(tried: Tried, seed: int, numbers: range, out: int) -> None:
+def attempts(tried: Tried, seed: int, corpus: Path | None):
+    """Give what tries the mutant of a number, at random or of a corpus."""
+    if corpus is None:
+        return lambda number: tried.mutant(seed, number)
+    files = sorted(one for one in corpus.rglob("*") if one.is_file())
+    return lambda number: tried.known(files[number])
+
+
+def child(attempt, numbers: range, out: int) -> None:
     """Try mutants and write a line for each; ended by a signal where one takes too long."""
     limited()
     with os.fdopen(out, "w", buffering=1) as file:
@@ -170,7 +156,7 @@ def child(tried: Tried, seed: int, numbers: range, out: int) -> None:
             signal.setitimer(signal.ITIMER_PROF, CPU)
             signal.setitimer(signal.ITIMER_REAL, _WALL)
             begun = time.process_time()
-            name, words, trouble, (code, _, told) = tried.mutant(seed, number)
+            name, words, trouble, (code, _, told) = attempt(number)
             row = {
                 "number": number, "target": name, "cpu": time.process_time() - begun, "code": str(code), "trouble": trouble,
                 "command": shlex.join(words) if trouble else words[0], "told": told[-3000:] if trouble else "",
@@ -178,7 +164,7 @@ def child(tried: Tried, seed: int, numbers: range, out: int) -> None:
             file.write(json.dumps(row) + "\n")
 
 
-def rows_of(tried: Tried, seed: int, first: int, count: int):
+def rows_of(tried: Tried, attempt, first: int, count: int):
     """Try mutants in children, one after the other; give a row for each."""
     number, end = first, first + count
     while number < end:
@@ -188,7 +174,7 @@ def rows_of(tried: Tried, seed: int, first: int, count: int):
         if process == 0:
             os.close(reader)
             try:
-                child(tried, seed, numbers, writer)
+                child(attempt, numbers, writer)
             except BaseException:
                 traceback.print_exc()
             finally:
@@ -205,36 +191,47 @@ def rows_of(tried: Tried, seed: int, first: int, count: int):
             ended = os.WTERMSIG(status) if os.WIFSIGNALED(status) else -1
             why = {signal.SIGPROF: f"more than {CPU:g} s of CPU", signal.SIGALRM: f"more than {_WALL} s"}
             text = why.get(ended, f"the process ended ({ended})")
-            yield {"number": number, "target": "?", "cpu": CPU, "code": "-", "trouble": [text], "command": "?", "told": ""}
+            yield {
+                "number": number, "target": "?", "cpu": CPU, "code": "-", "trouble": [text], "command": "?", "told": "",
+            }  # fmt: skip
             number += 1
 
 
-def fuzz(seed: int, count: int, *, first: int = 0, only: str = "", kept: Path | None = None, say=print) -> dict[str, object]:
+def fuzz(given: argparse.Namespace) -> dict[str, object]:
     """Try so many mutants; give what failed, and how much was tried."""
     begun = time.monotonic()
     place = Path("/dev/shm") if os.access("/dev/shm", os.W_OK) else None
     failed, codes, commands, spent, cpu, most = [], Counter(), Counter(), Counter(), 0.0, 0.0
     with tempfile.TemporaryDirectory(dir=place, prefix="cornercase-fuzz-") as name:
-        tried = Tried(Path(name), only)
-        tried.warm_up()
-        say(f"warm after {time.monotonic() - begun:.1f} s, {time.process_time():.1f} s of CPU", flush=True)
-        for row in rows_of(tried, seed, first, count):
+        tried = Tried(Path(name), given.only)
+        if not given.cold:
+            tried.warm_up()
+        print(f"warm after {time.monotonic() - begun:.1f} s, {time.process_time():.1f} s of CPU", flush=True)
+        count = given.count
+        if given.corpus is not None:
+            count = sum(one.is_file() for one in given.corpus.rglob("*"))
+        for row in rows_of(tried, attempts(tried, given.seed, given.corpus and given.corpus.resolve()), given.first, count):
+            command = row["command"].split()[0]
             codes[row["code"]] += 1
-            commands[row["command"].split()[0]] += 1
+            commands[command] += 1
+            spent[row["target"]] += row["cpu"]
+            spent[command] += row["cpu"]
             cpu, most = cpu + row["cpu"], max(most, row["cpu"])
             if row["trouble"]:
                 failed.append(row)
-                say(f"{row['number']} {row['target']} {row['cpu']:.2f}s {row['trouble']} {row['command'][:300]}\n    {row['told'][-600:]}", flush=True)
-                if kept is not None:
-                    _keep(tried, seed, row, kept / f"{row['number']}")
-            if sum(codes.values()) % 5000 == 0:
-                say(f"{sum(codes.values())} tried, {len(failed)} failed, {cpu:.0f} s of CPU", flush=True)
-            spent[row["target"]] += row["cpu"]
-            spent[row["command"].split()[0]] += row["cpu"]
-    say({name: round(one, 2) for name, one in spent.most_common(30)})
+                print(
+                    f"{row['number']} {row['target']} {row['cpu']:.2f} s {row['trouble']} {row['command'][:300]}\n"
+                    f"    {row['told'][-600:]}",
+                    flush=True,
+                )
+                if given.kept is not None and given.corpus is None:
+                    _keep(tried, given.seed, row, given.kept.resolve() / f"{row['number']}")
+            if codes.total() % 1000 == 0:
+                print(f"{codes.total()} tried, {len(failed)} failed, {cpu:.0f} s of CPU", flush=True)
+    print({name: round(one, 2) for name, one in spent.most_common(30)})
     return {
-        "seed": seed, "mutants": sum(codes.values()), "failed": failed, "exit codes": dict(codes), "commands": dict(commands),
-        "cpu": cpu, "longest": most,
+        "seed": given.seed, "mutants": codes.total(), "failed": failed, "exit codes": dict(codes),
+        "commands": dict(commands), "cpu": cpu, "longest": most,
     }  # fmt: skip
 
 
@@ -257,13 +254,15 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first mutant")
     parser.add_argument("--only", default="", help="regular expression on the names of targets")
     parser.add_argument("--kept", type=Path, help="folder for the files of failures")
+    parser.add_argument("--corpus", type=Path, help="try the files in this folder instead")
+    parser.add_argument("--cold", action="store_true", help="import and compile only what the first mutants need")
     parser.add_argument("--json", type=Path, help="file for the figures")
-    given = parser.parse_args()
-    found = fuzz(given.seed, given.count, first=given.first, only=given.only, kept=given.kept and given.kept.resolve())
-    if given.json is not None:
-        given.json.write_text(json.dumps(found, indent=1))
+    arguments = parser.parse_args()
+    found = fuzz(arguments)
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(found, indent=1))
     print({key: value for key, value in found.items() if key != "failed"}, len(found["failed"]), "failed")
     sys.exit(bool(found["failed"]))

@@ -164,7 +164,9 @@ def _changed(value, rng):
         where[extreme(rng)] = where.pop(key)
     elif kind == 2:
         other, there = rng.choice(places)
-        where[key] = copy.deepcopy(other[there]) if there in other or isinstance(other, list) and there < len(other) else None
+        where[key] = (
+            copy.deepcopy(other[there]) if there in other or (isinstance(other, list) and there < len(other)) else None
+        )
     else:
         where[key] = strange_value(rng)
     return value
@@ -176,7 +178,9 @@ def mutated_database(path, rng) -> None:
         path.write_bytes(mutated_bytes(path.read_bytes(), rng))
         return
     with closing(sqlite3.connect(path)) as connection, connection:
-        tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")]
+        tables = [
+            name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
+        ]
         for _ in range(rng.choice((1, 1, 2))):
             table = rng.choice(tables)
             about = connection.execute(f"PRAGMA table_info({table})").fetchall()

@@ -10,8 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import foreign_recordings as foreign
-from conftest import EXAMPLES
 from fuzz_mutations import (
     mutated_bytes,
     mutated_database,
@@ -20,10 +18,13 @@ from fuzz_mutations import (
     mutated_words,
     mutated_xml,
 )
+
+import foreign_recordings as foreign
+from conftest import EXAMPLES
 from strangers import whole_study
 
-EVERYTHING = Path(__file__).parents[1] / "data" / "everything"
-R157 = Path(__file__).parents[1] / "data" / "r157"
+DATA = Path(__file__).parents[1] / "data"
+EVERYTHING = DATA / "everything"
 SHORT = "--duration 1 --time-step 0.1"
 SEARCH = f"--metric distance --metric ttc --optimizer sobol --budget 2 --batch 2 {SHORT} -o out/s.db"
 
@@ -82,11 +83,15 @@ def scenario_commands(file: str, space: str, ego: str, other: str, value: str) -
     )
 
 
-def recording(name: str, write: Callable[[Path], object], ego: str, other: str) -> tuple[Callable[[Path], object], tuple[str, ...]]:
+def recording(
+    name: str, write: Callable[[Path], object], ego: str, other: str
+) -> tuple[Callable[[Path], object], tuple[str, ...]]:
     def make(folder: Path) -> None:
         (folder / "runs").mkdir()
-        write(folder / "runs" / name)
-        (folder / "runs" / "parameters.csv").write_text(f"file,v\n{name},1\n")
+        # Two at least can be compared.
+        for one in (name, f"other-{name}"):
+            write(folder / "runs" / one)
+        (folder / "runs" / "parameters.csv").write_text(f"file,v\n{name},1\nother-{name},2\n")
 
     measures = f"--ego {ego} --other {other} --metric distance --metric ttc"
     return make, (
@@ -164,6 +169,13 @@ TABLE = "time,entity,kind,x,y,heading,speed,acceleration,length,width,center_x\n
 )
 
 
+SPACE = """<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a" description="d"/>
+<ParameterValueDistribution><ScenarioFile filepath="scenario.xosc"/><Deterministic>
+<DeterministicSingleParameterDistribution parameterName="v"><DistributionRange stepWidth="0.5">
+<Range lowerLimit="5" upperLimit="20"/></DistributionRange></DeterministicSingleParameterDistribution>
+</Deterministic></ParameterValueDistribution></OpenSCENARIO>"""
+
+
 def osi(path: Path) -> None:
     foreign.single_channel(path, foreign.osi_messages("GroundTruth", foreign.TIMES[:4]))
 
@@ -215,12 +227,17 @@ def shorter(make: Callable[[Path], object], road: str) -> Callable[[Path], objec
 def scenario_targets():
     x, t, r = EXAMPLES / "x_intersection", EXAMPLES / "t_intersection", EXAMPLES / "r157"
     files = {
-        "everything": ([*EVERYTHING.iterdir()], "everything.xosc", "--space deterministic.space.xosc", "Ego", "'Other cone'", "speed=9", 8),
-        "x-intersection": ([*x.iterdir()], "x_intersection.xosc", "--space x_intersection.space.xosc", "Ego", "Pedestrian", "ego_start=40", 6),
-        "t-intersection": ([*t.iterdir()], "t_intersection.xosc", "--space t_intersection.space.xosc", "Ego", "C", "c_start_time=1", 4),
-        "cut-in": ([r / "cut_in.xosc", r / "motorway.xodr"], "cut_in.xosc", "--range gap=10:20", "Ego", "Other", "gap=11", 6),
+        "everything": ([*EVERYTHING.iterdir()], "everything.xosc", "--space deterministic.space.xosc", "Ego", "'Other cone'", "speed=9", 4),
+        "x-intersection": ([*x.iterdir()], "x_intersection.xosc", "--space x_intersection.space.xosc", "Ego", "Pedestrian", "ego_start=40", 2),
+        "t-intersection": ([*t.iterdir()], "t_intersection.xosc", "--space t_intersection.space.xosc", "Ego", "C", "c_start_time=1", 2),
+        "cut-in": ([r / "cut_in.xosc", r / "motorway.xodr"], "cut_in.xosc", "--range gap=10:20", "Ego", "Other", "gap=11", 1.5),
     }  # fmt: skip
-    roads = {"everything": "road.xodr", "x-intersection": "x_intersection.xodr", "t-intersection": "t_intersection.xodr", "cut-in": "motorway.xodr"}
+    roads = {
+        "everything": "road.xodr",
+        "x-intersection": "x_intersection.xodr",
+        "t-intersection": "t_intersection.xodr",
+        "cut-in": "motorway.xodr",
+    }
     for name, (sources, file, space, ego, other, value, weight) in files.items():
         make = shorter(copies(*sources), roads[name])
         commands = scenario_commands(file, space, ego, other, value)
@@ -229,35 +246,68 @@ def scenario_targets():
         if space.startswith("--space"):
             searched = f"explore {file} {space} --ego {ego} --other {other} {SEARCH}"
             checked = f"check {file} {space}"
-            yield Target(f"space-{name}", 0.4 * weight, make, space.split()[1], mutated_xml, (checked, checked, searched))
+            yield Target(
+                f"space-{name}", 0.4 * weight, make, space.split()[1], mutated_xml, (checked, checked, searched)
+            )
     sources = copies(*EVERYTHING.iterdir())
     checked = "check everything.xosc --space stochastic.space.xosc"
     yield Target("space-stochastic", 0.3, sources, "stochastic.space.xosc", mutated_xml, (checked,))
     commands = ("check everything.xosc", f"simulate everything.xosc {SHORT} -o out/r.csv")
-    yield Target("catalog", 4, sources, "catalogs/everything.xosc", mutated_xml, commands)
+    yield Target("catalog", 3, sources, "catalogs/everything.xosc", mutated_xml, commands)
 
 
 def study_targets(study: Path):
     """Of a study of 12 scenarios with its analyses, and of what was kept of it."""
     beside = [study, study.parent / "scenario.xosc", study.parent / "road.xodr"]
-    quick = ("show s.db", "show s.db --json", "export s.db -o out/tables", "compare s.db second.db", "compare second.db s.db --json")
-    pages = ("report s.db -o out/r.html", "replay s.db 3 -o out/run.html", "analyze s.db", "reduce s.db -o out/kept --size 4")
+    quick = (
+        "show s.db",
+        "show s.db --json",
+        "export s.db -o out/tables",
+        "compare s.db second.db",
+        "compare second.db s.db --json",
+    )
+    pages = (
+        "report s.db -o out/r.html",
+        "replay s.db 3 -o out/run.html",
+        "analyze s.db",
+        "reduce s.db -o out/kept --size 4",
+    )
 
     def two(folder: Path) -> None:
         copies(*beside)(folder)
         shutil.copy(study, folder / "second.db")
 
-    yield Target("study", 10, two, "s.db", mutated_database, quick)
-    yield Target("study-pages", 1.5, two, "s.db", mutated_database, pages)
+    def small(folder: Path) -> None:
+        copies(*beside[1:])(folder)
+        (folder / "space.xosc").write_text(SPACE)
+
+    searched = f"explore scenario.xosc --range v=5:20 --ego Ego --other B {SEARCH}"
+    run = f"simulate scenario.xosc {SHORT} -o out/r.csv"
+    convert = "convert scenario.xosc --ego Ego -o out/c.xosc"
+    commands = (*["check scenario.xosc"] * 8, *[run] * 6, f"{run} --driver Ego=normal", searched, searched, convert)
+    yield Target("scenario-small", 14, small, "scenario.xosc", mutated_xml, commands)
+    yield Target("road-small", 12, small, "road.xodr", mutated_xml, commands)
+    checked = "check scenario.xosc --space space.xosc"
+    searched = f"explore scenario.xosc --space space.xosc --ego Ego --other B {SEARCH}"
+    yield Target("space-small", 6, small, "space.xosc", mutated_xml, (checked, checked, searched))
+    yield Target("study", 6, two, "s.db", mutated_database, quick)
+    yield Target("study-pages", 0.3, two, "s.db", mutated_database, pages)
+
+    for version in (1, 2):
+        file = f"study_version_{version}.db"
+        show = (f"show {file}", f"show {file} --json")
+        yield Target(f"study-{version}", 1.5, copies(DATA / file), file, mutated_database, show)
 
     def kept(folder: Path) -> None:
         shutil.copytree(study.parent / "reduced", folder / "reduced")
         (folder / "asked.toml").write_text('require = ["no collision", "ttc > 0.5 s"]\n[kind]\n"*" = ["ttc > 0.1 s"]\n')
-        (folder / "asked.yaml").write_text('require:\n  - no collision\n  - "ttc > 0.5 s"\nkind:\n  "*": ["ttc > 0.1 s"]\n')
+        (folder / "asked.yaml").write_text(
+            'require:\n  - no collision\n  - "ttc > 0.5 s"\nkind:\n  "*": ["ttc > 0.1 s"]\n'
+        )
 
     run = 'test reduced --require "no collision" -o out/run.db --junit out/j.xml'
     first = min(one.name for one in (study.parent / "reduced").glob("*.xosc"))
-    yield Target("manifest", 4, kept, "reduced/manifest.json", mutated_json, (run, "test reduced --json -o out/run.db"))
+    yield Target("manifest", 3, kept, "reduced/manifest.json", mutated_json, (run, "test reduced --json -o out/run.db"))
     yield Target("kept", 1.5, kept, f"reduced/{first}", mutated_xml, (run,))
     for ending, weight in (("toml", 1.5), ("yaml", 1.5)):
         asked = f"test reduced --requirements asked.{ending} -o out/run.db"

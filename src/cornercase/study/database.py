@@ -16,6 +16,7 @@ from filelock import BaseFileLock
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
 from cornercase._common.locks import taken_lock
+from cornercase.study.damage import damage_told
 from cornercase.study.migrations import SCHEMA, SCHEMA_VERSION, TABLES, migrate, schema_version
 
 _APPLICATION: Final = 0x434F524E  # "CORN"
@@ -140,9 +141,11 @@ class Database:
                 _require_plain(path, connection)
                 if lock is not None:
                     connection.execute("PRAGMA journal_mode = WAL")
-                    migrate(connection)
+                    with damage_told(path):
+                        migrate(connection)
                 else:
-                    connection = _of_today(connection)
+                    with damage_told(path):
+                        connection = _of_today(connection)
                     connection.execute("PRAGMA query_only = ON")
                 return cls(path, connection, lock)
             except BaseException:
