@@ -33,6 +33,7 @@ import traceback
 import warnings
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -43,7 +44,8 @@ from fuzz_targets import all_targets
 import cornercase.cli
 
 # typer makes the commands anew for each call, which takes longer than most mutants.
-cornercase.cli.app = typer.main.get_command(cornercase.cli.app)
+_commands: Any = typer.main.get_command(cornercase.cli.app)
+cornercase.cli.app = _commands
 
 CPU, MEMORY = 10.0, 1_000_000_000
 # s of waiting, for whatever else than work holds a command up.
@@ -189,7 +191,10 @@ def rows_of(tried: Tried, attempt, first: int, count: int):
         if number < numbers.stop:
             shutil.rmtree(tried.folder / f"work-{process}", ignore_errors=True)
             ended = os.WTERMSIG(status) if os.WIFSIGNALED(status) else -1
-            why = {signal.SIGPROF: f"more than {CPU:g} s of CPU", signal.SIGALRM: f"more than {_WALL} s"}
+            why: dict[int, str] = {
+                signal.SIGPROF: f"more than {CPU:g} s of CPU",
+                signal.SIGALRM: f"more than {_WALL} s",
+            }
             text = why.get(ended, f"the process ended ({ended})")
             yield {
                 "number": number, "target": "?", "cpu": CPU, "code": "-", "trouble": [text], "command": "?", "told": "",
@@ -197,11 +202,15 @@ def rows_of(tried: Tried, attempt, first: int, count: int):
             number += 1
 
 
-def fuzz(given: argparse.Namespace) -> dict[str, object]:
+def fuzz(given: argparse.Namespace) -> dict[str, Any]:
     """Try so many mutants; give what failed, and how much was tried."""
     begun = time.monotonic()
     place = Path("/dev/shm") if os.access("/dev/shm", os.W_OK) else None
-    failed, codes, commands, spent, cpu, most = [], Counter(), Counter(), Counter(), 0.0, 0.0
+    failed: list[dict[str, Any]] = []
+    codes: Counter[str] = Counter()
+    commands: Counter[str] = Counter()
+    spent: Counter[str] = Counter()
+    cpu = most = 0.0
     with tempfile.TemporaryDirectory(dir=place, prefix="cornercase-fuzz-") as name:
         tried = Tried(Path(name), given.only)
         if not given.cold:
@@ -210,7 +219,9 @@ def fuzz(given: argparse.Namespace) -> dict[str, object]:
         count = given.count
         if given.corpus is not None:
             count = sum(one.is_file() for one in given.corpus.rglob("*"))
-        for row in rows_of(tried, attempts(tried, given.seed, given.corpus and given.corpus.resolve()), given.first, count):
+        for row in rows_of(
+            tried, attempts(tried, given.seed, given.corpus and given.corpus.resolve()), given.first, count
+        ):
             command = row["command"].split()[0]
             codes[row["code"]] += 1
             commands[command] += 1

@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from fuzz_mutations import (
     mutated_bytes,
@@ -37,7 +38,7 @@ class Target:
     weight: float
     make: Callable[[Path], object]
     changed: str
-    mutate: Callable[..., bytes]
+    mutate: Callable[..., Any]
     commands: tuple[str, ...]
 
     def mutant(self, folder: Path, rng) -> list[str]:
@@ -102,7 +103,7 @@ def recording(
     )
 
 
-def osi_field(data: bytes, rng) -> bytes:
+def osi_field(data, rng):
     """A field of one message made extreme."""
     import struct
 
@@ -141,7 +142,7 @@ def osi_field(data: bytes, rng) -> bytes:
     return b"".join(struct.pack("<L", len(one)) + one for one in (each.SerializeToString() for each in messages))
 
 
-def erg_field(data: bytes, rng) -> bytes:
+def erg_field(data, rng):
     """A quantity of one record made extreme."""
     import struct
 
@@ -157,7 +158,7 @@ def erg_field(data: bytes, rng) -> bytes:
     return data[:place] + piece + data[place + len(piece) :]
 
 
-def packed(data: bytes, rng) -> bytes:
+def packed(data, rng):
     """What a packed file holds changed, or the packed file."""
     if rng.random() < 0.5:
         return mutated_bytes(data, rng)
@@ -180,14 +181,15 @@ def osi(path: Path) -> None:
     foreign.single_channel(path, foreign.osi_messages("GroundTruth", foreign.TIMES[:4]))
 
 
-def short_erg(path: Path) -> None:
-    foreign.erg(path)
+def short_esmini(path: Path) -> None:
+    foreign.esmini(path)
+    fewer(path, 9)
 
 
 RECORDINGS = {
     "table": ("r.csv", lambda path: path.write_text(TABLE), "Ego", "B", mutated_text, 8),
-    "esmini": ("r.csv", lambda path: (foreign.esmini(path), fewer(path, 9)), "Ego", "Other", mutated_text, 5),
-    "erg": ("r.erg", short_erg, "Ego", "T00", erg_field, 6),
+    "esmini": ("r.csv", short_esmini, "Ego", "Other", mutated_text, 5),
+    "erg": ("r.erg", foreign.erg, "Ego", "T00", erg_field, 6),
     "carla": ("r.log", foreign.carla, "hero", "walker.pedestrian.0001", mutated_bytes, 6),
     "fcd": ("r.xml", foreign.fcd, "Ego", "P", mutated_xml, 5),
     "osi": ("r.osi", osi, "4", "17", osi_field, 6),
@@ -201,7 +203,7 @@ def recording_targets():
     for name, (file, write, ego, other, mutate, weight) in RECORDINGS.items():
         make, commands = recording(file, write, ego, other)
         yield Target(name, weight, make, f"runs/{file}", mutate, commands)
-    make, commands = recording("r.erg", short_erg, "Ego", "T00")
+    make, commands = recording("r.erg", foreign.erg, "Ego", "T00")
     yield Target("erg-info", 4, make, "runs/r.erg.info", mutated_text, commands)
 
     def with_table(folder: Path) -> None:
@@ -282,9 +284,14 @@ def study_targets(study: Path):
         (folder / "space.xosc").write_text(SPACE)
 
     searched = f"explore scenario.xosc --range v=5:20 --ego Ego --other B {SEARCH}"
-    run = f"simulate scenario.xosc {SHORT} -o out/r.csv"
-    convert = "convert scenario.xosc --ego Ego -o out/c.xosc"
-    commands = (*["check scenario.xosc"] * 8, *[run] * 6, f"{run} --driver Ego=normal", searched, searched, convert)
+    simulated = f"simulate scenario.xosc {SHORT} -o out/r.csv"
+    commands = (
+        *["check scenario.xosc"] * 8,
+        *[simulated] * 6,
+        f"{simulated} --driver Ego=normal",
+        *[searched] * 2,
+        "convert scenario.xosc --ego Ego -o out/c.xosc",
+    )
     yield Target("scenario-small", 14, small, "scenario.xosc", mutated_xml, commands)
     yield Target("road-small", 12, small, "road.xodr", mutated_xml, commands)
     checked = "check scenario.xosc --space space.xosc"
@@ -313,13 +320,13 @@ def study_targets(study: Path):
         asked = f"test reduced --requirements asked.{ending} -o out/run.db"
         yield Target(f"requirements-{ending}", weight, kept, f"asked.{ending}", mutated_text, (asked,))
     run = "test reduced -o out/run.db --require"
-    asked = tuple(
+    required = tuple(
         f"{run} ~'{one}'" for one in (
             "no collision", "reach 30,2,1 within 5", "ttc > 1.5 s", "always[0,2](ego.speed < 30 m/s) and not (ttc < 0.1)",
             "ego.acceleration > -4 m/s²", 'for kind "*": no collision at fault',
         )
     )  # fmt: skip
-    yield Target("requirement-words", 2, kept, "", mutated_bytes, asked)
+    yield Target("requirement-words", 2, kept, "", mutated_bytes, required)
     named = " --ego Ego --other B"
     words = (
         f"measure r.csv{named} --metric ~ttc:accelerating=true -o out/c.csv",

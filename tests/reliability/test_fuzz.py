@@ -9,6 +9,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -56,12 +57,13 @@ def test_what_must_not_be_is_seen():
     before = {"a.csv"}
     good = (2, "", "cornercase: a.csv: is no table.\n", before, before | {"s.db.lock"})
     assert trouble_of(*good) == []
-    for change in (
+    changes: tuple[dict[int, Any], ...] = (
         {0: 3}, {0: "ZeroDivisionError: no"}, {1: "a\x1b[2J"}, {2: ""}, {2: "cornercase: a\ncornercase: b\n"},
         {2: "cornercase: a met a fault; please report it.\n"}, {2: f"cornercase: {'x' * 2000}\n"}, {2: "cornercase: \u202e\n"},
         {2: "cornercase: a.csv\n/a/b.py:3: RuntimeWarning: overflow\n"}, {4: before | {"out/r.csv"}}, {4: set()},
         {4: before | {".r.csv.x7"}},
-    ):  # fmt: skip
+    )  # fmt: skip
+    for change in changes:
         assert trouble_of(*(change.get(k, one) for k, one in enumerate(good))), change
 
 
