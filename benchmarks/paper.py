@@ -52,7 +52,7 @@ class Experiment:
         path = folder / f"{name}-{driver or 'file'}.db"
         asked = demonstration(name, budget=budget, seed=seed, driver=driver)
         explore_configuration(replace(asked, optimizer="bayes:filling=0"), path, progress=True)
-        with Study.open(path) as study:
+        with Study.open(path, readonly=False) as study:
             self.found = analyze(study)
             self.distances = {name: read_distances(study, name) for name in self.found}
             self.by_hand = {

@@ -113,7 +113,7 @@ def study_of(folder: Path, count: int) -> Path:
             budget=count,
             batch=100,
         )
-        with Study.open(path) as study:
+        with Study.open(path, readonly=False) as study:
             if count <= ANALYSED and not study.analyses():
                 cc.analyze(study)
                 cc.reduce(study, folder / f"{count}-reduced", scenario=f"{EXAMPLE}.xosc")

@@ -93,7 +93,7 @@ def explored(case: Case, path: Path, seed: int, budget: int) -> Path:
             case.logical, path, ego="Ego", other=case.other, metrics=[case.metric], critical=case.critical,
             optimizer="level-set", budget=budget, seed=seed, time_step=case.time_step, drivers={"Ego": case.driver},
         )  # fmt: skip
-    with cc.Study.open(path) as study:
+    with cc.Study.open(path, readonly=False) as study:
         if case.metric not in study.analyses():
             cc.analyze(study)
     return path

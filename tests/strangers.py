@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import shutil
-import sqlite3
 from pathlib import Path
 
 from conftest import car, scenario_file, speed_action, teleport
 from cornercase import analyze, explore, reduce
+from sealed import changed
 
 SPEED = '<ParameterDeclaration name="v" parameterType="double" value="10"/>'
 
@@ -41,10 +40,8 @@ def copied(study, folder):
 
 
 def change(study: Path, *statements):
-    """Change a study as one who does not use cornercase: SQL, or (SQL, values)."""
-    with contextlib.closing(sqlite3.connect(study)) as connection, connection:
-        for one in statements:
-            connection.execute(*((one,) if isinstance(one, str) else one))
+    """Change a study as one who does not use cornercase, but makes its checksums: SQL, or (SQL, values)."""
+    changed(study, *statements)
 
 
 def set_meta(study, **values):

@@ -81,7 +81,11 @@ def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), bu
 
 
 def opened(path, **more):
-    return Study.open(path) if os.path.exists(path) else Study.create(path, about(SPACE, "distance", "wttc", **more))
+    return (
+        Study.open(path, readonly=False)
+        if os.path.exists(path)
+        else Study.create(path, about(SPACE, "distance", "wttc", **more))
+    )
 
 
 def go_on(path, optimizer, survives=None, **without):

@@ -13,6 +13,7 @@ from scipy.spatial.distance import pdist, squareform
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.clustering import Candidate, analyze, compare_clusterings, read_analyses, read_analysis, read_distances
 from cornercase.study import Study
+from sealed import reseal
 from synthetic import Synthetic, explorer, opened
 
 
@@ -55,7 +56,7 @@ def test_an_analysis_is_read_back_as_it_was_written(path):
 
 
 def test_the_distances_are_those_of_the_aspect(path):
-    with Study.open(path) as study:
+    with Study.open(path, readonly=False) as study:
         analyze(study, "distance")
         # The course of the synthetic scenarios is constant, at five instants.
         levels = np.array([[study.course(row.id, "distance")[0]] for row in study.done()])
@@ -135,6 +136,7 @@ def test_profiles_that_were_changed_by_hand_are_refused_in_a_sentence(path, chan
         change(changed["profiles"])
         connection.execute("UPDATE analyses SET info = ?", (json.dumps(changed),))
     connection.close()
+    reseal(path)
     with (
         Study.open(path, readonly=True) as study,
         pytest.raises(InputError, match=f"s.db: cannot be used as a study .*{words}"),

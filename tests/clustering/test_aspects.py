@@ -173,7 +173,7 @@ def test_a_study_is_analysed_by_any_of_them(path):
 def test_a_window_is_in_seconds_and_stored_and_kept(path):
     # The recordings have instants 1 s apart.
     analyze(path, "distance", window=2.0)
-    with Study.open(path) as study:
+    with Study.open(path, readonly=False) as study:
         expected = distance_matrix(series_of(study, "distance"), window=3)
         np.testing.assert_allclose(read_distances(study, "distance"), expected, rtol=1e-5, atol=1e-5)
         assert read_analysis(study, "distance").window == 2.0

@@ -73,7 +73,7 @@ def test_an_exploration_goes_on_and_is_written_by_one_only(tmp_path):
     holding = f"""
 from cornercase.study import Study
 import subprocess, sys
-with Study.open({str(tmp_path / "study.db")!r}):
+with Study.open({str(tmp_path / "study.db")!r}, readonly=False):
     done = subprocess.run({[sys.executable, *map(str, explore)]!r}, capture_output=True, text=True)
 print(done.returncode, done.stderr)
 """

@@ -28,6 +28,7 @@ from cornercase.exploration.replaying import replay_proposals
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer, create_optimizer
 from cornercase.study import Study
+from sealed import reseal
 from synthetic import LOGICAL, SPACE, Synthetic
 
 pytestmark = pytest.mark.filterwarnings("ignore:without effect")
@@ -89,7 +90,7 @@ def fresh(one):
 def explored(path, one, simulator=None, optimizer=None):
     """Explore without rounds, or go on so."""
     objective = Objective([METRICS.create("distance")])
-    with Study.open(path) if path.exists() else Study.create(path, one.meta(objective, {})) as study:
+    with Study.open(path, readonly=False) if path.exists() else Study.create(path, one.meta(objective, {})) as study:
         study.continue_with(one.meta(objective, {}))
         searching = fresh(one) if optimizer is None else optimizer
         return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, objective).run()
@@ -155,6 +156,7 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
     # An early result that is another gives other proposals.
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE courses SET score = 90 - score WHERE scenario < 40")
+    reseal(path)
     again = proposed_again(path, one)
     assert again.same is False
     assert "is proposed otherwise" in again.reason
@@ -295,12 +297,14 @@ def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
     with sqlite3.connect(tmp_path / "other.db") as connection:
         ran = "UPDATE scenarios SET parameters = (SELECT parameters FROM scenarios WHERE id = 3) WHERE id = 5"
         connection.execute(ran)
+    reseal(tmp_path / "other.db")
     ended = CliRunner().invoke(app, [*words[:-1], str(tmp_path / "other.db"), "--replay"])
     assert ended.exit_code == 1
     assert "the scenario 5 of 24 is proposed otherwise" in " ".join(ended.output.split())
     with sqlite3.connect(tmp_path / "s.db") as connection:
         connection.execute("UPDATE courses SET score = 9 WHERE scenario = 20")
         connection.execute("UPDATE courses SET score = 0 WHERE scenario = 21")
+    reseal(tmp_path / "s.db")
     ended = CliRunner().invoke(app, [*words, "--replay"])
     assert ended.exit_code == 1
     assert "is proposed otherwise" in " ".join(ended.output.split())
@@ -320,6 +324,7 @@ def test_an_order_that_cannot_be_is_refused_in_a_sentence(damage, tmp_path):
     explored(tmp_path / "s.db", about(budget=12))
     with sqlite3.connect(tmp_path / "s.db") as connection:
         connection.execute(damage)
+    reseal(tmp_path / "s.db")
     with pytest.raises(InputError, match=r"s\.db"):
         explored(tmp_path / "s.db", about(budget=20))
 

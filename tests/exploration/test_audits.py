@@ -43,7 +43,7 @@ def explored(path, simulator=None, **options):
     about = Configuration(LOGICAL, "Ego", "B", seed=7, **AUDITED | options)
     objective = Objective([METRICS.create("distance")])
     optimizer = Listening(OPTIMIZERS.create(about.optimizer, space=SPACE, seed=7))
-    with Study.open(path) if path.exists() else Study.create(path, about.meta(objective, {})) as study:
+    with Study.open(path, readonly=False) if path.exists() else Study.create(path, about.meta(objective, {})) as study:
         ScenarioExplorer(about, simulator or Synthetic(), optimizer, study, objective).run()
     return optimizer
 
@@ -74,7 +74,7 @@ def test_an_interrupted_study_with_audits_goes_on_the_same(tmp_path):
     assert content(tmp_path / "parts.db") != content(tmp_path / "whole.db")
     explored(tmp_path / "parts.db")
     assert content(tmp_path / "parts.db") == content(tmp_path / "whole.db")
-    with Study.open(tmp_path / "parts.db") as study:
+    with Study.open(tmp_path / "parts.db", readonly=False) as study:
         other = replace(study.meta, audit=0.1)
         with pytest.raises(InputError, match="another share of audits"):
             study.continue_with(other)

@@ -23,6 +23,7 @@ from cornercase.report import put_in_words
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
+from sealed import reseal
 from synthetic import LOGICAL, Synthetic
 
 pytestmark = pytest.mark.filterwarnings("ignore:without effect")
@@ -108,6 +109,7 @@ def test_a_killed_search_goes_on_with_the_same_bytes(study, tmp_path):
         lost = "(4, 8, 14, 15, 16)"
         connection.execute(f"DELETE FROM courses WHERE scenario IN {lost}")
         connection.execute(f"UPDATE scenarios SET state = 'pending', recording = NULL WHERE id IN {lost}")
+    reseal(path)
     assert stored(path) != stored(study)
     explored(path)
     assert stored(path) == stored(study)

@@ -31,7 +31,9 @@ def share_within(reach):
 
 
 def opened(path, space=LOGICAL.space):
-    return Study.open(path) if path.exists() else Study.create(path, about(space, "distance", budget=800))
+    return (
+        Study.open(path, readonly=False) if path.exists() else Study.create(path, about(space, "distance", budget=800))
+    )
 
 
 def estimator(study, simulator=None, budget=800, logical=LOGICAL):

@@ -85,7 +85,7 @@ def test_critical_scenarios_lie_along_a_diagonal(x_study):
 def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
     from cornercase.clustering import analyze
 
-    with Study.open(x_study) as study:
+    with Study.open(x_study, readonly=False) as study:
         # WTTC passes evenly from critical to harmless, which is one kind; settings by hand, as in the paper, divide it.
         labels = analyze(study, ["wttc"], gamma=1.0, eps=0.2)["wttc"].clustering.labels
         scores = study.scores("wttc")
@@ -103,7 +103,7 @@ def test_accidents_form_clusters_of_their_own_by_ego_trajectory(tmp_path):
 
     path = tmp_path / "study.db"
     explore_configuration(demonstration("t-intersection", budget=100, seed=0), path)
-    with Study.open(path) as study:
+    with Study.open(path, readonly=False) as study:
         labels = analyze(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
         crashed = np.array([bool(study.recording(row.id).collisions) for row in study.done()])
     assert 0 < crashed.sum() < len(crashed)

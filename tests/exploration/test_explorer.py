@@ -172,8 +172,8 @@ def test_a_study_of_something_else_is_refused_and_kept(undisturbed):
 
 
 def test_two_explorers_never_write_at_once(undisturbed):
-    with Study.open(undisturbed), pytest.raises(InputError, match="another cornercase"):
-        Study.open(undisturbed)
+    with Study.open(undisturbed, readonly=False), pytest.raises(InputError, match="another cornercase"):
+        Study.open(undisturbed, readonly=False)
 
 
 def test_a_recording_comes_back_bit_for_bit(undisturbed):
@@ -190,13 +190,13 @@ def test_a_recording_comes_back_bit_for_bit(undisturbed):
 def test_what_is_no_study_is_refused(tmp_path):
     (tmp_path / "text.db").write_text("hello")
     with pytest.raises(InputError, match=r"text\.db"):
-        Study.open(tmp_path / "text.db")
+        Study.open(tmp_path / "text.db", readonly=False)
     with sqlite3.connect(tmp_path / "other.db") as connection:
         connection.execute("CREATE TABLE a (b)")
     with pytest.raises(InputError, match="no cornercase study"):
-        Study.open(tmp_path / "other.db")
+        Study.open(tmp_path / "other.db", readonly=False)
     with pytest.raises(InputError, match="no such study"):
-        Study.open(tmp_path / "absent.db")
+        Study.open(tmp_path / "absent.db", readonly=False)
 
 
 def contents(path):
@@ -423,7 +423,7 @@ def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
     explore_configuration(one, tmp_path / "s.db")
     with pytest.raises(InputError, match="another number of repeats"):
         explore_configuration(replace(one, repeats=3), tmp_path / "s.db")
-    with Study.open(tmp_path / "s.db") as study:
+    with Study.open(tmp_path / "s.db", readonly=False) as study:
         # The builtin simulator gives the same each time.
         spread = study.spread("ttc")
         assert spread is not None

@@ -18,6 +18,7 @@ from cornercase.metrics import METRICS
 from cornercase.report import summarize
 from cornercase.scenario import LogicalScenario
 from cornercase.study import Study, StudyMeta
+from sealed import reseal
 
 WHOLE = LogicalScenario.read(X, SPACE)
 
@@ -55,7 +56,10 @@ def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
     searched(tmp_path / "twice.db", budget=30)
     assert content(tmp_path / "once.db") == content(tmp_path / "twice.db")
     searched(tmp_path / "cold.db", budget=30)
-    with Study.open(tmp_path / "once.db", readonly=True) as begun, Study.open(tmp_path / "cold.db") as cold:
+    with (
+        Study.open(tmp_path / "once.db", readonly=True) as begun,
+        Study.open(tmp_path / "cold.db", readonly=False) as cold,
+    ):
         assert cold.elsewhere() is None
         assert "elsewhere" not in {key for key, _ in content(cold.path)["meta"]}
         assert not np.array_equal(begun.points(), cold.points())
@@ -130,7 +134,7 @@ def test_another_study_to_begin_from_is_another_search(tmp_path, other):
     searched(tmp_path / "third.db", driver="normal", optimizer="sobol", seed=5)
     with pytest.raises(InputError, match="a search that began from another study"):
         searched(tmp_path / "new.db", from_study=tmp_path / "third.db", budget=30)
-    with Study.open(tmp_path / "new.db") as study:
+    with Study.open(tmp_path / "new.db", readonly=False) as study:
         assert len(study.done()) == 20
 
 
@@ -138,6 +142,9 @@ def test_a_damaged_beginning_is_told(tmp_path, other):
     searched(tmp_path / "new.db", from_study=other)
     with closing(sqlite3.connect(tmp_path / "new.db")) as connection, connection:
         connection.execute("DELETE FROM elsewhere WHERE rowid = 1")
+    with pytest.raises(InputError, match="elsewhere does not hold the rows that were written"):
+        searched(tmp_path / "new.db", budget=30)
+    reseal(tmp_path / "new.db")
     with pytest.raises(InputError, match="what the search began from"):
         searched(tmp_path / "new.db", budget=30)
 

@@ -137,7 +137,7 @@ def test_who_cannot_be_another_is_refused(scenario, tmp_path, other, words):
 
 
 def test_kinds_the_kept_ones_and_their_verdicts_go_on_with_several(study, scenario, tmp_path):
-    with Study.open(study) as opened:
+    with Study.open(study, readonly=False) as opened:
         analyze(opened)
         outcomes = opened.outcomes()
         hits = [any("Ego" in one.entities for one in opened.recording(row.id).collisions) for row in opened.done()]

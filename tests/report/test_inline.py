@@ -35,7 +35,7 @@ def test_a_study_is_shown_as_its_page(whole, tmp_path):
     cc.write_report(whole, tmp_path / "r.html")
     assert frame.get("srcdoc") == (tmp_path / "r.html").read_text(encoding="utf-8")
     # To be looked at is nothing that a study notes.
-    with cc.Study.open(whole) as study:
+    with cc.Study.open(whole, readonly=False) as study:
         assert study._repr_html_() == page
         assert study.elapsed() == before
 

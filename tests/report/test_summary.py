@@ -84,7 +84,7 @@ def test_scenarios_that_were_run_since_are_told_with_what_mends_it(path, tmp_pat
 
 
 def test_no_stability_is_told_where_all_are_one_group(path):
-    with Study.open(path) as study:
+    with Study.open(path, readonly=False) as study:
         found = analyze(study, "distance")["distance"].clustering
         assert found.n_clusters == 1
         # It was measured, and is 1.
@@ -170,7 +170,7 @@ def test_kinds_are_drawn_and_named(path, tmp_path):
 
 
 def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
-    with Study.open(path) as study:
+    with Study.open(path, readonly=False) as study:
         # So wide a neighbourhood holds all.
         analyze(study, "distance", gamma=0.25, eps=10.0, min_samples=3)
         assert judge_clusters(summarize(study).analyses["distance"]) == (

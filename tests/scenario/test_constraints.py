@@ -122,7 +122,7 @@ def test_explore_show_and_reduce_judge_the_same_space(constrained, tmp_path, mon
     kept = [Path(shutil.copy(study, tmp_path / f"{name}.db")) for name in "ab"]
     reduced = []
     for name, space in zip(kept, (None, searched), strict=True):
-        with Study.open(name) as opened:
+        with Study.open(name, readonly=False) as opened:
             opened.space = opened.space if space is None else space
             reduced.append(reduce(opened, tmp_path / name.stem, scenario=path))
     assert reduced[0].critical == reduced[1].critical

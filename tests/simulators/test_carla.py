@@ -253,7 +253,7 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
         )  # fmt: skip
         done = cornercase(*command)
     assert done.returncode == 0, done.stderr
-    with Study.open(tmp_path / "study.db") as study:
+    with Study.open(tmp_path / "study.db", readonly=False) as study:
         assert len(study.done()) == 3
         spread = study.spread("ttc")
         assert spread is not None

@@ -169,7 +169,7 @@ def test_recordings_may_lack_some_of_several_others(tmp_path):
     with pytest.raises(InputError, match=r"`other` C: none of the recordings has it"):
         import_recordings(tmp_path, tmp_path / "s.db", other=["A", "C"], **given)
     assert import_recordings(tmp_path, tmp_path / "s.db", other="*", **given).done == 5
-    with Study.open(tmp_path / "s.db") as study:
+    with Study.open(tmp_path / "s.db", readonly=False) as study:
         assert study.meta.others == ("A", "B")
         assert list(study.against("clearance").values()) == ["A", "B", "A", "B", "A"]
         np.testing.assert_allclose(study.scores("clearance"), [16.0, 15.0, 14.0, 13.0, 12.0])

@@ -17,6 +17,8 @@ from cornercase.recordings import read_recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study, migrations, write_note
 from cornercase.study.notes import LONGEST_NOTE
+from cornercase.study.schema import SCHEMA_VERSION
+from sealed import as_version_5
 from strangers import change
 from synthetic import about
 
@@ -125,7 +127,7 @@ def test_a_study_of_an_earlier_version_is_migrated_for_its_first_note(tmp_path):
     write_note(old, 2, "seen")
     assert notes(old) == {2: "seen"}
     with closing(sqlite3.connect(old)) as connection:
-        assert migrations.schema_version(connection) == migrations.SCHEMA_VERSION
+        assert migrations.schema_version(connection) == SCHEMA_VERSION
     with Study.open(old, readonly=True) as study:
         assert len(study.done()) == 10
 
@@ -133,9 +135,10 @@ def test_a_study_of_an_earlier_version_is_migrated_for_its_first_note(tmp_path):
 def test_version_4_lacks_notes_alone(explored):
     before = explored.table()
     explored.close()
+    as_version_5(explored.path)
     change(explored.path, "DROP TABLE notes", "PRAGMA user_version = 4")
     assert notes(explored.path) == {}
-    with Study.open(explored.path) as study:
+    with Study.open(explored.path, readonly=False) as study:
         assert study.notes() == {}
         assert study.table().equals(before)
     write_note(explored.path, 1, "seen")
@@ -144,7 +147,7 @@ def test_version_4_lacks_notes_alone(explored):
 
 @pytest.mark.parametrize("value", ["zeroblob(5)", f"printf('%.{LONGEST_NOTE + 1}c', 'x')"])
 def test_notes_of_a_stranger_that_are_none_are_refused(explored, value):
-    change(explored.path, f"INSERT INTO notes VALUES (1, {value})")
+    change(explored.path, f"INSERT INTO notes VALUES (1, {value}, 0)")
     with pytest.raises(InputError, match="the note on the scenario 1"):
         notes(explored.path)
 

@@ -21,6 +21,7 @@ from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.study import Study
 from cornercase.study.codec import pack_arrays, unpack_arrays
+from sealed import as_version_5
 from strangers import change, copied, set_meta, whole_study
 from synthetic import SPACE, about
 
@@ -231,37 +232,42 @@ def remade(table, columns):
 
 
 SCENARIOS = remade("scenarios", "id, round, point, parameters, state, error, recording")
+COURSES = remade("courses", "scenario, metric, score, course")
 NO_CLUSTERS = "DELETE FROM analyses", "DELETE FROM arrays"
 TEXTS = (
     *SCENARIOS,
-    *remade("courses", "scenario, metric, score, course"),
+    *COURSES,
     "UPDATE scenarios SET id = '../../' || id",
     "UPDATE courses SET scenario = '../../' || scenario",
     *NO_CLUSTERS,
 )
+TWICE = (*SCENARIOS, "INSERT INTO scenarios SELECT * FROM scenarios")
 
 
-@pytest.mark.parametrize(
-    ("statements", "words"),
-    [
-        (TEXTS, "a scenario is numbered '../../"),
-        (
-            ("UPDATE scenarios SET id = -id", "UPDATE courses SET scenario = -scenario", *NO_CLUSTERS),
-            "is numbered '-12'",
-        ),
-        ((*SCENARIOS, "INSERT INTO scenarios SELECT * FROM scenarios"), "a scenario is there twice"),
-        (
-            (*remade("courses", "scenario, metric, score, course"), "INSERT INTO courses SELECT * FROM courses"),
-            "a scenario has two scores by distance",
-        ),
-    ],
-)
-def test_scenarios_have_numbers_of_their_own(sent, statements, words):
-    change(sent, *statements)
+@pytest.mark.parametrize("statements", [TEXTS, TWICE, (*COURSES, "INSERT INTO courses SELECT * FROM courses")])
+@pytest.mark.parametrize("version", [5, 6])
+def test_scenarios_have_numbers_of_their_own(sent, statements, version):
+    # A study of today may not have other tables than cornercase makes; what an earlier one has is put into such ones.
+    if version == 5:
+        as_version_5(sent)
+        change(sent, *statements)
+    else:
+        columns = "id, round, point, parameters, state, error, recording_checksum, checksum, recording"
+        change(sent, *remade("scenarios", columns))
     for one in (("export", sent, "-o", sent.parent / "tables"), ("show", sent)):
         result = cornercase(*one)
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
-    assert words in result.stderr
+    assert not (sent.parent / "tables").exists()
+    if version == 6:
+        assert "it holds the table 'scenarios'" in result.stderr
+
+
+def test_scenarios_are_numbered_from_1_on(sent):
+    change(sent, "UPDATE scenarios SET id = -id", "UPDATE courses SET scenario = -scenario", *NO_CLUSTERS)
+    for one in (("export", sent, "-o", sent.parent / "tables"), ("show", sent)):
+        result = cornercase(*one)
+        assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+    assert "is numbered '-12'" in result.stderr
 
 
 def test_an_analysis_of_no_scenario_is_refused(sent):
@@ -387,8 +393,10 @@ def test_a_link_in_place_of_the_lock_is_not_followed(sent, tmp_path):
     precious = tmp_path / "precious"
     precious.write_text("precious")
     lock = sent.with_name("s.db.lock")
-    lock.unlink(missing_ok=True)
     lock.symlink_to(precious)
+    # Only an explorer of an earlier version has such a lock.
+    assert cornercase("analyze", sent).returncode == 0
+    as_version_5(sent)
     result = cornercase("analyze", sent)
     assert (result.returncode, precious.read_text()) == (2, "precious")
     assert "is a link" in result.stderr

@@ -19,6 +19,7 @@ from cornercase.recordings import MOTION, Collision, Recording, read_recording
 from cornercase.scenario import Constraint, Declaration, ParameterSpace
 from cornercase.study import Study
 from cornercase.study import arrays as stored_arrays
+from sealed import reseal
 from synthetic import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:10", "b=0:1:0.1"])
@@ -181,12 +182,12 @@ def test_time_spent_adds_up(study):
 
 
 def test_making_a_study_leaves_the_one_that_is_there(study, tmp_path):
-    with pytest.raises(InputError, match="another cornercase"):
+    with pytest.raises(InputError, match="exists already"):
         Study.create(study.path, META)
     study.close()
     with pytest.raises(InputError, match="exists already"):
         Study.create(study.path, META)
-    with Study.open(study.path) as again:
+    with Study.open(study.path, readonly=False) as again:
         assert len(again.rows()) == 3
 
 
@@ -197,7 +198,7 @@ def test_a_foreign_database_is_left_as_it_is(tmp_path):
     connection.close()
     before = path.read_bytes()
     with pytest.raises(InputError, match="no cornercase study"):
-        Study.open(path)
+        Study.open(path, readonly=False)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["other.db"]
 
@@ -221,7 +222,7 @@ def test_another_schema_version_is_refused(study):
         connection.execute("PRAGMA user_version = 7")
     connection.close()
     with pytest.raises(InputError, match="schema version 7"):
-        Study.open(study.path)
+        Study.open(study.path, readonly=False)
 
 
 def test_a_full_disk_is_said_and_harms_nothing(study):
@@ -231,7 +232,7 @@ def test_a_full_disk_is_said_and_harms_nothing(study):
     with pytest.raises(InputError, match=r"study\.db.*full"):
         study.finish(3, recording(1), {"distance": (np.random.default_rng(0).random(100_000), 0.0)})
     study.close()
-    with Study.open(study.path) as again:
+    with Study.open(study.path, readonly=False) as again:
         assert [row.state for row in again.rows()] == ["done", "failed", "pending"]
         assert same_recording(again.recording(1), recording())
 
@@ -296,7 +297,7 @@ def test_a_table_reads_no_distances(study):
     with study._database.writing() as connection:
         connection.execute("UPDATE arrays SET data = x'00' WHERE name = 'distances'")
     assert study.table()["cluster by wttc"].tolist() == [0, pd.NA, pd.NA]
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match=r"is damaged: .* 'distances', part '0' as it was written; `verify` lists"):
         study.analysis("wttc")
 
 
@@ -343,6 +344,9 @@ def test_a_study_with_damaged_facts_is_refused_in_a_sentence(study):
     with sqlite3.connect(study.path) as connection:
         connection.execute("UPDATE meta SET value = '[' WHERE key = 'metrics'")
     connection.close()
+    with pytest.raises(InputError, match="its table meta does not hold key 'metrics' as it was written"):
+        Study.open(study.path, readonly=False)
+    reseal(study.path)
     for readonly in (True, False):
         with pytest.raises(InputError, match="cannot be used as a study"):
             Study.open(study.path, readonly=readonly)
@@ -354,7 +358,7 @@ def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(
     known = replace(META, space=ParameterSpace(SPACE.parameters, declared), critical=0.5)
     study.continue_with(known)
     study.close()
-    with Study.open(study.path) as again:
+    with Study.open(study.path, readonly=False) as again:
         assert again.meta == known
         assert again.space.admits(POINTS).tolist() == [True, True, True]
         assert not again.space.admits(np.array([[0.9, 0.5]])).any()
@@ -390,12 +394,12 @@ def test_a_study_that_is_closed_says_so(study):
 @pytest.mark.parametrize("wrong", [None, 3, ""])
 def test_what_is_no_path_is_refused(wrong):
     with pytest.raises(InputError, match=r"`path` .*: give the path of a file"):
-        Study.open(wrong)
+        Study.open(wrong, readonly=False)
 
 
 def test_a_folder_is_no_study(tmp_path):
     with pytest.raises(InputError, match="is not a file; name the file of a study"):
-        Study.open(tmp_path)
+        Study.open(tmp_path, readonly=False)
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs a folder in which nobody can make files")

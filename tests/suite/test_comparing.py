@@ -298,7 +298,7 @@ def test_another_scenario_is_refused_and_imported_recordings_are_not(tmp_path):
         old, new = (tmp_path / f"{one} {simulator}.db" for one in names)
         for path in (old, new):
             written(path, GAPS, simulator=simulator)
-            with Study.open(path) as study:
+            with Study.open(path, readonly=False) as study:
                 meta = replace(study.meta, fingerprint=path.name, scenario=f"{path.stem}.xosc")
             path.unlink()
             with Study.create(path, meta) as study:

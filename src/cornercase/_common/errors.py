@@ -23,6 +23,13 @@ class SimulatorError(SimulationError):
     """The simulator failed, not the scenario; the same scenario may be run again."""
 
 
+class StudyLostError(RuntimeError):
+    """The study that is written is gone, was replaced, or was taken over by another process.
+
+    The command line prints the message and ends with exit code 1.
+    """
+
+
 class NoticeWarning(UserWarning):
     """Something in a file has no effect."""
 

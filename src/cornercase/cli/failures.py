@@ -14,7 +14,7 @@ from typing import Any, Final, cast
 
 import typer
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, StudyLostError
 from cornercase._common.texts import in_one_line, shorten
 from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import debugging, err
@@ -39,8 +39,8 @@ def exit_code_of(command: Callable[[], Any]) -> int:
     Returns
     -------
     int
-        2 where the input, the machine or cornercase itself did not let it be done; 130 for Ctrl-C. 1, and silence,
-        where nobody reads the output any more.
+        2 where the input, the machine or cornercase itself did not let it be done; 130 for Ctrl-C. 1 where the study
+        was lost that it wrote to, and, in silence, where nobody reads the output any more.
     """
     try:
         code = command()
@@ -61,7 +61,7 @@ def exit_code_of(command: Callable[[], Any]) -> int:
             _write_to_nobody()
             return 1
         _tell(_sentence(error))
-        return 2
+        return 1 if isinstance(error, StudyLostError) else 2
     return code if isinstance(code, int) else 0
 
 
@@ -76,7 +76,7 @@ def _write_to_nobody() -> None:
 
 
 def _sentence(error: Exception) -> str:
-    if isinstance(error, InputError):
+    if isinstance(error, InputError | StudyLostError):
         return str(error)
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     file = _file_in_use(frames)

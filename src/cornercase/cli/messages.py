@@ -14,8 +14,8 @@ _PARAMETERS: Final = (
     "continuous", "cover", "critical", "critical_if", "duration",
     "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_seconds",
     "memory", "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
-    "patience", "port", "profile", "repeats", "require", "requirements", "retries", "scenario",
-    "seed", "share", "simulator", "size",
+    "patience", "port", "profile", "repair", "repeats", "require", "requirements", "retries", "retry_failed",
+    "scenario", "seed", "share", "simulator", "size",
     "space", "stop_when", "summary", "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
@@ -34,7 +34,7 @@ _RENAMED: Final = {
 }
 _COMMANDS: Final = (
     "analyze", "check", "compare", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce",
-    "replay", "report", "show", "simulate", "test", "watch",
+    "replay", "report", "show", "simulate", "test", "verify", "watch",
 )  # fmt: skip
 _QUOTED: Final = re.compile(r"`(\w+)`")
 

@@ -365,7 +365,7 @@ def demo(
     study = folder / "study.db"
     with two_compile():
         tell_ending(explore_configuration(configuration, study, progress=True))
-        with Study.open(study) as opened:
+        with Study.open(study, readonly=False) as opened:
             clustering.analyze(opened, progress=True)
             # First, as the study remembers the last set that was kept of it.
             if (mutants := mutants_of_demonstration(name)) is not None:

@@ -132,7 +132,7 @@ def estimate(
         _require_same_runs(file, source.meta, running)
         guess = guessed_proposal(about.logical.space, points, scores, threshold, seed)
         sampling = ImportanceSampling(about.logical.space, _EVENTS, learn, seed, guess)
-        with Study.open(made) if made.exists() else Study.create(made, meta) as opened:
+        with Study.open(made, readonly=False) if made.exists() else Study.create(made, meta) as opened:
             opened.continue_with(meta)
             opened.add_elapsed("files", time.monotonic() - begun)
             found = ProbabilityEstimator(about, running, sampling, opened, encounter).run(progress)

@@ -268,7 +268,7 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
         simulator.require_runnable([one.logical.concrete(values) for values in some])
         warn_of(_notices(one))
         meta = one.meta(objective, simulator.settings, None if known is None else known.about)
-        with Study.open(path) if path.exists() else Study.create(path, meta) as study:
+        with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as study:
             if known is None:
                 # What it began from is in the study.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)

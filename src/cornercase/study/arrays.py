@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from cornercase.study.codec import pack_arrays, unpack_arrays
 from cornercase.study.damage import require
+from cornercase.study.seals import put
 
-_Found = Callable[..., list[Any]]
+_Rows = Callable[..., list[Any]]
 
 DISTANCES: Final = "distances"
 """The array between all pairs, of which the upper half is stored."""
@@ -36,14 +37,31 @@ def write_arrays(connection: sqlite3.Connection, analysis: str, arrays: Mapping[
     arrays : mapping of str to array_like
         Those that are called ``"distances"`` are square and symmetric, with zeros on the diagonal.
     """
+    put(connection, "arrays", packed_pieces(connection, analysis, arrays))
+
+
+def packed_pieces(
+    connection: sqlite3.Connection, analysis: str, arrays: Mapping[str, npt.ArrayLike]
+) -> Iterator[tuple[str, str, int, bytes]]:
+    """Cut arrays of an analysis into pieces; as `write_arrays`.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+    analysis : str
+    arrays : mapping of str to array_like
+
+    Yields
+    ------
+    tuple of (str, str, int, bytes)
+        Analysis, name of the array, number of the piece from 0 on, and archive.
+    """
     # What is packed may be a little longer than what is not.
     most = min(_PIECE, connection.getlimit(sqlite3.SQLITE_LIMIT_LENGTH) // 2)
     for name, array in arrays.items():
         cut = _halved if name == DISTANCES else _cut
-        connection.executemany(
-            "INSERT INTO arrays VALUES (?, ?, ?, ?)",
-            ((analysis, name, k, pack_arrays({name: one})) for k, one in enumerate(cut(np.asarray(array), most))),
-        )
+        for k, one in enumerate(cut(np.asarray(array), most)):
+            yield analysis, name, k, pack_arrays({name: one})
 
 
 def _cut(array: npt.NDArray[Any], most: int) -> Iterator[npt.NDArray[Any]]:
@@ -70,13 +88,13 @@ def _halved(matrix: npt.NDArray[Any], most: int) -> Iterator[npt.NDArray[Any]]:
     yield np.concatenate(rows) if rows else np.zeros(0, matrix.dtype)
 
 
-def read_arrays(found: _Found, analysis: str, names: list[str], scenarios: int) -> dict[str, npt.NDArray[Any]]:
+def read_arrays(rows: _Rows, analysis: str, names: list[str], scenarios: int) -> dict[str, npt.NDArray[Any]]:
     """Read arrays of an analysis; within `damage_told`.
 
     Parameters
     ----------
-    found : callable
-        Gives the rows that a query finds, as `cornercase.study.database.Database.found`.
+    rows : callable
+        Reads rows of a table, as `cornercase.study.database.Database.rows`.
     analysis : str
         Its name.
     names : list of str
@@ -96,21 +114,17 @@ def read_arrays(found: _Found, analysis: str, names: list[str], scenarios: int) 
         The pieces do not belong together.
     """
     return {
-        name: _square(found, analysis, scenarios)
-        if name == DISTANCES
-        else _joined(list(_pieces(found, analysis, name)))
+        name: _square(rows, analysis, scenarios) if name == DISTANCES else _joined(list(_pieces(rows, analysis, name)))
         for name in names
     }
 
 
-def _pieces(found: _Found, analysis: str, name: str) -> Iterator[npt.NDArray[Any]]:
+def _pieces(rows: _Rows, analysis: str, name: str) -> Iterator[npt.NDArray[Any]]:
     """Pieces of an array one after the other, as all together may be large."""
-    question = "SELECT part FROM arrays WHERE analysis = ? AND name = ? ORDER BY part"
-    numbers = [part for (part,) in found(question, analysis, name)]
+    numbers = [part for _, _, part in rows("arrays", "analysis = ? AND name = ?", analysis, name)]
     require(numbers == list(range(len(numbers))), f"pieces of {name} are missing")
     for part in numbers:
-        question = "SELECT data FROM arrays WHERE analysis = ? AND name = ? AND part = ?"
-        ((data,),) = found(question, analysis, name, part)
+        ((*_, data),) = rows("arrays", "analysis = ? AND name = ? AND part = ?", analysis, name, part, blob=True)
         yield unpack_arrays(data, _LARGEST_OTHERS)[name]
 
 
@@ -118,12 +132,12 @@ def _joined(pieces: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
-def _square(found: _Found, analysis: str, scenarios: int) -> npt.NDArray[Any]:
-    n = len(_joined(list(_pieces(found, analysis, "ids"))))
+def _square(rows: _Rows, analysis: str, scenarios: int) -> npt.NDArray[Any]:
+    n = len(_joined(list(_pieces(rows, analysis, "ids"))))
     require(n <= scenarios, f"distances between {n} scenarios")
     matrix: npt.NDArray[Any] | None = None
     row = 0
-    for piece in _pieces(found, analysis, DISTANCES):
+    for piece in _pieces(rows, analysis, DISTANCES):
         require(piece.ndim == 1 and piece.dtype.kind == "f", "distances that are no numbers")
         if matrix is None:
             matrix = np.zeros((n, n), piece.dtype)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -96,7 +97,7 @@ class StudyContents(ScenarioContents):
         if not self.meta.elsewhere:
             return None
         with damage_told(self.path):
-            found = self._database.found("SELECT point, score FROM elsewhere ORDER BY rowid")
+            found = self._database.rows("elsewhere")
             points = np.array([np.frombuffer(point, dtype="<f8") for point, _ in found], dtype=np.float64)
             scores = np.array([score for _, score in found], dtype=np.float64)
             digest = digest_of_scores(points, scores)
@@ -111,7 +112,7 @@ class StudyContents(ScenarioContents):
         list of str
             ``ego-trajectory`` first, the metrics last, the others between them in alphabetical order.
         """
-        names = {str(name) for (name,) in self._database.found("SELECT name FROM analyses")} - {"reduction", "estimate"}
+        names = {str(name) for name, _ in self._database.rows("analyses")} - {"reduction", "estimate"}
         metrics = [name for name in self.meta.metrics if name in names]
         return [*sorted(names - set(metrics), key=lambda name: (name != "ego-trajectory", name)), *metrics]
 
@@ -134,16 +135,18 @@ class StudyContents(ScenarioContents):
         InputError
             There is no such result.
         """
-        found = self._database.found("SELECT info FROM analyses WHERE name = ?", name)
+        found = self._database.rows("analyses", "name = ?", name)
         if not found:
             raise InputError(f"{self.path}: holds no analysis by {name}; run `analyze` first.")
-        question = "SELECT name FROM arrays WHERE analysis = ? AND part = 0"
+        self._database.require_all("arrays")
+        # In the order in which they were written.
+        question = "SELECT name FROM arrays WHERE analysis = ? AND part = 0 ORDER BY rowid"
         known = [key for (key,) in self._database.found(question, name)]
         if missing := sorted(set(arrays).difference(known)):
             raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
         with damage_told(self.path), self.snapshot():
-            read = read_arrays(self._database.found, name, list(arrays or known), sum(self._counts().values()))
-            return read, loaded(found[0][0])
+            read = read_arrays(self._database.rows, name, list(arrays or known), sum(self._counts().values()))
+            return read, loaded(found[0][1])
 
     def reduction(self) -> dict[str, Any] | None:
         """Read what is known of the reduced set, as in its manifest.
@@ -153,9 +156,7 @@ class StudyContents(ScenarioContents):
         dict or None
             None before the reduction.
         """
-        found = self._database.found("SELECT info FROM analyses WHERE name = 'reduction'")
-        with damage_told(self.path):
-            return dict(loaded(found[0][0])) if found else None
+        return self._info("reduction")
 
     def estimate(self) -> dict[str, Any] | None:
         """Read what an estimate of probabilities found.
@@ -165,9 +166,13 @@ class StudyContents(ScenarioContents):
         dict or None
             None of a study that is no estimate, and of one that has not ended.
         """
-        found = self._database.found("SELECT info FROM analyses WHERE name = 'estimate'")
+        return self._info("estimate")
+
+    def _info(self, name: str) -> dict[str, Any] | None:
+        self._database.require_all("analyses")
+        found = self._database.rows("analyses", "name = ?", name)
         with damage_told(self.path):
-            return dict(loaded(found[0][0])) if found else None
+            return dict(loaded(found[0][1])) if found else None
 
     def results(self) -> list[tuple[int, int]]:
         """Tell in which order the results of a search without rounds came.
@@ -180,20 +185,20 @@ class StudyContents(ScenarioContents):
         """
         if not self.meta.asynchronous:
             return []
-        found = self._database.found(
-            "SELECT scenario, results.round, scenarios.round, state FROM results"
-            " LEFT JOIN scenarios ON scenario = id ORDER BY number"
-        )
-        ((ended, last),) = self._database.found("SELECT SUM(state != 'pending'), MAX(round) FROM scenarios")
+        with self.snapshot():
+            found = self._database.rows("results")
+            rows = {row.id: row for row in self.rows()}
+        ended = {row.id for row in rows.values() if row.state != "pending"}
         with damage_told(self.path):
-            turns = [turn for _, turn, _, _ in found]
+            turns = [turn for _, _, turn in found]
             require(all(isinstance(turn, int) for turn in turns) and turns == sorted(turns), "the order of its results")
-            require(all(own is not None and own < turn <= last + 1 for _, turn, own, _ in found), "a result's round")
-            require(all(state != "pending" for *_, state in found), "a result of a scenario that has not ended")
+            last = max((row.round for row in rows.values()), default=0)
+            require(all(rows[one].round < turn <= last + 1 for _, one, turn in found), "a result's round")
             require(
-                len({one for one, *_ in found}) == len(found) == (ended or 0), "a result is missing, or there twice"
+                len(found) == len(ended) and {one for _, one, _ in found} == ended,
+                "a result is missing, there twice, or of a scenario that has not ended",
             )
-            return [(scenario, turn) for scenario, turn, _, _ in found]
+            return [(scenario, turn) for _, scenario, turn in found]
 
     def elapsed(self) -> dict[str, float]:
         """Time spent by stage.
@@ -203,20 +208,10 @@ class StudyContents(ScenarioContents):
         dict of str to float
             s, in the order in which the stages come.
         """
-        found = self._database.found("SELECT stage, seconds FROM elapsed ORDER BY stage")
+        found = self._database.rows("elapsed")
         with damage_told(self.path):
             known = {str(stage): float(seconds) for stage, seconds in found}
         return {stage: known[stage] for stage in (*STAGES, *known) if stage in known}
-
-    def snapshot(self) -> AbstractContextManager[None]:
-        """Read what the study holds at one moment, while an explorer goes on writing.
-
-        Returns
-        -------
-        context manager
-            What is read within it is of one moment.
-        """
-        return self._database.snapshot()
 
     def table(self) -> pd.DataFrame:
         """Put everything that is known of the scenarios in a table.
@@ -312,4 +307,4 @@ class StudyContents(ScenarioContents):
 
     def _counts(self) -> dict[str, int]:
         """Count the scenarios in each state."""
-        return dict(self._database.found("SELECT state, COUNT(*) FROM scenarios GROUP BY state"))
+        return Counter(row.state for row in self.rows())

@@ -21,6 +21,27 @@ _BROKEN: Final = (
 )  # fmt: skip
 
 
+class DamageError(InputError):
+    """What a study holds is not what was written."""
+
+    @classmethod
+    def of(cls, path: Path, what: str) -> DamageError:
+        """Say what is damaged, and what to do.
+
+        Parameters
+        ----------
+        path : Path
+            Of the study.
+        what : str
+            What is damaged.
+
+        Returns
+        -------
+        DamageError
+        """
+        return cls(f"{path}: is damaged: {what}; `verify` lists all that is, and mends it with `repair`.")
+
+
 @contextmanager
 def damage_told(path: Path) -> Iterator[None]:
     """Say in a sentence that what is read within the block cannot be used.
@@ -41,6 +62,8 @@ def damage_told(path: Path) -> Iterator[None]:
     """
     try:
         yield
+    except DamageError:
+        raise
     except InputError as error:
         text = str(error)
         raise InputError(text if str(path) in text else f"{path}: {text}") from error

@@ -1,4 +1,4 @@
-"""The SQLite file of a study: making it, opening it, and locking it for one that writes."""
+"""The SQLite file of a study: making it, opening it, and writing to it as the only one."""
 
 from __future__ import annotations
 
@@ -6,20 +6,31 @@ import math
 import os
 import sqlite3
 import time
+import weakref
 from collections.abc import Generator, Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-from filelock import BaseFileLock
-
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, StudyLostError
 from cornercase._common.files import written_whole
-from cornercase._common.locks import taken_lock
+from cornercase._common.locks import alone_in
+from cornercase.study.connecting import (
+    connected,
+    damage_of,
+    is_out_of_reach,
+    migrate_alone,
+    of_today,
+    remove_log,
+    require_plain,
+    require_study,
+    sentences,
+)
 from cornercase.study.damage import damage_told
-from cornercase.study.migrations import SCHEMA, SCHEMA_VERSION, TABLES, migrate, schema_version
-
-_APPLICATION: Final = 0x434F524E  # "CORN"
+from cornercase.study.lease import Lease
+from cornercase.study.migrations import schema_version
+from cornercase.study.schema import ALWAYS, APPLICATION, SCHEMA_VERSION, STATEMENTS
+from cornercase.study.seals import put, read_rows, require_tally
 
 # s between transactions of which it is waited for that they are on the disk.
 _SECONDS_BETWEEN_FORCED: Final = 1.0
@@ -36,19 +47,25 @@ class Database:
     path : Path
         Name of the file, for messages.
     connection : sqlite3.Connection
-    lock : BaseFileLock or None
+    lease : Lease or None
         Held while the file is open for writing; None for a reader.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, lock: BaseFileLock | None) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection, lease: Lease | None) -> None:
         self.path = path
         self.connection = connection
-        self._lock = lock
-        self._closed = False
+        self._lease = lease
+        self._closed = self._writing = False
         (_, _, file), *_ = connection.execute("PRAGMA database_list").fetchall()
         # A migrated copy has no name; what is immutable is not looked at again.
-        self._sees_others = bool(file) and not _is_out_of_reach(path)
+        self._sees_others = bool(file) and not is_out_of_reach(path)
         self._forced = -math.inf
+        self._tallied: dict[str, tuple[int, int]] = {}
+        # Names may be changed while the file is open, also of those that SQLite keeps beside it.
+        self._files = {} if lease is None else {one: _identity(one) for one in _files_of(path)}
+        if lease is not None:
+            # One that was never closed does not keep others from writing.
+            weakref.finalize(self, lease.give_back)
 
     @classmethod
     def create(cls, path: Path, meta: Iterable[tuple[str, str]], *more: str) -> Database:
@@ -60,7 +77,7 @@ class Database:
         meta : iterable of (str, str)
             Keys and values of the table ``meta``.
         *more : str
-            Statements that make further tables.
+            Names of further tables.
 
         Returns
         -------
@@ -71,25 +88,21 @@ class Database:
         InputError
             The file exists already, or cannot be written.
         """
-        lock = _locked(path)
         try:
-            # Looked for under the lock: of two explorers that begin at once, one makes the file.
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+        # Of two explorers that begin at once, one makes the file.
+        with alone_in(path.parent):
             if path.exists():
                 raise InputError(f"{path}: exists already; choose another name or remove it.")
-            _remove_log(path)
+            remove_log(path)
             # The file appears under its name only when it is whole.
-            with written_whole(path) as temporary, _sentences(path), closing(sqlite3.connect(temporary)) as connection:
-                connection.executescript(SCHEMA)
-                for statement in more:
-                    connection.execute(statement)
-                connection.execute(f"PRAGMA application_id = {_APPLICATION}")
-                connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-                connection.executemany("INSERT INTO meta VALUES (?, ?)", meta)
+            with written_whole(path) as temporary, sentences(path), closing(sqlite3.connect(temporary)) as connection:
+                make_tables(connection, *more)
+                put(connection, "meta", meta)
                 connection.commit()
-            return cls._opened(path, lock)
-        except BaseException:
-            lock.release()
-            raise
+        return cls._opened(path, writes=True)
 
     @classmethod
     def open(cls, path: Path, readonly: bool) -> Database:
@@ -115,54 +128,54 @@ class Database:
             raise InputError(f"{path}: is not a file; name the file of a study.")
         if not path.is_file():
             raise InputError(f"{path}: there is no such study; make one with `explore`.")
-        # What is no study gets no lock beside it.
-        reader = cls._opened(path, None)
+        # What is no study is not written to.
+        reader = cls._opened(path, writes=False)
         if readonly:
             return reader
         reader.close()
-        lock = _locked(path)
-        try:
-            return cls._opened(path, lock)
-        except BaseException:
-            lock.release()
-            raise
+        return cls._opened(path, writes=True)
 
     @classmethod
-    def _opened(cls, path: Path, lock: BaseFileLock | None) -> Database:
-        """Open for writing under a lock, for reading without."""
-        with _sentences(path):
-            connection = _connected(path)
+    def _opened(cls, path: Path, writes: bool) -> Database:
+        """Open for reading, or for writing with a lease."""
+        lease = None
+        with sentences(path):
+            connection = connected(path)
             try:
                 # What a file says of itself is not trusted: its views and triggers may not call functions, ...
                 connection.execute("PRAGMA trusted_schema = OFF")
                 connection.execute("PRAGMA cell_size_check = ON")
-                _require_study(path, connection)
+                require_study(path, connection)
                 # ... and it may have none.
-                _require_plain(path, connection)
-                if lock is not None:
+                require_plain(path, connection)
+                if writes:
                     connection.execute("PRAGMA journal_mode = WAL")
-                    with damage_told(path):
-                        migrate(connection)
+                    if schema_version(connection) < SCHEMA_VERSION:
+                        with damage_told(path):
+                            migrate_alone(path, connection)
+                    lease = Lease.take(path, connection)
                 else:
                     with damage_told(path):
-                        connection = _of_today(connection)
+                        connection = of_today(connection)
                     connection.execute("PRAGMA query_only = ON")
-                return cls(path, connection, lock)
+                return cls(path, connection, lease)
             except BaseException:
+                if lease is not None:
+                    lease.give_back(connection)
                 connection.close()
                 raise
 
     @property
     def readonly(self) -> bool:
         """Whether the file is open for reading only."""
-        return self._lock is None
+        return self._lease is None
 
     def close(self) -> None:
         """Close the file."""
+        if not self._closed and self._lease is not None:
+            self._lease.give_back(self.connection)
         self._closed = True
         self.connection.close()
-        if self._lock is not None:
-            self._lock.release()
 
     def found(self, question: str, *values: Any) -> list[Any]:
         """Return the rows that a query finds.
@@ -184,8 +197,88 @@ class Database:
             The file is closed, or cannot be read.
         """
         self._require_open()
-        with _sentences(self.path):
+        with sentences(self.path):
             return self.connection.execute(question, values).fetchall()
+
+    def rows(self, table: str, where: str = "1", *values: Any, blob: bool = False) -> list[Any]:
+        """Read rows, each of which is as it was written.
+
+        Parameters
+        ----------
+        table : str
+        where : str, optional
+            Condition in SQL; by default all rows are read, none of which may be missing.
+        *values : object
+            For its question marks.
+        blob : bool, default False
+            Whether the blob of each is read too.
+
+        Returns
+        -------
+        list of tuple
+            Their columns, without checksums, in the order of their keys.
+
+        Raises
+        ------
+        DamageError
+            Something is not as it was written.
+        InputError
+            The file is closed, or cannot be read.
+        """
+        if where == "1":
+            self.require_all(table)
+        with closing(self.each_row(table, where, *values, blob=blob)) as found:
+            return list(found)
+
+    def each_row(self, table: str, where: str = "1", *values: Any, blob: bool = False) -> Generator[Any, None, None]:
+        """Give rows one after the other, where all at once would take much memory; as `rows`.
+
+        To be closed before the file is.
+
+        Parameters
+        ----------
+        table : str
+        where : str, optional
+            Condition in SQL.
+        *values : object
+            For its question marks.
+        blob : bool, default False
+            Whether the blob of each is read too.
+
+        Yields
+        ------
+        tuple
+
+        Raises
+        ------
+        DamageError
+            A row is not as it was written.
+        InputError
+            The file is closed, or cannot be read.
+        """
+        self._require_open()
+        with sentences(self.path), damage_of(self.path):
+            yield from read_rows(self.connection, table, where, *values, blob=blob)
+
+    def require_all(self, table: str) -> None:
+        """Refuse a table of which rows are missing.
+
+        Parameters
+        ----------
+        table : str
+
+        Raises
+        ------
+        DamageError
+            It has other rows than were written.
+        InputError
+            The file is closed, or cannot be read.
+        """
+        written = self.written()
+        if self._tallied.get(table) != written:
+            with self.snapshot(), sentences(self.path), damage_of(self.path):
+                require_tally(self.connection, table)
+            self._tallied[table] = written
 
     def changes(self) -> int | None:
         """Count what others wrote; as `StudyContents.changes`.
@@ -216,7 +309,7 @@ class Database:
             The file is closed, or cannot be read.
         """
         self._require_open()
-        with _sentences(self.path):
+        with sentences(self.path):
             yield from self.connection.execute(question)
 
     def written(self) -> tuple[int, int]:
@@ -245,7 +338,7 @@ class Database:
         if self.connection.in_transaction:
             yield
             return
-        with _sentences(self.path):
+        with sentences(self.path):
             self.connection.execute("BEGIN")
         try:
             yield
@@ -270,37 +363,84 @@ class Database:
             The file is closed, or cannot be written.
         """
         self._require_open()
+        if self._writing:
+            # What is written within a transaction belongs to it.
+            yield self.connection
+            return
         forces = time.monotonic() - self._forced >= _SECONDS_BETWEEN_FORCED
-        with _sentences(self.path):
-            if not self.connection.in_transaction:
-                self.connection.execute(f"PRAGMA synchronous = {'FULL' if forces else 'NORMAL'}")
-            with self.connection:
+        with sentences(self.path), damage_of(self.path):
+            self.connection.execute(f"PRAGMA synchronous = {'FULL' if forces else 'NORMAL'}")
+            self.connection.execute("BEGIN IMMEDIATE")
+            with self.connection, self._noted():
+                if self._lease is not None:
+                    self._lease.require(self.connection)
                 yield self.connection
+        self.require_there()
         if forces:
             self._forced = time.monotonic()
+
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        self._writing = True
+        try:
+            yield
+        finally:
+            self._writing = False
+
+    def require_there(self) -> None:
+        """Refuse to go on with a file that is open for writing and has another name by now, or none.
+
+        Raises
+        ------
+        StudyLostError
+            It was removed or replaced.
+        """
+        if self._closed or self._lease is None or _identity(self.path) == self._files[self.path]:
+            return
+        words = "another file has taken its place" if self.path.exists() else "it was removed"
+        self.close()
+        # What is beside it now would be taken for the log of what has its name now.
+        for beside, known in self._files.items():
+            if beside != self.path and known is not None and _identity(beside) == known:
+                with suppress(OSError):
+                    beside.unlink()
+        raise StudyLostError(
+            f"{self.path}: {words} while this command wrote to it; what it had stored is not under this name any more."
+            " Run the same command again, after putting the study back if you have moved it."
+        )
 
     def _require_open(self) -> None:
         if self._closed:
             raise InputError(f"{self.path}: is closed; open it again with `Study.open`.")
 
 
-def _remove_log(path: Path) -> None:
-    """Remove what a killed explorer wrote beside a file that is gone."""
-    # SQLite would take it into the new one.
-    try:
-        for ending in ("-wal", "-shm"):
-            path.with_name(path.name + ending).unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+def make_tables(connection: sqlite3.Connection, *more: str) -> None:
+    """Make an empty study of an empty database.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+    *more : str
+        Names of tables that not every study has.
+    """
+    for name in (*ALWAYS, *more):
+        connection.execute(STATEMENTS[name])
+    connection.execute(f"PRAGMA application_id = {APPLICATION}")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
 
-@contextmanager
-def _sentences(path: Path) -> Iterator[None]:
-    """Say an error of the database in a sentence."""
+def _files_of(path: Path) -> tuple[Path, ...]:
+    """The file of a study, and those that SQLite keeps beside it."""
+    whole = path.resolve()
+    return (path, *(whole.with_name(whole.name + ending) for ending in ("-wal", "-shm")))
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
     try:
-        yield
-    except sqlite3.Error as error:
-        raise InputError(f"{path}: cannot be used as a study ({error}).") from error
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 @contextmanager
@@ -329,71 +469,10 @@ def written_beside(path: Path) -> Iterator[sqlite3.Connection]:
     if not reads_itself:
         # Of an earlier version, or one that cannot be written, which is said.
         Database.open(path, readonly=False).close()
-    with _sentences(path), closing(_connected(path, _PATIENCE_BESIDE)) as connection:
+    with sentences(path), damage_of(path), closing(connected(path, _PATIENCE_BESIDE)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
-        _require_plain(path, connection)
+        require_plain(path, connection)
         connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("BEGIN IMMEDIATE")
         with connection:
             yield connection
-
-
-def _require_study(path: Path, connection: sqlite3.Connection) -> None:
-    (application,) = connection.execute("PRAGMA application_id").fetchone()
-    if application != _APPLICATION:
-        raise InputError(f"{path}: is a database, but no cornercase study.")
-    version = schema_version(connection)
-    if not 1 <= version <= SCHEMA_VERSION:
-        raise InputError(
-            f"{path}: has schema version {version}, this cornercase reads up to {SCHEMA_VERSION}; use the version that"
-            " wrote it."
-        )
-
-
-def _require_plain(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse what would do something when it is read or written: views, triggers, virtual tables and columns."""
-    for kind, name, statement in connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall():
-        # SQLite's own index of a key has no statement.
-        plain = kind == "index" and statement is None
-        if kind == "table" and name in TABLES:
-            # Virtual tables have no columns of their own, computed columns are hidden ones.
-            columns = connection.execute(f"PRAGMA table_xinfo({name})").fetchall()
-            plain = not str(statement).upper().startswith("CREATE VIRTUAL") and not any(one[6] for one in columns)
-        if not plain:
-            raise InputError(f"{path}: is no study as cornercase writes it; it holds the {kind} '{name}'.")
-
-
-def _of_today(connection: sqlite3.Connection) -> sqlite3.Connection:
-    """Give the connection, or one to a migrated copy in its place."""
-    if schema_version(connection) == SCHEMA_VERSION:
-        return connection
-    with closing(connection):
-        # A database without a name is a temporary file that SQLite removes.
-        copy = sqlite3.connect("")
-        connection.backup(copy)
-    migrate(copy)
-    return copy
-
-
-def _connected(path: Path, patience: float = 30.0) -> sqlite3.Connection:
-    # A reader of a file in WAL mode has to make its shared memory beside it. Where it cannot, nobody writes either.
-    location = f"{path.resolve().as_uri()}?{'immutable=1' if _is_out_of_reach(path) else 'mode=rw'}"
-    return sqlite3.connect(location, uri=True, timeout=patience)
-
-
-def _is_out_of_reach(path: Path) -> bool:
-    return not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
-
-
-def _locked(path: Path) -> BaseFileLock:
-    beside = path.with_name(path.name + ".lock")
-    # Whoever sent the study may have put a link there, and to take a lock empties its file.
-    if beside.is_symlink() or (beside.exists() and not beside.is_file()):
-        raise InputError(f"{beside}: is a link or no file, which is not used as the study's lock; remove it.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock = taken_lock(beside)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
-    if lock is None:
-        raise InputError(f"{path}: another cornercase is writing to it; wait until it has ended.")
-    return lock

@@ -1,9 +1,9 @@
-"""The schema of a study file, and the way from an earlier version to it.
+"""The way from the schema of an earlier version of a study to that of today.
 
-Version 5 has notes. Version 4 says which share of the scenarios are audits. Version 3 holds the arrays of an analysis
-in pieces, and of the distances one half. Version 2 holds each array as one value, and judges the bounds of clusters by
-the scenarios that they were found from. Version 1 has fewer tables and grew over time: a file of it may lack what its
-first releases did not know.
+Version 6 has checksums, and a lease in place of a lock beside the file. Version 5 has notes. Version 4 says which
+share of the scenarios are audits. Version 3 holds the arrays of an analysis in pieces, and of the distances one half.
+Version 2 holds each array as one value, and judges the bounds of clusters by the scenarios that they were found from.
+Version 1 has fewer tables and grew over time: a file of it may lack what its first releases did not know.
 """
 
 from __future__ import annotations
@@ -11,19 +11,20 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
 
 from cornercase._common.typing import IntArray
 from cornercase.metrics import METRICS
-from cornercase.study.arrays import write_arrays
+from cornercase.study.arrays import packed_pieces
 from cornercase.study.codec import pack_arrays, unpack_arrays
+from cornercase.study.schema import ALWAYS, SCHEMA_VERSION, STATEMENTS, TABLES
+from cornercase.study.seals import put
 
-SCHEMA_VERSION: Final = 5
-
-SCHEMA: Final = """
+# Tables of version 5, which none before it has otherwise unless it is said below.
+_SCHEMA_OF_5: Final = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE scenarios (
     id INTEGER PRIMARY KEY, round INTEGER NOT NULL, point BLOB NOT NULL, parameters TEXT NOT NULL,
@@ -43,24 +44,8 @@ CREATE TABLE arrays (
 CREATE TABLE elapsed (stage TEXT PRIMARY KEY, seconds REAL NOT NULL) WITHOUT ROWID;
 """
 
-AGAINST: Final = """CREATE TABLE IF NOT EXISTS against (
-    scenario INTEGER NOT NULL REFERENCES scenarios, metric TEXT NOT NULL, other TEXT,
-    PRIMARY KEY (scenario, metric)) WITHOUT ROWID"""
-"""Makes the table that only a study of several others has."""
-
-ELSEWHERE: Final = "CREATE TABLE IF NOT EXISTS elsewhere (point BLOB NOT NULL, score REAL NOT NULL)"
-"""Makes the table that only a study has whose search began from another one."""
-
-RESULTS: Final = """CREATE TABLE IF NOT EXISTS results (
-    number INTEGER PRIMARY KEY, scenario INTEGER NOT NULL UNIQUE REFERENCES scenarios, round INTEGER NOT NULL)"""
-"""Makes the table that only a study of a search without rounds has."""
-
-TABLES: Final = (
-    "meta", "scenarios", "courses", "repeats", "outcomes", "notes", "analyses", "arrays", "elapsed", "against",
-    "results",
-    "elsewhere",
-)  # fmt: skip
-"""Tables of a study, of any version; those that refer to others come after them."""
+OLD_TABLES: Final = tuple(name for name in TABLES if name != "tallies")
+"""Tables of a study of an earlier version; those that refer to others come after them."""
 
 _ARRAYS_OF_2: Final = """CREATE TABLE arrays (
     analysis TEXT NOT NULL REFERENCES analyses, name TEXT NOT NULL, data BLOB NOT NULL, UNIQUE (analysis, name))"""
@@ -114,7 +99,7 @@ def _from_1(connection: sqlite3.Connection) -> None:
     infos = {name: json.loads(info) for name, info in connection.execute("SELECT name, info FROM analyses")}
     connection.execute("DROP TABLE analyses")
     connection.execute(_ARRAYS_OF_2)
-    for statement in SCHEMA.split(";"):
+    for statement in _SCHEMA_OF_5.split(";"):
         if statement.strip():
             connection.execute(statement.replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
     connection.executemany("INSERT OR IGNORE INTO meta VALUES (?, 'null')", [(key,) for key in _LATER])
@@ -173,13 +158,14 @@ def _whole_reduction(info: dict[str, Any], run: int) -> dict[str, Any]:
 def _from_2(connection: sqlite3.Connection) -> None:
     """Cut arrays into pieces, and take back figures of what they were chosen with."""
     connection.execute("ALTER TABLE arrays RENAME TO whole")
-    (statement,) = (one for one in SCHEMA.split(";") if "CREATE TABLE arrays" in one)
+    (statement,) = (one for one in _SCHEMA_OF_5.split(";") if "CREATE TABLE arrays" in one)
     connection.execute(statement)
     (scenarios,) = connection.execute("SELECT COUNT(*) FROM scenarios").fetchone()
     for rowid, analysis, name in connection.execute("SELECT rowid, analysis, name FROM whole").fetchall():
         (data,) = connection.execute("SELECT data FROM whole WHERE rowid = ?", (rowid,)).fetchone()
         array = unpack_arrays(data, _LARGEST_OTHERS + 8 * scenarios**2)[name]
-        write_arrays(connection, analysis, {name: array})
+        pieces = packed_pieces(connection, analysis, {name: array})
+        connection.executemany("INSERT INTO arrays VALUES (?, ?, ?, ?)", pieces)
     connection.execute("DROP TABLE whole")
     for name, info in connection.execute("SELECT name, info FROM analyses").fetchall():
         stored = json.loads(info)
@@ -220,8 +206,32 @@ def _from_3(connection: sqlite3.Connection) -> None:
 
 def _from_4(connection: sqlite3.Connection) -> None:
     """Add the table of notes, which the step from version 1 has added already."""
-    (statement,) = (one for one in SCHEMA.split(";") if "CREATE TABLE notes" in one)
+    (statement,) = (one for one in _SCHEMA_OF_5.split(";") if "CREATE TABLE notes" in one)
     connection.execute(statement.replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
 
 
-_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {1: _from_1, 2: _from_2, 3: _from_3, 4: _from_4}
+def _from_5(connection: sqlite3.Connection) -> None:
+    """Give each row its checksum: what is there now counts as what was written."""
+    # Other tables go on naming those that they refer to, and need not be told of the names in between.
+    connection.execute("PRAGMA legacy_alter_table = ON")
+    there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    there &= set(OLD_TABLES)
+    for name in there:
+        connection.execute(f"ALTER TABLE {name} RENAME TO old_{name}")
+    for name in STATEMENTS:
+        if name in ALWAYS or name in there:
+            connection.execute(STATEMENTS[name])
+    for name in (one for one in OLD_TABLES if one in there):
+        put(connection, name, _in_order(connection, name), replace=False)
+        connection.execute(f"DROP TABLE old_{name}")
+
+
+def _in_order(connection: sqlite3.Connection, name: str) -> Iterator[tuple[Any, ...]]:
+    about = TABLES[name]
+    order = ", ".join(about.columns[: about.key]) or "rowid"
+    yield from connection.execute(f"SELECT {', '.join(about.columns)} FROM old_{name} ORDER BY {order}")
+
+
+_STEPS: Final[dict[int, Callable[[sqlite3.Connection], None]]] = {
+    1: _from_1, 2: _from_2, 3: _from_3, 4: _from_4, 5: _from_5
+}  # fmt: skip

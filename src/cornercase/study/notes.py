@@ -8,6 +8,7 @@ from typing import Final
 from cornercase._common.arguments import path, whole_number
 from cornercase._common.errors import InputError
 from cornercase.study.database import written_beside
+from cornercase.study.seals import put, remove
 
 LONGEST_NOTE: Final = 2000
 """Characters that a note may have."""
@@ -50,15 +51,11 @@ def write_note(study: Path | str, scenario: int, note: str) -> None:
     text = _checked(note)
     with written_beside(file) as connection:
         if not text:
-            connection.execute("DELETE FROM notes WHERE scenario = ?", (one,))
+            remove(connection, "notes", "scenario = ?", one)
             return
-        added = connection.execute(
-            "INSERT INTO notes SELECT id, ? FROM scenarios WHERE id = ?"
-            " ON CONFLICT (scenario) DO UPDATE SET note = excluded.note",
-            (text, one),
-        )
-        if not added.rowcount:
+        if connection.execute("SELECT 1 FROM scenarios WHERE id = ?", (one,)).fetchone() is None:
             raise InputError(f"{file}: holds no scenario {one}.")
+        put(connection, "notes", [(one, text)])
 
 
 def _checked(note: object) -> str:

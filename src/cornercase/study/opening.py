@@ -32,7 +32,7 @@ def open_study(study: Study | Path | str, readonly: bool = False) -> Iterator[St
     """
     if isinstance(study, Study):
         if study.readonly and not readonly:
-            raise InputError(f"{study.path}: is open for reading only; open it for writing, or give its path.")
+            raise InputError(f"{study.path}: is open for reading only; open it with readonly=False, or give its path.")
         yield study
         return
     with Study.open(path("study", study), readonly) as opened:

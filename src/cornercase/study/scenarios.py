@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import closing
-from typing import Final
+from contextlib import AbstractContextManager, closing
+from typing import Any, Final
 
 import numpy as np
 
@@ -60,6 +60,16 @@ class ScenarioContents:
         """Close the file."""
         self._database.close()
 
+    def snapshot(self) -> AbstractContextManager[None]:
+        """Read what the study holds at one moment, while an explorer goes on writing.
+
+        Returns
+        -------
+        context manager
+            What is read within it is of one moment.
+        """
+        return self._database.snapshot()
+
     def changes(self) -> int | None:
         """Count what others wrote, so that a reader knows when to look again.
 
@@ -78,7 +88,7 @@ class ScenarioContents:
         -------
         StudyMeta
         """
-        found = self._database.found("SELECT key, value FROM meta")
+        found = self._database.rows("meta")
         return StudyMeta.from_json({key: loaded(value) for key, value in found})
 
     def rows(self) -> list[Row]:
@@ -92,10 +102,9 @@ class ScenarioContents:
         # Checking each of 50,000 takes seconds: it is done again only where somebody has written since.
         written = self._database.written()
         if self._known is None or self._known[0] != written:
-            found = self._database.found("SELECT id, round, point, parameters, state, error FROM scenarios ORDER BY id")
+            found = self._database.rows("scenarios")
             with damage_told(self.path):
                 rows = [self._row(*one) for one in found]
-                require(len({row.id for row in rows}) == len(rows), "a scenario is there twice")
             self._known = written, rows
         return list(self._known[1])
 
@@ -130,8 +139,8 @@ class ScenarioContents:
         list of Row
             In the order in which they were proposed.
         """
-        question = "SELECT id, round, point, parameters, state, error FROM scenarios WHERE round = ? ORDER BY id"
-        found = self._database.found(question, turn)
+        self._database.require_all("scenarios")
+        found = self._database.rows("scenarios", "round = ?", turn)
         with damage_told(self.path):
             return [self._row(*one) for one in found]
 
@@ -148,8 +157,8 @@ class ScenarioContents:
         list of Row
             In the order in which they were proposed.
         """
-        question = "SELECT id, round, point, parameters, state, error FROM scenarios WHERE id >= ? ORDER BY id"
-        found = self._database.found(question, first)
+        self._database.require_all("scenarios")
+        found = self._database.rows("scenarios", "id >= ?", first)
         with damage_told(self.path):
             return [self._row(*one) for one in found]
 
@@ -208,14 +217,12 @@ class ScenarioContents:
             The study has no such metric.
         """
         self._require_metric(metric)
-        found = self._database.found(
-            "SELECT id, score FROM scenarios LEFT JOIN courses ON id = scenario AND metric = ?"
-            " WHERE state = 'done' ORDER BY id",
-            metric,
-        )
+        with self.snapshot():
+            self._database.require_all("courses")
+            done = self.done()
+            found = {one: score for one, _, score in self._database.rows("courses", "metric = ?", metric)}
         with damage_told(self.path):
-            require(len(dict(found)) == len(found), f"a scenario has two scores by {metric}")
-            return np.array([float(score) for _, score in found], dtype=np.float64)
+            return np.array([float(found[row.id]) for row in done], dtype=np.float64)
 
     def scores_of(self, scenario: int) -> dict[str, float]:
         """Scores of one scenario.
@@ -230,7 +237,7 @@ class ScenarioContents:
         dict of str to float
             By metric, in the metric's unit; empty where it was not run.
         """
-        found = dict(self._database.found("SELECT metric, score FROM courses WHERE scenario = ?", scenario))
+        found = {name: score for _, name, score in self._database.rows("courses", "scenario = ?", scenario)}
         with damage_told(self.path):
             return {name: float(found[name]) for name in self.meta.metrics if name in found}
 
@@ -247,10 +254,10 @@ class ScenarioContents:
         dict of int to ReferenceOutcome
             By id of each scenario that was run with it.
         """
-        question = "SELECT scenario, score, course FROM courses WHERE metric = ? ORDER BY scenario"
-        found = self._database.found(question, row_name(driver))
+        self._database.require_all("courses")
+        found = self._database.rows("courses", "metric = ?", row_name(driver), blob=True)
         with damage_told(self.path):
-            return {scenario: read_reference(score, packed) for scenario, score, packed in found}
+            return {scenario: read_reference(score, packed) for scenario, _, score, packed in found}
 
     def against(self, metric: str) -> dict[int, str | None]:
         """Tell whom the scores of the scenarios that were run are against, in a study of several others.
@@ -274,14 +281,13 @@ class ScenarioContents:
         others = self.meta.others
         if len(others) == 1:
             return {}
-        found = self._database.found(
-            "SELECT id, other FROM scenarios LEFT JOIN against ON id = scenario AND metric = ?"
-            " WHERE state = 'done' ORDER BY id",
-            metric,
-        )
+        with self.snapshot():
+            self._database.require_all("against")
+            done = self.done()
+            found = {one: whom for one, _, whom in self._database.rows("against", "metric = ?", metric)}
         with damage_told(self.path):
-            require(all(one is None or one in others for _, one in found), f"{metric} is against somebody else")
-            return dict(found)
+            require(all(one is None or one in others for one in found.values()), f"{metric} is against somebody else")
+            return {row.id: found[row.id] for row in done}
 
     def against_of(self, scenario: int) -> dict[str, str | None]:
         """Tell whom the scores of one scenario are against, in a study of several others.
@@ -298,7 +304,7 @@ class ScenarioContents:
         """
         if len(self.meta.others) == 1:
             return {}
-        found = dict(self._database.found("SELECT metric, other FROM against WHERE scenario = ?", scenario))
+        found = {name: whom for _, name, whom in self._database.rows("against", "scenario = ?", scenario)}
         with damage_told(self.path):
             require(all(one is None or one in self.meta.others for one in found.values()), "a score against somebody")
             return {name: found[name] for name in self.meta.metrics if name in found}
@@ -316,12 +322,9 @@ class ScenarioContents:
         others = self.meta.others
         if len(others) == 1:
             return others[0]
-        first = f"id <= {self.meta.batch}" if self.meta.asynchronous else "round = 1"
-        found = self._database.found(
-            f"SELECT other FROM against JOIN scenarios ON id = scenario WHERE metric = ? AND {first}",
-            self.meta.metrics[0],
-        )
-        counts = Counter(whom for (whom,) in found)
+        rounds = not self.meta.asynchronous
+        first = {row.id for row in self.rows() if (row.round == 1 if rounds else row.id <= self.meta.batch)}
+        counts = Counter(whom for one, whom in self.against(self.meta.metrics[0]).items() if one in first)
         return max(others, key=counts.__getitem__)
 
     def reference_of(self, scenario: int, driver: str) -> ReferenceOutcome | None:
@@ -339,10 +342,10 @@ class ScenarioContents:
         ReferenceOutcome or None
             None where it was not run with it.
         """
-        question = "SELECT score, course FROM courses WHERE scenario = ? AND metric = ?"
-        found = self._database.found(question, scenario, row_name(driver))
+        wanted = "scenario = ? AND metric = ?"
+        found = self._database.rows("courses", wanted, scenario, row_name(driver), blob=True)
         with damage_told(self.path):
-            return read_reference(*found[0]) if found else None
+            return read_reference(*found[0][2:]) if found else None
 
     def spread(self, metric: str) -> FloatArray | None:
         """Lowest and highest score of the runs of each scenario that was run.
@@ -362,17 +365,21 @@ class ScenarioContents:
             The study has no such metric.
         """
         self._require_metric(metric)
-        found = self._database.found(
-            "SELECT id, scores FROM scenarios LEFT JOIN repeats ON id = scenario AND metric = ?"
-            " WHERE state = 'done' ORDER BY id",
-            metric,
-        )
-        if all(text is None for _, text in found):
+        if (scores := self._runs(metric)) is None:
             return None
         with damage_told(self.path):
-            require(len(dict(found)) == len(found), f"a scenario has two sets of scores by {metric}")
-            scores = [loaded(text) for _, text in found]
             return np.array([[min(one), max(one)] for one in scores], dtype=np.float64)
+
+    def _runs(self, metric: str) -> list[Any] | None:
+        """Read the scores of the runs of each scenario that was run; None where each was run once."""
+        with self.snapshot():
+            self._database.require_all("repeats")
+            done = self.done()
+            found = {one: text for one, _, text in self._database.rows("repeats", "metric = ?", metric)}
+        if not found:
+            return None
+        with damage_told(self.path):
+            return [loaded(found[row.id]) for row in done]
 
     def critical_runs(self) -> FloatArray | None:
         """Probability that a run of each scenario is critical, where each was run several times.
@@ -386,15 +393,10 @@ class ScenarioContents:
         if self.meta.critical is None or self.meta.weights or self.meta.pareto:
             return None
         metric = METRICS.create(self.meta.metrics[0])
-        found = self._database.found(
-            "SELECT id, scores FROM scenarios LEFT JOIN repeats ON id = scenario AND metric = ?"
-            " WHERE state = 'done' ORDER BY id",
-            metric.name,
-        )
-        if all(text is None for _, text in found):
+        if (runs := self._runs(metric.name)) is None:
             return None
         with damage_told(self.path):
-            scores = [[metric.oriented(float(score)) for score in loaded(text)] for _, text in found]
+            scores = [[metric.oriented(float(score)) for score in one] for one in runs]
             return shares_of_runs(scores, metric.oriented(self.meta.critical))
 
     def course(self, scenario: int, metric: str) -> FloatArray:
@@ -418,11 +420,11 @@ class ScenarioContents:
         """
         self._require_metric(metric)
         one = whole_number("scenario", scenario, most=_LARGEST_ID)
-        found = self._database.found("SELECT course FROM courses WHERE scenario = ? AND metric = ?", one, metric)
+        found = self._database.rows("courses", "scenario = ? AND metric = ?", one, metric, blob=True)
         if not found:
             raise InputError(f"{self.path}: the scenario {one} was not run.")
         with damage_told(self.path):
-            course = np.asarray(unpack_arrays(found[0][0])["course"])
+            course = np.asarray(unpack_arrays(found[0][-1])["course"])
             require(course.ndim == 1 and course.dtype.kind in "fiu", f"the course of {metric} in the scenario {one}")
             return course
 
@@ -444,11 +446,11 @@ class ScenarioContents:
             The scenario was not run, or its id is no whole number.
         """
         one = whole_number("scenario", scenario, most=_LARGEST_ID)
-        found = self._database.found("SELECT recording FROM scenarios WHERE id = ? AND recording IS NOT NULL", one)
-        if not found:
+        found = self._database.rows("scenarios", "id = ?", one, blob=True)
+        if not found or found[0][-1] is None:
             raise InputError(f"{self.path}: the scenario {one} was not run.")
         with damage_told(self.path):
-            return unpack_recording(found[0][0])
+            return unpack_recording(found[0][-1])
 
     def collisions(self) -> dict[int, tuple[Collision, ...]]:
         """Find who collides in the scenarios that were run, without reading the rest of their recordings.
@@ -458,9 +460,10 @@ class ScenarioContents:
         dict of int to tuple of Collision
             By id, in the order in which they were proposed.
         """
-        question = "SELECT id, recording FROM scenarios WHERE state = 'done' ORDER BY id"
-        with damage_told(self.path), closing(self._database.each(question)) as found:
-            return {scenario: unpack_collisions(packed) for scenario, packed in found}
+        self._database.require_all("scenarios")
+        done = self._database.each_row("scenarios", "state = 'done'", blob=True)
+        with damage_told(self.path), closing(done) as found:
+            return {row[0]: unpack_collisions(row[-1]) for row in found}
 
     def outcomes(self) -> dict[int, str]:
         """How scenarios ended, in words.
@@ -470,7 +473,7 @@ class ScenarioContents:
         dict of int to str
             By id; those of all scenarios that had been run when the study was analysed.
         """
-        found = self._database.found("SELECT scenario, outcome FROM outcomes ORDER BY scenario")
+        found = self._database.rows("outcomes")
         return {scenario: str(outcome) for scenario, outcome in found}
 
     def notes(self) -> dict[int, str]:
@@ -481,7 +484,7 @@ class ScenarioContents:
         dict of int to str
             By id; only those that have a note.
         """
-        found = self._database.found("SELECT scenario, note FROM notes ORDER BY scenario")
+        found = self._database.rows("notes")
         with damage_told(self.path):
             for scenario, note in found:
                 require(isinstance(note, str) and len(note) <= LONGEST_NOTE, f"the note on the scenario {scenario}")

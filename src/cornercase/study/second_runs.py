@@ -11,6 +11,7 @@ import numpy as np
 from cornercase.drivers import ReferenceOutcome
 from cornercase.study.codec import pack_arrays, unpack_arrays
 from cornercase.study.damage import require
+from cornercase.study.seals import put
 
 # What the column of scores holds.
 _CODES: Final = {0.0: False, 1.0: True, -1.0: None}
@@ -43,8 +44,9 @@ def write_references(connection: Connection, scenario: int, outcomes: Mapping[st
     outcomes : mapping of str to ReferenceOutcome
         By the name of the reference.
     """
-    connection.executemany(
-        "INSERT OR REPLACE INTO courses VALUES (?, ?, ?, ?)",
+    put(
+        connection,
+        "courses",
         [
             (
                 scenario,

@@ -24,12 +24,13 @@ from cornercase.study.contents import StudyContents
 from cornercase.study.damage import damage_told
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
-from cornercase.study.migrations import AGAINST, ELSEWHERE, RESULTS, TABLES
+from cornercase.study.schema import STATEMENTS, TABLES
+from cornercase.study.seals import put, remove
 from cornercase.study.second_runs import write_references
 from cornercase.study.table import Row
 
 # Tables that hold something of scenarios; those that refer to others come first.
-_CONTENT: Final = tuple(table for table in reversed(TABLES) if table != "meta")
+_CONTENT: Final = tuple(table for table in reversed(TABLES) if table not in ("meta", "tallies"))
 # What of a study may change while it goes on.
 _CHANGING: Final = ("space", "critical", "budget", "kinds", "requirements", "origin")
 
@@ -77,7 +78,7 @@ class Study(StudyContents):
         return cls(Database.create(Path(path), rows, *_more_tables(meta)))
 
     @classmethod
-    def open(cls, path: Path | str, readonly: bool = False) -> Study:
+    def open(cls, path: Path | str, readonly: bool = True) -> Study:
         """Open a study.
 
         A study of an earlier version is brought to the schema of today: the file itself when it is opened for writing,
@@ -86,8 +87,9 @@ class Study(StudyContents):
         Parameters
         ----------
         path : path
-        readonly : bool, default False
-            Needs neither a lock nor the right to write.
+        readonly : bool, default True
+            Whether it is only read, which any number do at a time, and which keeps nobody from writing. One at a time
+            has it open for writing.
 
         Returns
         -------
@@ -96,7 +98,8 @@ class Study(StudyContents):
         Raises
         ------
         InputError
-            There is none, it is none, another program writes to it, or it is of a later schema version.
+            There is none, it is none, it is damaged, another process is to write to it too, or it is of a later schema
+            version.
         """
         database: Database | None = None
         try:
@@ -150,10 +153,7 @@ class Study(StudyContents):
             return
         with self._database.writing() as connection:
             plain = known.to_json()
-            connection.executemany(
-                "INSERT OR REPLACE INTO meta (value, key) VALUES (?, ?)",
-                [(json.dumps(plain[key], sort_keys=True), key) for key in _CHANGING],
-            )
+            put(connection, "meta", [(key, json.dumps(plain[key], sort_keys=True)) for key in _CHANGING])
         self.meta, self.space = known, known.space
 
     def keep_elsewhere(self, points: FloatArray, scores: FloatArray) -> None:
@@ -170,7 +170,7 @@ class Study(StudyContents):
         with self._database.writing() as connection:
             if connection.execute("SELECT 1 FROM elsewhere LIMIT 1").fetchone() is not None:
                 return
-            connection.executemany("INSERT INTO elsewhere VALUES (?, ?)", rows)
+            put(connection, "elsewhere", rows)
 
     def clear(self) -> None:
         """Remove all scenarios, and what is known of them."""
@@ -181,13 +181,11 @@ class Study(StudyContents):
         """Make an empty study of something else of this one."""
         with self._database.writing() as connection:
             _remove_content(connection)
-            for statement in _more_tables(meta):
-                connection.execute(statement)
-            connection.execute("DELETE FROM meta")
-            connection.executemany(
-                "INSERT INTO meta (value, key) VALUES (?, ?)",
-                [(json.dumps(value, sort_keys=True), key) for key, value in meta.to_json().items()],
-            )
+            for name in _more_tables(meta):
+                connection.execute(STATEMENTS[name].replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
+            remove(connection, "meta")
+            plain = meta.to_json().items()
+            put(connection, "meta", [(key, json.dumps(value, sort_keys=True)) for key, value in plain])
         self.meta, self.space = meta, meta.space
 
     def propose(self, number: int, points: FloatArray, values: Sequence[Mapping[str, Value]]) -> list[Row]:
@@ -206,14 +204,13 @@ class Study(StudyContents):
         -------
         list of Row
         """
-        rows = []
         with self._database.writing() as connection:
-            for point, one in zip(points, values, strict=True):
-                cursor = connection.execute(
-                    "INSERT INTO scenarios (round, point, parameters, state) VALUES (?, ?, ?, 'pending')",
-                    (number, point.astype("<f8").tobytes(), json.dumps(dict(one))),
-                )
-                rows.append(Row(int(cursor.lastrowid or 0), number, point, dict(one), "pending", None))
+            ((last,),) = connection.execute("SELECT COALESCE(MAX(id), 0) FROM scenarios")
+            rows = [
+                Row(last + k, number, point, dict(one), "pending", None)
+                for k, (point, one) in enumerate(zip(points, values, strict=True), 1)
+            ]
+            put(connection, "scenarios", [_plain_row(row) for row in rows])
         return rows
 
     def finish(
@@ -240,24 +237,14 @@ class Study(StudyContents):
         """
         with self._database.writing() as connection:
             write_references(connection, scenario, references or {})
-            connection.executemany(
-                "INSERT INTO repeats VALUES (?, ?, ?)",
-                [(scenario, name, json.dumps(list(scores))) for name, scores in (repeats or {}).items()],
-            )
-            connection.executemany(
-                "INSERT INTO courses VALUES (?, ?, ?, ?)",
-                [(scenario, name, one[1], pack_arrays({"course": one[0]})) for name, one in courses.items()],
-            )
+            runs = [(scenario, name, json.dumps(list(scores))) for name, scores in (repeats or {}).items()]
+            put(connection, "repeats", runs)
+            packed = [(scenario, name, one[1], pack_arrays({"course": one[0]})) for name, one in courses.items()]
+            put(connection, "courses", packed)
             if len(self.meta.others) > 1:
-                connection.executemany(
-                    "INSERT INTO against VALUES (?, ?, ?)",
-                    [(scenario, name, one.against) for name, one in courses.items() if isinstance(one, Measured)],
-                )
-            connection.execute(
-                "UPDATE scenarios SET state = 'done', recording = ? WHERE id = ?",
-                (pack_recording(recording), scenario),
-            )
-            self._note_result(connection, scenario)
+                whom = [(scenario, name, one.against) for name, one in courses.items() if isinstance(one, Measured)]
+                put(connection, "against", whom)
+            self._end(connection, scenario, "done", None, pack_recording(recording))
 
     def save_reference(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
         """Store what came of a scenario that was run again with a reference at the wheel of the ego.
@@ -283,17 +270,21 @@ class Study(StudyContents):
         error : SimulationError
         """
         with self._database.writing() as connection:
-            connection.execute("UPDATE scenarios SET state = 'failed', error = ? WHERE id = ?", (str(error), scenario))
-            self._note_result(connection, scenario)
+            self._end(connection, scenario, "failed", str(error), None)
 
-    def _note_result(self, connection: Connection, scenario: int) -> None:
-        """Note that a result has come, and which is the first round that may know it: the next one."""
-        if self.meta.asynchronous:
-            connection.execute(
-                "INSERT INTO results (scenario, round)"
-                " SELECT ?, round + 1 FROM scenarios WHERE id = (SELECT MAX(id) FROM scenarios)",
-                (scenario,),
-            )
+    def _end(
+        self, connection: Connection, scenario: int, state: str, error: str | None, recording: bytes | None
+    ) -> None:
+        """Note that a scenario has ended, and without rounds that its result has come."""
+        found = self._database.rows("scenarios", "id = ?", scenario)
+        if not found:
+            return
+        put(connection, "scenarios", [(*found[0][:4], state, error, recording)])
+        if self.meta.asynchronous and not self._database.rows("results", "scenario = ?", scenario):
+            # The first round that may know of it is the next one.
+            ((last,),) = connection.execute("SELECT round FROM scenarios ORDER BY id DESC LIMIT 1")
+            ((number,),) = connection.execute("SELECT COALESCE(MAX(number), 0) FROM results")
+            put(connection, "results", [(number + 1, scenario, last + 1)])
 
     def save_analysis(self, name: str, arrays: Mapping[str, npt.ArrayLike], info: Mapping[str, Any]) -> None:
         """Store a result under a name, instead of the one that was there.
@@ -323,13 +314,13 @@ class Study(StudyContents):
             How scenarios ended, in words, by id; stored with them.
         """
         with self._database.writing() as connection:
-            connection.executemany("INSERT OR REPLACE INTO outcomes VALUES (?, ?)", sorted((outcomes or {}).items()))
+            put(connection, "outcomes", sorted((outcomes or {}).items()))
             for name, result in results.items():
-                connection.execute("DELETE FROM analyses WHERE name = ?", (name,))
-                connection.execute("DELETE FROM arrays WHERE analysis = ?", (name,))
+                remove(connection, "analyses", "name = ?", name)
+                remove(connection, "arrays", "analysis = ?", name)
                 if result is not None:
                     arrays, info = result
-                    connection.execute("INSERT INTO analyses VALUES (?, ?)", (name, json.dumps(dict(info))))
+                    put(connection, "analyses", [(name, json.dumps(dict(info)))])
                     write_arrays(connection, name, arrays)
 
     def add_elapsed(self, stage: str, seconds: float) -> None:
@@ -352,21 +343,23 @@ class Study(StudyContents):
             s, by stage.
         """
         with self._database.writing() as connection:
-            connection.executemany(
-                "INSERT INTO elapsed VALUES (?, ?)"
-                " ON CONFLICT (stage) DO UPDATE SET seconds = seconds + excluded.seconds",
-                list(seconds.items()),
-            )
+            known = dict(self._database.rows("elapsed"))
+            put(connection, "elapsed", [(stage, known.get(stage, 0.0) + spent) for stage, spent in seconds.items()])
+
+
+def _plain_row(row: Row) -> tuple[Any, ...]:
+    """Give a scenario that has not ended as it is stored."""
+    return row.id, row.round, row.point.astype("<f8").tobytes(), json.dumps(row.values), row.state, row.error, None
 
 
 def _more_tables(meta: StudyMeta) -> tuple[str, ...]:
-    """Make the tables that not every study has."""
-    wanted = {AGAINST: len(meta.others) > 1, RESULTS: meta.asynchronous, ELSEWHERE: bool(meta.elsewhere)}
-    return tuple(statement for statement, there in wanted.items() if there)
+    """Name the tables that it has and not every study."""
+    wanted = {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}
+    return tuple(name for name, there in wanted.items() if there)
 
 
 def _remove_content(connection: Connection) -> None:
     there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     for table in _CONTENT:
         if table in there:
-            connection.execute(f"DELETE FROM {table}")
+            remove(connection, table)

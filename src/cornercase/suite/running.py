@@ -50,7 +50,7 @@ def run_suite(
     simulator.require_runnable([one.concrete for one in suite.scenarios])
     _warn(suite, simulator)
     metrics = [METRICS.create(name) for name in meta.metrics]
-    with Study.open(path) if path.exists() else Study.create(path, meta) as study:
+    with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as study:
         study.continue_with(meta)
         values = [dict(one.values) for one in suite.scenarios]
         rows = study.rows() or study.propose(1, meta.space.points(values), values)

@@ -167,7 +167,7 @@ def test(
             side_by_side = workers if client is None else None
             before = run_suite(contents, meta, started, path, side_by_side, flag("progress", progress))
             if references:
-                with Study.open(path) as opened:
+                with Study.open(path, readonly=False) as opened:
                     ask_references(contents, opened, known, references)
         with Study.open(path, readonly=True) as opened:
             result = replace(_result(contents, opened, known, found, why_not), ran_before=before)

@@ -1,0 +1,224 @@
+"""Connections with the files of studies, and what of a file is refused before it is read."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from cornercase._common.errors import InputError
+from cornercase._common.locks import taken_lock
+from cornercase.study.damage import DamageError
+from cornercase.study.migrations import OLD_TABLES, migrate, schema_version
+from cornercase.study.schema import ALWAYS, APPLICATION, SCHEMA_VERSION, STATEMENTS
+
+
+@contextmanager
+def sentences(path: Path) -> Iterator[None]:
+    """Say an error of the database in a sentence.
+
+    Parameters
+    ----------
+    path : Path
+        Of the study.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    InputError
+        It happened within the block.
+    """
+    try:
+        yield
+    except sqlite3.Error as error:
+        # What SQLite says of pages that it cannot read.
+        advice = " `verify` tells what of it is damaged." if "malformed" in str(error) else ""
+        raise InputError(f"{path}: cannot be used as a study ({error}).{advice}") from error
+
+
+@contextmanager
+def damage_of(path: Path) -> Iterator[None]:
+    """Say what is damaged with the name of the study.
+
+    Parameters
+    ----------
+    path : Path
+        Of the study.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    DamageError
+        Something was found damaged within the block.
+    """
+    try:
+        yield
+    except DamageError as error:
+        raise DamageError.of(path, str(error)) if str(path) not in str(error) else error from error
+
+
+def require_study(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse what is no study of a version that is known.
+
+    Parameters
+    ----------
+    path : Path
+    connection : sqlite3.Connection
+
+    Raises
+    ------
+    InputError
+        It is of another program, or of a later schema version.
+    """
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    if application != APPLICATION:
+        raise InputError(f"{path}: is a database, but no cornercase study.")
+    version = schema_version(connection)
+    if not 1 <= version <= SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: has schema version {version}, this cornercase reads up to {SCHEMA_VERSION}; use the version that"
+            " wrote it."
+        )
+
+
+def require_plain(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse what would do something when it is read or written: views, triggers, virtual tables and columns.
+
+    Parameters
+    ----------
+    path : Path
+    connection : sqlite3.Connection
+
+    Raises
+    ------
+    InputError
+        Something in the file is not as cornercase makes it.
+    """
+    today = schema_version(connection) == SCHEMA_VERSION
+    found = connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
+    for kind, name, statement in found:
+        # SQLite's own index of a key has no statement.
+        plain = kind == "index" and statement is None
+        if kind == "table" and today:
+            plain = name in STATEMENTS and statement == STATEMENTS[name]
+        elif kind == "table" and name in OLD_TABLES:
+            # Virtual tables have no columns of their own, computed columns are hidden ones.
+            columns = connection.execute(f"PRAGMA table_xinfo({name})").fetchall()
+            plain = not str(statement).upper().startswith("CREATE VIRTUAL") and not any(one[6] for one in columns)
+        if not plain:
+            raise InputError(f"{path}: is no study as cornercase writes it; it holds the {kind} '{name}'.")
+    if today and (missing := set(ALWAYS) - {name for _, name, _ in found}):
+        raise DamageError.of(path, f"its table {min(missing)} is missing")
+
+
+def of_today(connection: sqlite3.Connection) -> sqlite3.Connection:
+    """Give the connection, or one to a migrated copy in its place.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+
+    Returns
+    -------
+    sqlite3.Connection
+    """
+    if schema_version(connection) == SCHEMA_VERSION:
+        return connection
+    with closing(connection):
+        # A database without a name is a temporary file that SQLite removes.
+        copy = sqlite3.connect("")
+        connection.backup(copy)
+    migrate(copy)
+    return copy
+
+
+def connected(path: Path, patience: float = 30.0) -> sqlite3.Connection:
+    """Open a file that is there.
+
+    Parameters
+    ----------
+    path : Path
+    patience : float, default 30.0
+        s to wait for what others write.
+
+    Returns
+    -------
+    sqlite3.Connection
+    """
+    # A reader of a file in WAL mode has to make its shared memory beside it. Where it cannot, nobody writes either.
+    location = f"{path.resolve().as_uri()}?{'immutable=1' if is_out_of_reach(path) else 'mode=rw'}"
+    return sqlite3.connect(location, uri=True, timeout=patience)
+
+
+def is_out_of_reach(path: Path) -> bool:
+    """Tell whether a file lies where nobody can write to it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
+    return not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
+
+
+def migrate_alone(path: Path, connection: sqlite3.Connection) -> None:
+    """Migrate a study, which an explorer of an earlier version may be writing to: it holds a lock beside it.
+
+    Parameters
+    ----------
+    path : Path
+    connection : sqlite3.Connection
+
+    Raises
+    ------
+    InputError
+        Such an explorer writes to it, or the lock is something else.
+    """
+    beside = path.with_name(path.name + ".lock")
+    # Whoever sent the study may have put a link there, and to take a lock empties its file.
+    if beside.is_symlink() or (beside.exists() and not beside.is_file()):
+        raise InputError(f"{beside}: is a link or no file, which is not used as the study's lock; remove it.")
+    lock = None
+    if beside.exists():
+        try:
+            lock = taken_lock(beside)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+        if lock is None:
+            raise InputError(f"{path}: another cornercase is writing to it; wait until it has ended.")
+    try:
+        migrate(connection)
+    finally:
+        if lock is not None:
+            lock.release()
+
+
+def remove_log(path: Path) -> None:
+    """Remove what a killed explorer wrote beside a file that is gone.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        It cannot be removed.
+    """
+    # SQLite would take it into the new one.
+    try:
+        for ending in ("-wal", "-shm"):
+            path.with_name(path.name + ending).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error

@@ -1,0 +1,50 @@
+"""Studies changed by one who knows how checksums are made: what they hold is refused for what it is."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+from cornercase.study.schema import STATEMENTS, TABLES
+from cornercase.study.seals import put
+
+
+def reseal(path: Path) -> None:
+    """Give each row the checksum of what it holds now."""
+    with closing(sqlite3.connect(path)) as connection:
+        there = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'").fetchall())
+        plain = [name for name in TABLES if there.get(name) == STATEMENTS[name] and name != "tallies"]
+        if "tallies" not in there:
+            return
+        with connection:
+            held = {
+                name: connection.execute(f"SELECT {', '.join(TABLES[name].columns)} FROM {name}").fetchall()
+                for name in plain
+            }
+            for name in (*plain, "tallies"):
+                connection.execute(f"DELETE FROM {name}")
+            for name, rows in held.items():
+                put(connection, name, rows)
+
+
+def changed(path: Path, *statements: str | tuple[str, tuple[object, ...]]) -> None:
+    """Change a study as one who does not use cornercase, but makes its checksums: SQL, or (SQL, values)."""
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for one in statements:
+            connection.execute(*((one,) if isinstance(one, str) else one))
+    reseal(path)
+
+
+def as_version_5(path: Path) -> None:
+    """Take a study back to the last version without checksums."""
+    with closing(sqlite3.connect(path)) as connection, connection:
+        there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        for name, table in TABLES.items():
+            if name in there and name != "tallies":
+                connection.execute(f"ALTER TABLE {name} DROP COLUMN checksum")
+                if table.blob:
+                    connection.execute(f"ALTER TABLE {name} DROP COLUMN {table.columns[-1]}_checksum")
+        connection.execute("DROP TABLE tallies")
+        connection.execute("DROP TABLE lease")
+        connection.execute("PRAGMA user_version = 5")
