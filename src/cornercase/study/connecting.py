@@ -172,6 +172,25 @@ def is_out_of_reach(path: Path) -> bool:
     return not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
 
 
+def require_one_name(path: Path) -> None:
+    """Refuse to write to a file that has several names: SQLite keeps a log beside each, and sees that of one alone.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        It has.
+    """
+    if (names := path.stat().st_nlink) > 1:
+        raise InputError(
+            f"{path}: has {names} names (hard links), by which two could write to it at once; remove the others, or"
+            " write to a copy."
+        )
+
+
 def migrate_alone(path: Path, connection: sqlite3.Connection) -> None:
     """Migrate a study, which an explorer of an earlier version may be writing to: it holds a lock beside it.
 

@@ -22,6 +22,7 @@ from cornercase.study.connecting import (
     migrate_alone,
     of_today,
     remove_log,
+    require_one_name,
     require_plain,
     require_study,
     sentences,
@@ -149,6 +150,7 @@ class Database:
                 # ... and it may have none.
                 require_plain(path, connection)
                 if writes:
+                    require_one_name(path)
                     connection.execute("PRAGMA journal_mode = WAL")
                     if schema_version(connection) < SCHEMA_VERSION:
                         with damage_told(path):

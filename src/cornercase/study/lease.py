@@ -92,7 +92,8 @@ class Lease:
             connection.execute("INSERT INTO lease VALUES (?, ?, ?, ?, ?, ?)", mine)
             connection.execute("COMMIT")
         except BaseException:
-            connection.execute("ROLLBACK")
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
             raise
         _held.add((os.getpid(), token))
         lease = cls(path, token, threading.Event())

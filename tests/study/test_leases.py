@@ -1,0 +1,133 @@
+"""Who may write to a study, by whatever name, and what becomes of one that loses it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from cornercase import SimulationError
+from cornercase._common.errors import InputError, StudyLostError
+from cornercase.study import Study
+from synthetic import SPACE, about
+
+POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
+
+
+@pytest.fixture
+def path(tmp_path):
+    with Study.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
+        study.propose(1, POINTS, SPACE.values(POINTS))
+    return tmp_path / "s.db"
+
+
+def holders(path):
+    with closing(sqlite3.connect(path)) as connection:
+        return connection.execute("SELECT * FROM lease").fetchall()
+
+
+def set_holder(path, **values):
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for name, value in values.items():
+            connection.execute(f"UPDATE lease SET {name} = ?", (value,))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_one_writes_by_whatever_name(path):
+    os.symlink(path, path.with_name("another.db"))
+    with Study.open(path, readonly=False), pytest.raises(InputError, match="another cornercase is writing to it"):
+        Study.open(path.with_name("another.db"), readonly=False)
+    Study.open(path.with_name("another.db"), readonly=False).close()
+    assert holders(path) == []
+
+
+def test_a_file_of_several_names_is_not_written(path):
+    # SQLite keeps a log beside each name, and would not see what was written by another one.
+    with Study.open(path, readonly=False) as study:
+        os.link(path, path.with_name("another.db"))
+        with pytest.raises(InputError, match=r"another\.db: has 2 names"):
+            Study.open(path.with_name("another.db"), readonly=False)
+        study.fail(1, SimulationError("as before"))
+    with pytest.raises(InputError, match="has 2 names"):
+        Study.open(path, readonly=False)
+    path.with_name("another.db").unlink()
+    Study.open(path, readonly=False).close()
+
+
+def test_nothing_beside_the_study_is_its_lock(path):
+    with Study.open(path, readonly=False):
+        assert sorted(one.name for one in path.parent.iterdir()) == ["s.db", "s.db-shm", "s.db-wal"]
+        # Reading is the default, and keeps nobody from writing.
+        with Study.open(path) as reader:
+            assert reader.readonly
+    with Study.open(path), Study.open(path, readonly=False):
+        pass
+    assert [one.name for one in path.parent.iterdir()] == ["s.db"]
+
+
+def test_a_killed_process_leaves_its_study_to_the_next_one(path):
+    code = f"import os; from cornercase.study import Study; s = Study.open({str(path)!r}, readonly=False); print('open', flush=True); os._exit(9)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "open\n"
+    assert len(holders(path)) == 1
+    Study.open(path, readonly=False).close()
+    assert holders(path) == []
+
+
+def test_a_study_that_was_never_closed_is_not_locked_for_ever(path):
+    study = Study.open(path, readonly=False)
+    del study
+    Study.open(path, readonly=False).close()
+
+
+def test_one_on_another_machine_counts_as_dead_when_it_has_not_been_heard_of(path):
+    study = Study.open(path, readonly=False)
+    set_holder(path, machine="elsewhere", host="far away", beat=time.time() - 60.0)
+    with pytest.raises(InputError, match="on far away"):
+        Study.open(path, readonly=False)
+    set_holder(path, beat=time.time() - 600.0)
+    with Study.open(path, readonly=False) as taken:
+        taken.fail(1, SimulationError("of the new one"))
+        # The first one had only been asleep: it notices before it writes.
+        with pytest.raises(StudyLostError, match="took this study over"):
+            study.fail(2, SimulationError("of the old one"))
+        assert [row.state for row in taken.rows()] == ["failed", "pending"]
+    study.close()
+
+
+@pytest.mark.parametrize("beat", ["text", 1e300, None])
+def test_a_lease_that_is_none_keeps_nobody_out(path, beat):
+    with Study.open(path, readonly=False):
+        pass
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("INSERT INTO lease VALUES ('a', 'b', 'c', 1, 2.0, ?)", (beat if beat else "",))
+    Study.open(path, readonly=False).close()
+    assert holders(path) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files that are open stay there")
+def test_a_study_that_is_gone_or_another_one_ends_what_writes_to_it(path):
+    other = path.with_name("other.db")
+    shutil.copy(path, other)
+    before = other.read_bytes()
+    study = Study.open(path, readonly=False)
+    path.unlink()
+    with pytest.raises(StudyLostError, match="was removed while this command wrote to it"):
+        study.fail(1, SimulationError("nowhere"))
+    assert [one.name for one in path.parent.iterdir()] == ["other.db"]
+    shutil.copy(other, path)
+    study = Study.open(path, readonly=False)
+    study.fail(1, SimulationError("here"))
+    os.replace(shutil.copy(other, path.with_name("third.db")), path)
+    with pytest.raises(StudyLostError, match="another file has taken its place"):
+        study.fail(2, SimulationError("elsewhere"))
+    # What was written to the one that is gone is not taken for the log of the one that is there.
+    assert path.read_bytes() == other.read_bytes() == before
+    with Study.open(path) as there:
+        assert [row.state for row in there.rows()] == ["pending", "pending"]
