@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -43,29 +42,6 @@ def taken_lock(path: Path) -> BaseFileLock | None:
     except NotImplementedError as error:
         raise OSError(None, "its file system has no locks") from error
     return lock
-
-
-@contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """Let one process at a time go through the block for a folder, where the platform can; no file is made for it.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Yields
-    ------
-    None
-    """
-    with ExitStack() as held:
-        # Windows locks no folders, and some file systems none either.
-        with suppress(OSError, ImportError):
-            import fcntl
-
-            handle = os.open(folder, os.O_RDONLY)
-            held.callback(os.close, handle)
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
 
 
 @contextmanager

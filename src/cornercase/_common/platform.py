@@ -7,8 +7,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -135,6 +135,29 @@ def _force(path: Path, flags: int) -> None:
             raise
     finally:
         os.close(handle)
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Let one process at a time go through the block for a folder, where the platform can; no file is made for it.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Yields
+    ------
+    None
+    """
+    with ExitStack() as held:
+        # Windows locks no folders, and some file systems none either.
+        with suppress(OSError, ImportError):
+            import fcntl
+
+            handle = os.open(folder, os.O_RDONLY)
+            held.callback(os.close, handle)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
 
 
 def bytes_of_path(path: Path) -> bytes:

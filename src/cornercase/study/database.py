@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError, StudyLostError
 from cornercase._common.files import written_whole
-from cornercase._common.locks import alone_in
+from cornercase._common.platform import alone_in
 from cornercase.study.connecting import (
     connected,
     damage_of,
