@@ -54,7 +54,7 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
             except InputError:
                 continue
             return path, ""
-    return None, f"{name} lies neither beside the manifest nor in the folder above as it was"
+    return None, f"{name} lies neither beside the manifest nor in the folder above as it was, or cannot be read"
 
 
 def find_differences(suite: SuiteContents, origin: Path, study: Study) -> dict[int, Difference]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from lxml import etree
 from cornercase._common.arguments import numbers_or_texts, path
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
+from cornercase._common.pending_files import written_together
 from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside
 from cornercase.simulators.builtin.checking import schema_errors
 from cornercase.simulators.carla.dialect import Agents, assign_controllers
@@ -184,13 +186,17 @@ def write_1_0(
         notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
     elif wrong:
         raise InputError(f"{scenario.path}: cannot be said in OpenSCENARIO 1.0 ({wrong[0]}).")
-    if road is not None and not town:
-        copy_beside(road, target.parent / road_file, "OpenDRIVE")
-    for controller in controllers:
-        with written_whole(target.parent / run.controllers / controller.name) as temporary:
-            temporary.write_bytes(controller.read_bytes())
-    with written_whole(target) as temporary:
-        etree.ElementTree(root).write(str(temporary), encoding="utf-8", xml_declaration=True, pretty_print=True)
+    content = io.BytesIO()
+    # Into memory: written to a file by lxml, what does not fit on the disk may be lost without a word.
+    etree.ElementTree(root).write(content, encoding="utf-8", xml_declaration=True, pretty_print=True)
+    with written_together():
+        if road is not None and not town:
+            copy_beside(road, target.parent / road_file, "OpenDRIVE")
+        for controller in controllers:
+            with written_whole(target.parent / run.controllers / controller.name) as temporary:
+                temporary.write_bytes(controller.read_bytes())
+        with written_whole(target) as temporary:
+            temporary.write_bytes(content.getvalue())
     return tuple(dict.fromkeys(notes))
 
 
