@@ -10,12 +10,13 @@ import json
 import os
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import pytest
 
 import cornercase as cc
 from agreement import disagreement, last_instant, tracks_of, tracks_of_file
-from conftest import ran
+from conftest import at_night, ran
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator, WorkerSimulator
 from storyboards import storyboard, write_roads
@@ -23,20 +24,23 @@ from storyboards import storyboard, write_roads
 DRAWN = [f"s0-{k:04}" for k in range(100)]
 """Storyboards as ``benchmarks/esmini.py`` draws and names them with seed 0."""
 
+BY_DAY, AT_NIGHT = (), pytest.mark.slow
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
 DIFFERENCES = json.loads((Path(__file__).parents[1] / "data" / "esmini_differences.json").read_text(encoding="utf-8"))
 
 
 def recorded():
     """Scenario file, parameters, and esmini's recording of it, with the name of each."""
-    found = []
+    found: list[Any] = []
     index = REFERENCE / "index.json"
     for row in json.loads(index.read_text(encoding="utf-8")) if index.is_file() else []:
         expected = REFERENCE / "expected" / row["expected"]
-        found.append(pytest.param(REFERENCE / row["scenario"], row["parameters"], expected, id=expected.stem))
+        found.append((REFERENCE / row["scenario"], row["parameters"], expected))
     for path in sorted((REFERENCE / "random").glob("*.xosc")):
-        found.append(pytest.param(path, {}, path.parent / "expected" / f"{path.stem}.csv", id=path.stem))
-    return found
+        found.append((path, {}, path.parent / "expected" / f"{path.stem}.csv"))
+    return [
+        pytest.param(*one, id=one[-1].stem, marks=BY_DAY if k % 5 == 0 else AT_NIGHT) for k, one in enumerate(found)
+    ]
 
 
 def held(name, off):
@@ -89,7 +93,7 @@ def esmini():
 
 
 @pytest.mark.skipif("CORNERCASE_ESMINI" not in os.environ, reason="CORNERCASE_ESMINI does not name esmini's library")
-@pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.parametrize("name", at_night(DRAWN, DRAWN[5:]))
 def test_random_storyboards_run_as_in_esmini(roads, esmini, name):
     path = roads / f"{name}.xosc"
     seed, number = name[1:].split("-")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from alone import REFERENCE, ROOT, differing, outcome, scenario_files, varied
-from conftest import car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
+from conftest import at_night, car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators import BuiltinSimulator, simulate
@@ -434,20 +434,31 @@ FAST = (
 )
 
 
+# How many ways to vary a file by day, and for how long it is run.
+FEW = (2, 4.0)
+
+
+@pytest.mark.parametrize(("most", "duration"), [FEW, pytest.param(8, 8.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", FAST)
-def test_reference_scenarios_give_the_same_alone_and_among_others(name):
+def test_reference_scenarios_give_the_same_alone_and_among_others(name, most, duration):
     path = REFERENCE / name
     if not path.exists():
         pytest.skip("needs ../shared/reference")
-    values = varied(Scenario.read(path), most=8)
-    assert [values[k] for k in differing(path, values, 8.0)] == []
+    values = varied(Scenario.read(path), most=most)
+    assert [values[k] for k in differing(path, values, duration)] == []
 
 
-@pytest.mark.parametrize("path", scenario_files(ROOT / "examples"), ids=lambda path: path.stem)
+EXAMPLES = scenario_files(ROOT / "examples")
+# The other one of a motorway, and those of a suite that was reduced from it.
+ALIKE = [path for path in EXAMPLES if "suite" in path.parts or path.stem == "cut_out"]
+
+
+@pytest.mark.parametrize("path", at_night(EXAMPLES, ALIKE), ids=lambda path: path.stem)
 @pytest.mark.parametrize("driver", [None, "normal"])
-def test_examples_give_the_same_alone_and_among_others(path, driver):
-    values = varied(Scenario.read(path), most=8)
-    assert differing(path, values, 12.0, drivers={"Ego": driver} if driver else {}) == []
+@pytest.mark.parametrize(("most", "duration"), [FEW, pytest.param(8, 12.0, marks=pytest.mark.slow)])
+def test_examples_give_the_same_alone_and_among_others(path, driver, most, duration):
+    values = varied(Scenario.read(path), most=most)
+    assert differing(path, values, duration, drivers={"Ego": driver} if driver else {}) == []
 
 
 @pytest.mark.parametrize("attribute", ["maxSpeed", "maxAcceleration", "maxDeceleration"])
