@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from conftest import EXAMPLES
@@ -41,3 +43,34 @@ def process(*arguments: object, cwd: Path | None = None, environment: dict[str, 
     return subprocess.run(
         command, capture_output=True, text=True, cwd=cwd, timeout=300, env={**os.environ, **(environment or {})}
     )
+
+
+# A line for each command as soon as it has ended, so that one which takes all of the process can be told.
+_EACH = """
+import json, sys
+from command_line import cornercase
+
+for words in json.load(sys.stdin):
+    ended = cornercase(*words)
+    print(json.dumps([ended.returncode, ended.stdout, ended.stderr]), flush=True)
+"""
+
+
+def process_of_all(
+    commands: Iterable[Iterable[object]],
+    cwd: Path | None = None,
+    environment: dict[str, str] | None = None,
+    limits: Callable[[], None] | None = None,
+) -> list[Ended]:
+    """Run commands one after the other in one other process; where that ends early, the rest is missing."""
+    words = [list(map(str, command)) for command in commands]
+    given = {**os.environ, **(environment or {})}
+    # Tests find each other's modules by pytest's settings.
+    given["PYTHONPATH"] = os.pathsep.join(filter(None, [given.get("PYTHONPATH"), *sys.path]))
+    done = subprocess.run(
+        [sys.executable, "-c", _EACH], input=json.dumps(words), capture_output=True, text=True, timeout=300,
+        preexec_fn=limits, cwd=cwd, env=given,
+    )  # fmt: skip
+    ended = [Ended(one, *json.loads(line)) for one, line in zip(words, done.stdout.splitlines(), strict=False)]
+    assert ended, done.stderr
+    return ended

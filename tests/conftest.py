@@ -17,11 +17,22 @@ from cornercase import SimulationError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, LogicalScenario
 from cornercase.simulators import BuiltinSimulator, Simulator
-from cpu_times import pytest_addoption, pytest_configure, pytest_runtest_protocol, pytest_sessionfinish
+from cpu_times import Summary, pytest_addoption, pytest_runtest_protocol, pytest_sessionfinish
 
-__all__ = ["pytest_addoption", "pytest_configure", "pytest_runtest_protocol", "pytest_sessionfinish"]
+__all__ = ["pytest_addoption", "pytest_runtest_protocol", "pytest_sessionfinish"]
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+# Whether those that are marked slow are left out.
+_by_day = False
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    global _by_day
+    _by_day = "not slow" in config.getoption("markexpr")
+    if config.getoption("--cpu-times") and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Summary())
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -37,6 +48,11 @@ def interrupts() -> Iterator[None]:
 def at_night(values: Iterable[object], rest: Container[object]) -> list[object]:
     """Parameters of a test, of which the rest is left to `make test-all`."""
     return [pytest.param(one, marks=pytest.mark.slow) if one in rest else one for one in values]
+
+
+def examples(count: int) -> int:
+    """How many examples a property is tried with: a quarter of them by day."""
+    return count // 4 if _by_day else count
 
 
 def example(name: str) -> LogicalScenario:

@@ -64,8 +64,3 @@ class Summary:
         for function, seconds in sorted(functions.items(), key=lambda one: -one[1])[:MOST]:
             write(f"{seconds:8.1f} {function}")
         write(f"{sum(costs.values()):8.1f} all tests, without collecting them")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    if config.getoption("--cpu-times") and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(Summary())

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import pytest
 
-from command_line import SPACE, X
+from command_line import SPACE, X, process_of_all
 from cornercase.clustering import read_analysis
 from cornercase.study import Study
 
@@ -99,8 +95,8 @@ short = of_another:Short
 
 
 @pytest.fixture
-def command(tmp_path):
-    """The command line where a package with these parts is installed."""
+def site(tmp_path):
+    """A folder in which a package with these parts is installed."""
     site = tmp_path / "site"
     (site / "of_another-1.0.dist-info").mkdir(parents=True)
     (site / "of_another.py").write_text(PARTS)
@@ -108,43 +104,33 @@ def command(tmp_path):
         "Metadata-Version: 2.1\nName: of-another\nVersion: 1.0\n"
     )
     (site / "of_another-1.0.dist-info" / "entry_points.txt").write_text(ENTRY_POINTS)
-    paths = [str(site), *filter(None, [os.environ.get("PYTHONPATH")])]
-
-    def run(*arguments):
-        return subprocess.run(
-            [sys.executable, "-c", "from cornercase.cli import main; main()", *map(str, arguments)],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            timeout=300,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-        )
-
-    return run
+    return site
 
 
-def test_every_command_takes_the_parts_of_another_package(command, tmp_path):
-    assert "speed-difference" in command("metrics").stdout
-    assert "short" in command("simulators").stdout
-    explored = command(
-        "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "speed-difference",
-        "--optimizer", "diagonal:begin=0.5", "--simulator", "short", "--driver", "Ego=steady", "--budget", 4,
-        "--critical", 5, "--workers", 2, "-o", "study.db",
+def test_every_command_takes_the_parts_of_another_package(site, tmp_path):
+    explore = "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian"
+    commands = (
+        ("metrics",),
+        ("simulators",),
+        (
+            *explore, "--metric", "speed-difference", "--optimizer", "diagonal:begin=0.5", "--simulator", "short",
+            "--driver", "Ego=steady", "--budget", 4, "--critical", 5, "--workers", 2, "-o", "study.db",
+        ),
+        ("analyze", "study.db", "--by", "pace"),
+        (*explore, "--metric", "speed-diference", "-o", "other.db"),
     )  # fmt: skip
+    ended = process_of_all(commands, cwd=tmp_path, environment={"PYTHONPATH": str(site)})
+    metrics, simulators, explored, analyzed, wrong = ended
+    assert "speed-difference" in metrics.stdout
+    assert "short" in simulators.stdout
     assert explored.returncode == 0, explored.stderr
     with Study.open(tmp_path / "study.db", readonly=True) as study:
         points = [row.point.tolist() for row in study.done()]
         assert points[0] == pytest.approx([0.5] * 3, abs=0.05)
         assert points[-1] == pytest.approx([1.0] * 3, abs=0.05)
         assert study.recording(1).time[-1] == pytest.approx(5.0, abs=0.051)
-    analyzed = command("analyze", "study.db", "--by", "pace")
-    assert analyzed.returncode == 0, analyzed.stderr
-    with Study.open(tmp_path / "study.db", readonly=True) as study:
+        assert analyzed.returncode == 0, analyzed.stderr
         # Here no such package is installed.
         assert read_analysis(study, "pace").unit == "m/s^2"
     # What it does not know is refused in one sentence, with what it knows.
-    wrong = command(
-        "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "speed-diference",
-        "-o", "other.db",
-    )  # fmt: skip
     assert (wrong.returncode, "did you mean 'speed-difference'" in wrong.stderr) == (2, True)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from functools import partial
 from importlib.util import find_spec
 
 import pytest
 
-from command_line import cornercase
+from command_line import cornercase, process_of_all
 from conftest import ROAD, at_night, car, scenario_file, speed_action, teleport
 
 INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("10")}</Private>'
@@ -162,41 +158,29 @@ def limits():
 
 # Windows has none.
 LIMITS = limits if find_spec("resource") is not None else None
-# A line for each command as soon as it has ended, so that one which takes all of the process can be told.
-EACH = """
-import json, sys
-from command_line import cornercase
-
-for name, arguments in json.load(sys.stdin):
-    ended = cornercase(*arguments)
-    print(json.dumps([name, ended.returncode, ended.stderr]), flush=True)
-"""
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
-    """Folder, exit code and words of `simulate` on each, all in one process that may take a minute and 6 GB."""
+    """Folder of each, and how `simulate` ended on it, all in one process that may take a minute and 6 GB."""
     folders, commands = {}, []
     makers = {name: make for name, (make, _) in HOSTILE.items()}
     makers |= {name: partial(with_road, change=lambda _, link=link: ring(link)) for name, link in LINKS.items()}
     for name, make in makers.items():
         folders[name] = tmp_path_factory.mktemp("hostile")
         (folders[name] / "in").mkdir()
-        output = str(folders[name] / "r.csv")
-        commands.append((name, ["simulate", str(make(folders[name] / "in")), "--duration", "2", "-o", output]))
-    ended = subprocess.run(
-        [sys.executable, "-c", EACH], input=json.dumps(commands), capture_output=True, text=True, timeout=300,
-        preexec_fn=LIMITS, env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-    )  # fmt: skip
-    found = {name: (code, said) for name, code, said in map(json.loads, ended.stdout.splitlines())}
-    return {name: (folder, *found.get(name, (None, ended.stderr))) for name, folder in folders.items()}
+        output = folders[name] / "r.csv"
+        commands.append(["simulate", make(folders[name] / "in"), "--duration", "2", "-o", output])
+    found = dict(zip(folders, process_of_all(commands, limits=LIMITS), strict=False))
+    return {name: (folder, found.get(name)) for name, folder in folders.items()}
 
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_hostile_file_is_refused_in_one_sentence(simulated, name):
-    folder, code, said = simulated[name]
-    assert code == 2, said
-    lines = said.strip().splitlines()
+    folder, ended = simulated[name]
+    assert ended is not None, "one before it took the process with it"
+    assert ended.returncode == 2, ended.stderr
+    lines = ended.stderr.strip().splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("cornercase: ")
     assert any(word in lines[0] for word in HOSTILE[name][1].split("|")), lines[0]
@@ -207,8 +191,8 @@ def test_a_hostile_file_is_refused_in_one_sentence(simulated, name):
 
 @pytest.mark.parametrize("link", LINKS)
 def test_roads_linked_in_a_circle_come_to_an_end(simulated, link):
-    _, code, said = simulated[link]
-    assert code == 0, said
+    _, ended = simulated[link]
+    assert ended.returncode == 0, ended.stderr
 
 
 @pytest.mark.parametrize("name", at_night(HOSTILE, {"half a million cars"}))

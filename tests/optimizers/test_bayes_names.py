@@ -16,7 +16,7 @@ def test_names_are_equally_alike_whatever_their_order():
         return points[:, 0] + 2.0 * np.array([0.0, 1.0, 0.0])[space.parameters[1].numbers(points[:, 1])]
 
     optimizer = BayesOptimizer(space, seed=0, features=4000)
-    explored(optimizer, 60, function=function)
+    explored(optimizer, 30, function=function)
     every = space.snap(np.array([[0.5, k / 2] for k in range(3)]))
     rows = optimizer._process.features(optimizer._places(every))
     alike = rows @ rows.T / (rows**2).sum(axis=1)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lxml import etree
 
-from conftest import ROAD, car
+from conftest import ROAD, car, examples
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario
@@ -170,7 +170,7 @@ def test_the_file_with_everything_runs(folder):
     assert isinstance(result_of(folder, WHOLE), Recording)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.integers(0, len(PLACES) - 1), st.sampled_from(JUNK) | st.text(max_size=8, alphabet="aN1.-+e$*{}()/ ∞é"))
 def test_any_attribute_may_be_junk(folder, place, value):
     found = result_of(folder, changed(place, value))

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from command_line import cornercase
-from conftest import ran
+from conftest import at_night, ran
 from cornercase._common.errors import InputError
 from cornercase.exploration import demonstration
 from cornercase.scenario import ConcreteScenario, Scenario
@@ -179,7 +179,7 @@ COMMON = [
 
 def test_a_killed_worker_changes_nothing(tmp_path):
     quiet, killed = tmp_path / "quiet.db", tmp_path / "killed.db"
-    assert cornercase("explore", T, *COMMON, "--budget", "12", "--workers", "2", "-o", quiet).returncode == 0
+    assert cornercase("explore", T, *COMMON, "--budget", "12", "-o", quiet).returncode == 0
     command = [
         sys.executable,
         "-c",
@@ -213,15 +213,17 @@ def test_a_killed_worker_changes_nothing(tmp_path):
         np.testing.assert_array_equal(one.recording(5).x, other.recording(5).x)
 
 
-def test_the_t_intersection_from_end_to_end(tmp_path):
-    done = cornercase(
-        "demo", "t-intersection", "--simulator", "sumo", "--budget", "60", "--workers", "2", "-o", tmp_path
-    )
+@pytest.mark.parametrize("budget", at_night([12, 60], {60}))
+def test_the_t_intersection_from_end_to_end(tmp_path, budget):
+    workers = ("--workers", "2") if budget == 60 else ()
+    done = cornercase("demo", "t-intersection", "--simulator", "sumo", "--budget", budget, *workers, "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "report.html").exists()
     with Study.open(tmp_path / "study.db", readonly=True) as study:
-        assert len(study.done()) == 60
+        assert len(study.done()) == budget
         info = study.analysis("ego-trajectory", "labels")[1]
+    if budget < 60:
+        return
     crashed = "Ego and C collide"
     homes = [one for one in info["profiles"] if crashed in one["outcomes"]]
     assert len(homes) == 1
@@ -229,6 +231,7 @@ def test_the_t_intersection_from_end_to_end(tmp_path):
     assert homes[0]["size"] >= 5
 
 
+@pytest.mark.slow
 def test_the_x_intersection_from_end_to_end(tmp_path):
     done = cornercase(
         "demo", "x-intersection", "--simulator", "sumo", "--budget", "30", "--workers", "2", "-o", tmp_path
