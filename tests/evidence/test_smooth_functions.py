@@ -8,6 +8,7 @@ from scipy.stats import qmc
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
+from conftest import at_night
 from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, near_threshold, nearness
 from cornercase.scenario import ParameterSpace
 
@@ -79,7 +80,7 @@ def test_as_much_is_found_as_by_a_process_that_scikit_learn_learns(dimension, fu
 
 
 @pytest.mark.parametrize("spread", ["sobol", "even"])
-@pytest.mark.parametrize("count", [50, 400, 600])
+@pytest.mark.parametrize("count", at_night([50, 400, 600], {600}))
 def test_more_scenarios_of_one_parameter_never_tell_less(count, spread):
     points = sobol(1, count) if spread == "sobol" else np.linspace(0, 1, count)[:, None]
     places = np.random.default_rng(1).random((4000, 1))

@@ -113,6 +113,10 @@ def test_a_killed_search_goes_on_with_the_same_bytes(study, tmp_path):
     assert stored(path) != stored(study)
     explored(path)
     assert stored(path) == stored(study)
+
+
+@pytest.mark.slow
+def test_workers_decide_the_same(study, tmp_path):
     explored(tmp_path / "workers.db", workers=2)
     assert stored(tmp_path / "workers.db") == stored(study)
 

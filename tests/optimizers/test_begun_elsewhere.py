@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet, Elsewhere, boundary_process
 from cornercase.optimizers import OPTIMIZERS, LevelSetOptimizer, SobolOptimizer, create_optimizer
@@ -64,7 +65,7 @@ def test_a_coordinate_that_says_all_is_used():
     assert right.mean() > 0.99 > (plain == (moved(EVERYWHERE) <= THRESHOLD)).mean()
 
 
-@pytest.mark.parametrize("name", ["level-set", "committee"])
+@pytest.mark.parametrize("name", at_night(["level-set", "committee"], {"committee"}))
 def test_a_search_that_is_told_again_asks_the_same(name):
     def begun():
         optimizer = create_optimizer(name, CUBE, 3, threshold=THRESHOLD, budget=40)

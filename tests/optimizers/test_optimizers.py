@@ -142,7 +142,10 @@ def test_bayes_leaves_the_global_generator_and_the_terminal_alone(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("name", [name for name in OPTIMIZERS.names() if name not in ("grid", "random", "sobol")])
+LEARNING = [name for name in OPTIMIZERS.names() if name not in ("grid", "random", "sobol")]
+
+
+@pytest.mark.parametrize("name", at_night(LEARNING, {"committee"}))
 def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_twice(name):
     parameters = [
         Parameter("a", 0, 1),

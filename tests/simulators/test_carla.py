@@ -178,8 +178,8 @@ def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(sc
         ("", "cannot load", "did not run it to the end: KeyError: 'Ego'"),
         ("", "fails at the end", "RuntimeError: a storyboard that is none"),
         ("die-at=30", "", "time-out of 3000ms"),
-        ("lose=30", "", "time-out of 3000ms"),
-        ("half=get_map_data", "", "time-out of 3000ms"),
+        pytest.param("lose=30", "", "time-out of 3000ms", marks=pytest.mark.slow),
+        pytest.param("half=get_map_data", "", "time-out of 3000ms", marks=pytest.mark.slow),
         ("silent=spawn_actor", "", "time-out of 3000ms"),
     ],
 )

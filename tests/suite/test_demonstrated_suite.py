@@ -40,6 +40,7 @@ def run(folder: Path, driver: str) -> tuple[int, Path]:
     return ended.returncode, report
 
 
+@pytest.mark.slow
 def test_an_aggressive_driver_fails_where_it_collides_and_a_cautious_one_passes(demonstrated):
     code, report = run(demonstrated, "aggressive")
     assert code == 1
@@ -53,6 +54,7 @@ def test_an_aggressive_driver_fails_where_it_collides_and_a_cautious_one_passes(
     assert not any(collides(file, "cautious") for file in files)
 
 
+@pytest.mark.slow
 def test_the_study_remembers_the_set_that_represents_it(demonstrated):
     manifest = json.loads((demonstrated / "reduced" / "manifest.json").read_text())
     kept = [one["id"] for one in manifest["scenarios"]]
@@ -63,7 +65,7 @@ def test_the_study_remembers_the_set_that_represents_it(demonstrated):
 
 
 def test_where_a_driver_has_no_mutants_it_says_so_and_goes_on(tmp_path):
-    done = cornercase("demo", "t-intersection", "--budget", "30", "--driver", "cc-human", "-o", tmp_path)
+    done = cornercase("demo", "t-intersection", "--budget", "12", "--driver", "cc-human", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     assert "There is no suite of tests: " in done.stderr
     assert (tmp_path / "report.html").exists()
