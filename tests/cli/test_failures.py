@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from command_line import X, cornercase
+from conftest import moving, scenario_file
 from cornercase import simulators
 from cornercase._common.texts import json_text
 
@@ -104,3 +105,13 @@ def test_json_is_valid_whatever_is_in_it():
     assert json.loads(text, parse_constant=pytest.fail) == {"a": None, "b": [None, 1.5], "c\x1b\x9b": "\ud800é\n"}
     assert not set(text) & {"\x1b", "\x9b", "\ud800"}
     text.encode()
+
+
+def test_what_is_told_of_a_file_has_lines_of_bounded_length(tmp_path):
+    path = scenario_file(tmp_path, init=moving())
+    path.write_text(path.read_text().replace("<CatalogLocations/>", f"<CatalogLocations/><{'N' * 30_000}/>"))
+    checked = cornercase("check", path)
+    assert "NNN" in checked.stdout
+    assert max(map(len, checked.stdout.splitlines())) <= 1400
+    simulated = cornercase("simulate", path, "--duration", "1", "-o", tmp_path / "r.csv")
+    assert max(map(len, simulated.stderr.splitlines())) <= 1500

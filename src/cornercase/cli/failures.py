@@ -16,11 +16,9 @@ import typer
 
 from cornercase._common.errors import InputError, StudyLostError
 from cornercase._common.texts import in_one_line, shorten
-from cornercase.cli.messages import in_words_of_the_command_line
+from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
 from cornercase.cli.options import debugging, err
 
-# What is said of the input: one line of bounded length, whatever is called how in a file.
-_LONGEST: Final = 1400
 # As a shell says it of a program that Ctrl-C ended.
 _INTERRUPTED: Final = 130
 # typer may hold click's classes under other names.
@@ -50,7 +48,7 @@ def exit_code_of(command: Callable[[], Any]) -> int:
         # click says it in several lines; this is where what it quotes loses its orders to the terminal.
         said = io.StringIO()
         error.show(said)
-        err.print("\n".join(shorten(line, _LONGEST) for line in said.getvalue().rstrip().splitlines()))
+        err.print("\n".join(shorten(line, LONGEST) for line in said.getvalue().rstrip().splitlines()))
         return int(error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
         return _INTERRUPTED
@@ -67,7 +65,7 @@ def exit_code_of(command: Callable[[], Any]) -> int:
 
 def _tell(sentence: str) -> None:
     line = in_words_of_the_command_line(sentence).replace("\n", "\\n")
-    err.print(f"cornercase: {shorten(line, _LONGEST)}")
+    err.print(f"cornercase: {shorten(line, LONGEST)}")
 
 
 def _write_to_nobody() -> None:

@@ -7,8 +7,11 @@ import warnings
 from typing import Any, Final
 
 from cornercase._common.errors import NoticeWarning
+from cornercase._common.texts import shorten
 from cornercase.cli.options import err
 
+LONGEST: Final = 1400
+"""Characters of a line that is said of an input, whatever is called how in a file."""
 _PARAMETERS: Final = (
     "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
@@ -70,7 +73,7 @@ def show_notices() -> None:
 
     def shown(message: Any, category: Any, *place: Any, **more: Any) -> None:
         if issubclass(category, NoticeWarning):
-            err.print(f"{str(message)[:1].upper()}{str(message)[1:]}.")
+            err.print(shorten(f"{str(message)[:1].upper()}{str(message)[1:]}.", LONGEST))
         else:
             show(message, category, *place, **more)
 

@@ -10,8 +10,9 @@ import typer
 from rich.table import Column, Table
 
 from cornercase._common.files import require_other_file
-from cornercase._common.texts import first_line, json_text
+from cornercase._common.texts import first_line, json_text, shorten
 from cornercase.cli import parsing
+from cornercase.cli.messages import LONGEST
 from cornercase.cli.options import (
     Cluster,
     Critical,
@@ -214,13 +215,13 @@ def check(
     if found.variables:
         out.print(f"variables: {', '.join(found.variables)}")
     for notice in found.notices:
-        out.print(f"without effect: {notice}")
+        out.print(shorten(f"without effect: {notice}", LONGEST))
     if found.schema is None:
         out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'")
     else:
         out.print(f"schema {found.schema}: {'valid' if not found.invalid else 'not valid'}")
     for line in (*found.invalid, *found.trouble):
-        out.print(f"  {line}")
+        out.print(shorten(f"  {line}", LONGEST))
     if found.space is not None:
         for parameter in found.space.parameters:
             out.print(f"varied: {_words_of(parameter)}")
