@@ -66,6 +66,9 @@ class FailingSimulator(Simulator):
             os._exit(3)
         elif what == "kill":
             os.kill(os.getpid(), signal.SIGKILL)
+        elif what == "full":
+            with open("/dev/full", "w") as file:
+                file.write("x")
         elif what == "hang":
             time.sleep(600)
         elif what == "raise":

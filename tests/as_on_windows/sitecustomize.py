@@ -33,7 +33,7 @@ _LACKING = {
     ),
     signal: (
         "SIGALRM", "SIGCHLD", "SIGCONT", "SIGHUP", "SIGKILL", "SIGPIPE", "SIGQUIT", "SIGSTOP", "SIGUSR1", "SIGUSR2",
-        "alarm", "pause", "pthread_kill", "setitimer", "siginterrupt",
+        "alarm", "pause", "pthread_kill", "pthread_sigmask", "setitimer", "siginterrupt",
     ),
 }  # fmt: skip
 # Imported above so that they have the whole of it.

@@ -9,22 +9,30 @@ import sys
 import time
 from collections.abc import Collection, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakKeyDictionary
 
 from cornercase._common.arguments import text
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
+from cornercase._common.guardian import Guardian
+from cornercase._common.lifeline import keep_temporary_files_in
+from cornercase._common.platform import interrupts_kept
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, WorkerPlugin
+    from distributed import Client, Future, LocalCluster, WorkerPlugin
 
 LOCAL: Final = "local"
 """The cluster that is started on this machine."""
 
 # s in which a scheduler has to answer, for which a cluster may be without workers, and between two looks at both.
 _ANSWERS, _FIRST_WORKER, _LOOKS = 20.0, 120.0, 1.0
+# How often a local cluster is started whose workers are ended meanwhile.
+_STARTS: Final = 5
+# Who removes the folders of the workers of a local cluster.
+_GUARDIANS: Final[WeakKeyDictionary[Any, Guardian]] = WeakKeyDictionary()
 
 
 def cluster_argument(cluster: object) -> str | Client:
@@ -93,8 +101,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     if not isinstance(cluster, str):
         return cluster
     try:
-        import dask
-        from distributed import Client, LocalCluster
+        from distributed import Client
     except ImportError as error:
         raise InputError("Dask is not installed; it comes with pip install 'cornercase[cluster]'.") from error
     there = Path(cluster).is_file()
@@ -106,23 +113,9 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     # What of it concerns a user is told by cornercase.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
+    if cluster == LOCAL:
+        return _begin_here(workers)
     try:
-        if cluster == LOCAL:
-            # A worker that is being started anew as this time is over would be given up for good.
-            dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"})
-            # Simulators may run in processes of their own, which daemons cannot have.
-            with dask.config.set({"distributed.worker.daemon": False}):
-                local = LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    # Only a free port is none that somebody else may want.
-                    dashboard_address="127.0.0.1:0",
-                    silence_logs=logging.CRITICAL,
-                )
-                client = Client(local)
-                client.register_plugin(_deaf_to_interrupts())
-                return client
         address = json.loads(read_file(cluster))["address"] if there else cluster
         return Client(str(address), timeout=_ANSWERS)
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
@@ -132,15 +125,64 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
         ) from error
 
 
-def _deaf_to_interrupts() -> WorkerPlugin:
-    """What makes workers leave Ctrl-C, which the terminal sends to them too, to the process that ends them."""
+def _begin_here(workers: int) -> Client:
+    """Start a cluster of processes on this machine, and connect with it."""
+    import dask
+    from distributed import Client
+
+    # A worker that is being started anew as this time is over would be given up for good.
+    dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"})
+    with ExitStack() as stack:
+        guardian = stack.enter_context(Guardian())
+        # Simulators may run in processes of their own, which daemons cannot have.
+        own = {"distributed.worker.daemon": False, "temporary-directory": str(guardian.new_folder())}
+        with dask.config.set(own), interrupts_kept(), guardian.watch_all():
+            cluster = _started_cluster(workers)
+            stack.callback(cluster.close)
+            client = Client(cluster)
+            stack.callback(client.close)
+        client.register_plugin(_part_of_this_process())
+        _GUARDIANS[client] = guardian
+        stack.pop_all()
+    return client
+
+
+def _started_cluster(workers: int) -> LocalCluster:
+    from distributed import LocalCluster
+
+    for tries in range(_STARTS):
+        try:
+            return LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                # Only a free port is none that somebody else may want.
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+            )
+        except KeyboardInterrupt:
+            # What was being started fails now, one by one, which asyncio would tell.
+            logging.getLogger("asyncio").setLevel(logging.CRITICAL)
+            raise
+        except RuntimeError as error:
+            if tries + 1 == _STARTS:
+                raise InputError(
+                    f"`cluster` {LOCAL}: its workers end before they have begun ({error}); mend what ends them, and run"
+                    " the same command again."
+                ) from error
+    raise AssertionError
+
+
+def _part_of_this_process() -> WorkerPlugin:
+    """What makes workers leave Ctrl-C to the process that ends them, and temporary files where it removes them."""
     from distributed import WorkerPlugin
 
-    class DeafToInterrupts(WorkerPlugin):
+    class PartOfAnotherProcess(WorkerPlugin):
         def setup(self, worker: Any) -> None:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+            keep_temporary_files_in(Path(worker.local_directory))
 
-    return DeafToInterrupts()
+    return PartOfAnotherProcess()
 
 
 def leave(client: Client) -> None:
@@ -156,6 +198,8 @@ def leave(client: Client) -> None:
         client.close()
     if local is not None:
         local.close()
+    if (guardian := _GUARDIANS.pop(client, None)) is not None:
+        guardian.close()
 
 
 @contextmanager

@@ -30,6 +30,10 @@ class StudyLostError(RuntimeError):
     """
 
 
+class LostError(SimulatorError):
+    """Something outside ended a run: a signal, a lack of memory or of disk. The scenario may be run again."""
+
+
 class NoticeWarning(UserWarning):
     """Something in a file has no effect."""
 

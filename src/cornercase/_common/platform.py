@@ -5,12 +5,18 @@ from __future__ import annotations
 import errno
 import os
 import signal
+import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from psutil import Process
 
 _WINDOWS: Final = sys.platform == "win32"
 # A virus scanner or an indexer may hold a new file for a moment.
@@ -182,8 +188,79 @@ def bytes_of_path(path: Path) -> bytes:
 def leave_terminal() -> None:
     """Keep Ctrl-C from this process, and make it and all that it will start a group where the platform has groups."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        # Of `interrupts_kept`.
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     if hasattr(os, "setsid"):
         os.setsid()
+
+
+@contextmanager
+def interrupts_kept() -> Iterator[None]:
+    """Keep Ctrl-C, until the block ends, from this thread and the processes and threads that it starts.
+
+    A process keeps it until `leave_terminal`, so that it is not interrupted while Python loads what it needs. Where
+    the platform cannot do that, nothing is kept.
+
+    Yields
+    ------
+    None
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    try:
+        # Else it would be started with the first process, and let Ctrl-C through. It ends by itself; ended by a terminal
+        # that is closed, it would be missed by who started it.
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT})
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def started_apart() -> dict[str, Any]:
+    """Return the options of `subprocess.Popen` for a process that goes on when this one and its group are ended.
+
+    Returns
+    -------
+    dict of str to object
+        It has neither a terminal nor a window.
+    """
+    # What sys.platform says is looked at by checkers of types, too.
+    if sys.platform == "win32":
+        return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
+    return {"start_new_session": True}
+
+
+def process_tree(number: int, *, group: bool = True) -> list[Process]:
+    """List a process and all that it has started, as far as they are there.
+
+    Parameters
+    ----------
+    number : int
+        Of the process, or of the group that it has made by `leave_terminal`.
+    group : bool, default True
+        Also those of that group whose parents have ended.
+
+    Returns
+    -------
+    list of psutil.Process
+    """
+    # Only those who start processes need it.
+    import psutil
+
+    found: list[Process] = []
+    with suppress(psutil.Error):
+        process = psutil.Process(number)
+        found += [process, *process.children(recursive=True)]
+    if group and hasattr(os, "getpgid"):
+        for one in psutil.process_iter():
+            with suppress(OSError):
+                if os.getpgid(one.pid) == number and one not in found:
+                    found.append(one)
+    return found
 
 
 def end_process_tree(number: int) -> None:
@@ -194,16 +271,10 @@ def end_process_tree(number: int) -> None:
     number : int
         Of the process; where there is none any more, of the group that it has made by `leave_terminal`.
     """
-    # Only those who start processes need it.
     import psutil
 
-    found: list[psutil.Process] = []
-    with suppress(psutil.Error):
-        process = psutil.Process(number)
-        found.append(process)
-        found += process.children(recursive=True)
+    found = process_tree(number, group=False)
     if hasattr(os, "killpg"):
-        # Its group also holds those whose parents have ended.
         with suppress(OSError):
             os.killpg(number, signal.SIGKILL)
     for one in found:
@@ -225,6 +296,48 @@ def is_process(number: int) -> bool:
     import psutil
 
     return psutil.pid_exists(number)
+
+
+def ending_signals() -> tuple[signal.Signals, ...]:
+    """List the signals, beside that of Ctrl-C, by which a user or a system asks a program to end.
+
+    Returns
+    -------
+    tuple of signal.Signals
+        Of schedulers and `timeout`, of a terminal that is closed, of Ctrl-Break.
+    """
+    names = ("SIGTERM", "SIGHUP", "SIGBREAK")
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+def signal_main_thread(number: int) -> None:
+    """Send a signal to the main thread of this process, which stops waiting where the platform can do that.
+
+    Parameters
+    ----------
+    number : int
+        Of the signal.
+    """
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        signal.raise_signal(number)
+
+
+def ended_from_outside(code: int | None) -> bool:
+    """Tell whether a process was ended by somebody else: by a user, or by the system for want of memory.
+
+    Parameters
+    ----------
+    code : int or None
+        As in `multiprocessing.Process.exitcode`.
+
+    Returns
+    -------
+    bool
+        Always False on Windows, where it cannot be told.
+    """
+    return code is not None and code < 0 and -code in [getattr(signal, "SIGKILL", 0), *ending_signals()]
 
 
 def words_of_exit_code(code: int | None) -> str:

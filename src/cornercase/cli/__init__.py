@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from cornercase._common.interrupts import hear_requests
 from cornercase._common.platform import forgive_narrow_output
 
 # Their order is that of the commands in the help.
@@ -22,5 +23,6 @@ def main() -> None:
     """Run the command line; whatever goes wrong becomes one sentence and an exit code."""
     forgive_narrow_output()
     show_notices()
+    hear_requests()
     debugging.set(False)
     sys.exit(exit_code_of(lambda: app(standalone_mode=False)))

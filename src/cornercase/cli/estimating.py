@@ -10,6 +10,7 @@ import typer
 
 from cornercase._common.texts import json_text
 from cornercase.cli import parsing
+from cornercase.cli.interrupting import exit_code
 from cornercase.cli.options import (
     Cluster,
     Drivers,
@@ -91,7 +92,7 @@ def estimate(
         _tell(found)
     if found.interrupted:
         err.print(f"Interrupted; the same command goes on from the {found.scenarios} scenarios in {found.study}.")
-        raise typer.Exit(130)
+        raise typer.Exit(exit_code())
 
 
 def _tell(found: Estimation) -> None:

@@ -16,11 +16,10 @@ import typer
 
 from cornercase._common.errors import InputError, StudyLostError
 from cornercase._common.texts import in_one_line, shorten
+from cornercase.cli.interrupting import exit_code
 from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
 from cornercase.cli.options import debugging, err
 
-# As a shell says it of a program that Ctrl-C ended.
-_INTERRUPTED: Final = 130
 # typer may hold click's classes under other names.
 _Usage: Final = cast("type[Any]", typer.BadParameter.__mro__[1])
 _PACKAGE: Final = Path(__file__).parents[1]
@@ -37,8 +36,8 @@ def exit_code_of(command: Callable[[], Any]) -> int:
     Returns
     -------
     int
-        2 where the input, the machine or cornercase itself did not let it be done; 130 for Ctrl-C. 1 where the study
-        was lost that it wrote to, and, in silence, where nobody reads the output any more.
+        2 where the input, the machine or cornercase itself did not let it be done; 130 for Ctrl-C, 143 for SIGTERM. 1
+        where the study was lost that it wrote to, and, in silence, where nobody reads the output any more.
     """
     try:
         code = command()
@@ -51,7 +50,8 @@ def exit_code_of(command: Callable[[], Any]) -> int:
         err.print("\n".join(shorten(line, LONGEST) for line in said.getvalue().rstrip().splitlines()))
         return int(error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
-        return _INTERRUPTED
+        # Before or after the command itself, which says so.
+        return exit_code()
     except Exception as error:
         if debugging.get():
             err.print("".join(traceback.format_exception(error)).rstrip())

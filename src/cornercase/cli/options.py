@@ -12,12 +12,14 @@ from rich.text import Text
 
 from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
+from cornercase.cli.interrupting import InterruptedGroup, exit_code
 
 if TYPE_CHECKING:
     from cornercase.exploration import ExplorationResult
 
 app = typer.Typer(
     name="cornercase",
+    cls=InterruptedGroup,
     help="Find, cluster and reduce the critical concrete scenarios of a logical scenario.",
     no_args_is_help=True,
     add_completion=False,
@@ -127,7 +129,7 @@ def tell_ending(result: ExplorationResult) -> None:
         raise typer.Exit(0 if result.same else 1)
     if result.interrupted:
         out.print(f"Interrupted; the same command goes on from the {result.ended} scenarios in {result.study}.")
-        raise typer.Exit(130)
+        raise typer.Exit(exit_code())
     failed = f", {result.failed} of which failed" if result.failed else ""
     out.print(f"{result.ended} scenarios in {result.study}{failed}; ended because {result.reason}.")
     for sentence in result.alike:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakSet
 
 from cornercase._common.dask_client import connect, disconnected, ended, leave, name_cluster, take, workers_of
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError, LostError
 from cornercase._common.version import __version__
 from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel
 from cornercase.simulators.base import Simulator
@@ -254,7 +254,7 @@ class ClusterSimulator(SimulatorElsewhere):
             if self._lost >= _MOST_LOST:
                 raise self._broken(f"workers were lost in {self._lost} scenarios in a row")
             each = "one worker was" if self._retries == 0 else f"{self._retries + 1} workers were"
-            done[task.indices[0]] = SimulationError(f"{each} lost while running the scenario")
+            done[task.indices[0]] = LostError(f"{each} lost while running the scenario")
 
     def _broken(self, what: str) -> InputError:
         return InputError(

@@ -119,9 +119,13 @@ class _Site:
         return WorkerSimulator(job.simulator, options, 1, job.timeout, job.retries)
 
     def unpacked(self, key: str, parcel: ScenarioParcel) -> tuple[Scenario, Path]:
+        from distributed import get_worker
+
         with self._change:
             if key not in self._scenarios:
-                folder = TemporaryDirectory(prefix="cornercase-", ignore_cleanup_errors=True)
+                # Of the worker, since Dask removes its folder when it could not do so itself.
+                place = get_worker().local_directory
+                folder = TemporaryDirectory(prefix="cornercase-", dir=place, ignore_cleanup_errors=True)
                 self._scenarios[key] = parcel.unpack(Path(folder.name))
                 self._folders[key] = folder
             return self._scenarios[key], Path(self._folders[key].name)

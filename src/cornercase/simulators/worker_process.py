@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import pickle
 import sys
 import time
@@ -11,10 +12,18 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.platform import end_process_tree, leave_terminal, words_of_exit_code
+from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError
+from cornercase._common.guardian import Guardian
+from cornercase._common.lifeline import end_with_parent, keep_temporary_files_in
+from cornercase._common.platform import (
+    end_process_tree,
+    ended_from_outside,
+    interrupts_kept,
+    leave_terminal,
+    words_of_exit_code,
+)
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.base import Simulator
@@ -23,6 +32,10 @@ from cornercase.simulators.registry import SIMULATORS
 
 # s that a simulator may take to start, for its exit code to arrive, and to end by itself.
 _STARTED, _DIED, _ENDED = 60.0, 0.2, 10.0
+# What an OSError says where the machine is at fault.
+_OF_THE_MACHINE: Final = {
+    errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -48,9 +61,12 @@ class Raised:
     Attributes
     ----------
     words : str
+    outside : bool
+        Whether the machine is at fault: its disk is full, or its memory.
     """
 
     words: str
+    outside: bool = False
 
 
 class Worker:
@@ -64,6 +80,8 @@ class Worker:
         What to make it with; has to be picklable.
     timeout : float or None
         s for each scenario.
+    guardian : Guardian
+        Ends the process where this one cannot, and keeps its folder for temporary files.
 
     Attributes
     ----------
@@ -79,9 +97,10 @@ class Worker:
     connection: Connection
     task: Task
 
-    def __init__(self, name: str, options: dict[str, Any], timeout: float | None) -> None:
-        self._name, self._options, self._timeout = name, options, timeout
+    def __init__(self, name: str, options: dict[str, Any], timeout: float | None, guardian: Guardian) -> None:
+        self._name, self._options, self._timeout, self._guardian = name, options, timeout, guardian
         self._process: Any = None
+        self._folder: Path | None = None
         self._code: int | None = None
         self._started = False
         self.waiting: list[int] = []
@@ -100,11 +119,15 @@ class Worker:
             self.stop()
             # Spawned, not forked: threads of numerical libraries do not survive a fork, and Windows has none.
             context = get_context("spawn")
+            # What it leaves in it is removed after it, however it ends.
+            self._folder = self._guardian.new_folder()
             self.connection, theirs = context.Pipe()
             # As bytes, so that the process looks for a driver of one's own where this one did.
-            given = theirs, self._name, pickle.dumps(self._options)
+            given = theirs, self._name, pickle.dumps(self._options), self._folder
             self._process = context.Process(target=_serve, args=given, daemon=True)
-            self._process.start()
+            with interrupts_kept():
+                self._process.start()
+            self._guardian.watch(self._process.pid)
             theirs.close()
         self.task, self.waiting = task, list(task.indices)
         self._set_deadline()
@@ -146,15 +169,16 @@ class Worker:
         self._set_deadline()
         return found
 
-    def ending(self) -> str:
+    def ending(self) -> SimulatorError:
         """Say how the process ended.
 
         Returns
         -------
-        str
-            ``"the simulator's process ended with exit code 3"``.
+        SimulatorError
+            ``"the simulator's process ended with exit code 3"``; a `LostError` where somebody else has ended it.
         """
-        return f"the simulator's process {words_of_exit_code(self._code)}"
+        words = f"the simulator's process {words_of_exit_code(self._code)}"
+        return LostError(f"{words} from outside") if ended_from_outside(self._code) else SimulatorError(words)
 
     def stop(self) -> None:
         """End the process at once, if there is one."""
@@ -164,9 +188,9 @@ class Worker:
         # If the process has ended by itself, its exit code arrives within a moment.
         self._process.join(_DIED)
         self._code = self._process.exitcode
-        if self._process.is_alive():
-            end_process_tree(self._process.pid)
-            self._process.join(_ENDED)
+        # One that has been killed may have left what it has started.
+        end_process_tree(self._process.pid)
+        self._process.join(_ENDED)
         self._forget()
 
     def kill(self) -> None:
@@ -195,13 +219,18 @@ class Worker:
 
     def _forget(self) -> None:
         self.connection.close()
-        self._process = None
+        self._guardian.release(self._process.pid)
+        if self._folder is not None:
+            self._guardian.remove(self._folder)
+        self._process = self._folder = None
 
 
-def _serve(connection: Connection, name: str, options: bytes) -> None:
+def _serve(connection: Connection, name: str, options: bytes, folder: Path) -> None:
     """Make a simulator, and run what comes until nothing follows."""
     # Ctrl-C is handled by the main process, which lets this one finish its scenario or stops it.
     leave_terminal()
+    end_with_parent()
+    keep_temporary_files_in(folder)
     try:
         simulator = SIMULATORS.create(name, **unpickled_options(options))
     except InputError as error:
@@ -212,7 +241,7 @@ def _serve(connection: Connection, name: str, options: bytes) -> None:
         while True:
             try:
                 concretes = connection.recv()
-            except EOFError:
+            except (EOFError, OSError):
                 return
             _answer(connection, simulator, concretes)
 
@@ -246,9 +275,12 @@ def _answer(connection: Connection, simulator: Simulator, concretes: list[Concre
         except InputError as error:
             found = error
         except Exception as error:
-            found = Raised(f"the simulator failed ({type(error).__name__}: {error})")
+            outside = isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _OF_THE_MACHINE)
+            found = Raised(f"the simulator failed ({type(error).__name__}: {error})", outside)
         if found is None:
             return
-        connection.send(found)
+        # Where nobody listens any more, this process is about to be ended.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            connection.send(found)
         if isinstance(found, InputError | Raised):
             return

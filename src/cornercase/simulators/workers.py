@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import Any, Final
 
-from cornercase._common.errors import InputError, SimulationError, SimulatorError
+from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError
+from cornercase._common.guardian import Guardian
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.elsewhere import SimulatorElsewhere
 from cornercase.simulators.outcomes import Outcome
@@ -51,7 +52,7 @@ class WorkerSimulator(SimulatorElsewhere):
         has a minute of its own.
     retries : int, default 1
         How often a scenario is run again after the simulator failed: its process ended, had to be ended, or the
-        connection to its program broke.
+        connection to its program broke. Where somebody else has ended its process, it is run again at least once.
 
     Raises
     ------
@@ -80,7 +81,10 @@ class WorkerSimulator(SimulatorElsewhere):
         super().__init__(name, options)
         self._batches, self._retries = self._declared.takes_batches, retries
         numbered = "worker" in self._declared.needs
-        self._workers = [Worker(name, options | ({"worker": k} if numbered else {}), timeout) for k in range(workers)]
+        self._guardian = Guardian()
+        self._workers = [
+            Worker(name, options | ({"worker": k} if numbered else {}), timeout, self._guardian) for k in range(workers)
+        ]
         self._lost = _Lost()
         self._each: list[WorkerSimulator] = []
 
@@ -147,6 +151,7 @@ class WorkerSimulator(SimulatorElsewhere):
             worker.hang_up()
         for worker in self._workers:
             worker.wait()
+        self._guardian.close()
         super().close()
 
     def _ready(self) -> list[Worker]:
@@ -164,8 +169,8 @@ class WorkerSimulator(SimulatorElsewhere):
             found = worker.answer()
         except (EOFError, OSError) as error:
             worker.stop()
-            words = str(error) if isinstance(error, TimeoutError) else worker.ending()
-            self._lose(task, left, SimulatorError(words), waiting, done)
+            why = SimulatorError(str(error)) if isinstance(error, TimeoutError) else worker.ending()
+            self._lose(task, left, why, waiting, done)
             return
         if found is None:
             return
@@ -174,7 +179,7 @@ class WorkerSimulator(SimulatorElsewhere):
             raise found
         if isinstance(found, Raised):
             worker.waiting = []
-            self._lose(task, left, SimulationError(found.words), waiting, done)
+            self._lose(task, left, (LostError if found.outside else SimulationError)(found.words), waiting, done)
         elif isinstance(found, SimulatorError):
             self._lose(task, left[:1], found, waiting, done, own=True)
         else:
@@ -199,10 +204,12 @@ class WorkerSimulator(SimulatorElsewhere):
             waiting.extendleft(Task((k,)) for k in reversed(left))
             return
         (index,) = left
+        # Who has ended it does not ask how often a scenario may be tried.
+        retries = 1 if self._retries == 0 and isinstance(why, LostError) else self._retries
         if not isinstance(why, SimulatorError):
             self._lost.count = 0
             done[index] = why
-        elif task.tries < self._retries:
+        elif task.tries < retries:
             waiting.appendleft(Task((index,), task.tries + 1))
         else:
             self._lost.count += 1
@@ -212,4 +219,5 @@ class WorkerSimulator(SimulatorElsewhere):
                     f" one {why}. Mend it, and run the same command again to go on."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
-            done[index] = SimulationError(f"{why}, tried {times}")
+            kind = LostError if isinstance(why, LostError) else SimulationError
+            done[index] = kind(f"{why}, tried {times}")

@@ -1,0 +1,79 @@
+"""What commands say and leave when they are asked to end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from command_line import SPACE, X, process
+from cornercase._common.interrupts import hear_requests
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it asks as Unix does")
+
+# Its first argument is a signal, the second a function at whose first call the signal comes.
+PROGRAM = """
+import signal, sys
+from importlib import import_module
+from cornercase.cli import main
+
+number, (place, name), sys.argv[1:] = int(sys.argv[1]), sys.argv[2].split(":"), sys.argv[3:]
+module = import_module(place)
+was = getattr(module, name)
+
+def asked(*given, **more):
+    signal.raise_signal(number)
+    return was(*given, **more)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+setattr(module, name, asked)
+main()
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("interrupted") / "study.db"
+    done = process(
+        "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer",
+        "sobol", "--budget", 24, "--duration", 10, "-o", path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def asked(number, place, *command, cwd):
+    return subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(int(number)), place, *map(str, command)],
+        capture_output=True, text=True, cwd=cwd, timeout=120,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("number", "place", "command", "words"),
+    [
+        (signal.SIGINT, "cornercase.clustering.analyzing:_clustered", ("analyze",), "Interrupted;"),
+        (signal.SIGTERM, "cornercase.report.page:written_whole", ("report", "-o", "page.html"), "by SIGTERM;"),
+        (signal.SIGHUP, "cornercase.report.summary:summarize", ("show",), "by SIGHUP;"),
+    ],
+)
+def test_stumble_8_an_interrupted_command_says_a_word(number, place, command, words, study, tmp_path):
+    name, *options = command
+    done = asked(number, place, name, study, *options, cwd=tmp_path)
+    assert done.returncode == 128 + number, done.stderr
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert os.listdir(tmp_path) == []
+
+
+def test_who_ignores_a_signal_goes_on_ignoring_it():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        hear_requests()
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -1,0 +1,100 @@
+"""Processes and folders of a process that is killed, also where it is inside compiled code."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from cornercase._common.errors import InputError
+from cornercase._common.guardian import Guardian
+
+# Makes a folder, starts a process that starts another one, and waits.
+PROGRAM = """
+import os, subprocess, sys, time
+from cornercase._common.guardian import Guardian
+
+guardian = Guardian()
+folder = guardian.new_folder()
+(folder / "file").write_text("x")
+wait = [sys.executable, "-c", "import time; time.sleep(600)"]
+one = subprocess.Popen([sys.executable, "-c", f"import subprocess; subprocess.run({wait})"])
+guardian.watch(one.pid)
+with guardian.watch_all():
+    other = subprocess.Popen(wait, start_new_session=True)
+print(folder, one.pid, other.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def is_there(number):
+    try:
+        return psutil.Process(number).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def gone(condition, seconds=20.0):
+    deadline = time.monotonic() + seconds
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return condition()
+
+
+def test_what_a_killed_process_leaves_is_ended_and_removed():
+    process = subprocess.Popen([sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    folder, *numbers = process.stdout.readline().split()
+    children = [one.pid for number in numbers for one in psutil.Process(int(number)).children()]
+    every = [*map(int, numbers), *children]
+    assert all(map(is_there, every))
+    assert (Path(folder) / "file").exists()
+    process.kill()
+    process.communicate()
+    assert gone(lambda: not any(map(is_there, every)) and not Path(folder).exists())
+
+
+def test_a_guardian_that_is_killed_is_replaced_and_one_with_nothing_to_guard_ends(tmp_path):
+    with Guardian() as guardian:
+        folder = guardian.new_folder()
+        assert guardian._process is not None
+        first = guardian._process.pid
+        guardian._process.kill()
+        guardian._process.wait()
+        second = guardian.new_folder()
+        assert guardian._process.pid != first
+        number = guardian._process.pid
+        guardian.remove(folder)
+        assert second.is_dir()
+    assert not folder.exists()
+    assert not second.exists()
+    assert not psutil.pid_exists(number)
+
+
+def test_a_place_for_temporary_files_that_is_missing_or_full_is_told(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
+    with Guardian() as guardian, pytest.raises(InputError, match=r"No temporary folder.*TMPDIR"):
+        guardian.new_folder()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is nothing that is always full")
+def test_workers_say_where_the_disk_is_full_and_the_scenario_may_be_run_again(tmp_path):
+    from cornercase._common.errors import LostError
+    from cornercase.scenario import ConcreteScenario
+    from cornercase.simulators import WorkerSimulator
+    from fake_simulators import Plan
+
+    plan = Plan(tmp_path, {1: ["full", "well"], 2: ["full"]})
+    concretes = [ConcreteScenario(Path("none.xosc"), {"k": float(k)}) for k in range(4)]
+    with WorkerSimulator("failing", {"plan": plan}, retries=0) as simulator:
+        found = list(simulator.run(concretes))
+    assert [int(one.x[0, 0]) for one in found if not isinstance(one, Exception)] == [0, 1, 3]
+    assert isinstance(found[2], LostError)
+    assert "No space left on device" in str(found[2])
+    assert str(found[2]).endswith("tried 2 times")
+    assert os.listdir(tmp_path)
