@@ -76,7 +76,7 @@ class Case:
             "explore", str(X), "--space", str(X.with_suffix(".space.xosc")), "--ego", "Ego", "--other", "Pedestrian",
             *(part for metric in metrics for part in ("--metric", metric)), "--duration", "10", "--seed", "1",
             "--batch", "4", "--budget", str(self.budget), "--retries", "9", "--optimizer", self.search,
-            "--simulator", self.simulator, *self.more, "-o", "study.db",
+            "--critical", "0.5", "--simulator", self.simulator, *self.more, "-o", "study.db",
         ]  # fmt: skip
 
 
