@@ -251,6 +251,9 @@ class Kills:
                 break
         else:
             self._fault(case, "never ends")
+        # What a killed process was writing beside the study is removed by the next that writes there.
+        if beside := {path.name for path in folder.iterdir()} - BESIDE:
+            self._fault(case, f"beside the study lies {sorted(beside)}")
         self.found.explorations += 1
         self._compare(case, folder, undisturbed)
         if len(self.found.faults) == before:
@@ -331,8 +334,6 @@ class Kills:
 
     def _look_at_what_is_stored(self, case: Case, folder: Path, before: dict[int, Any]) -> dict[int, Any]:
         """Scenarios that have ended by now, of which none that had ended before may be missing or changed."""
-        if beside := {path.name for path in folder.iterdir()} - BESIDE:
-            self._fault(case, f"beside the study lies {sorted(beside)}")
         if not (folder / "study.db").exists():
             if before:
                 self._fault(case, "the study is gone")
