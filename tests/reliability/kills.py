@@ -418,7 +418,8 @@ def kill(kills: int, seed: int, folder: Path, seconds: float = float("inf"), cho
     for case in chosen or cases(seed):
         if killing.found.kills.total() >= kills or time.monotonic() - begun > seconds:
             break
-        killing.explore(case, min(12, kills - killing.found.kills.total()))
+        each = -(-kills // len(chosen)) if chosen else 12
+        killing.explore(case, min(each, kills - killing.found.kills.total()))
         if not chosen:
             print(f"{killing.found.kills.total()} kills, {time.monotonic() - begun:.0f} s: {case.name}", flush=True)
     return killing.found
