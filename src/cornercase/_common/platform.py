@@ -211,8 +211,8 @@ def interrupts_kept() -> Iterator[None]:
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     try:
-        # Else it would be started with the first process, and let Ctrl-C through. It ends by itself; if it is ended by a
-        # terminal that is closed, who started it misses it.
+        # Else it would be started with the first process, and let Ctrl-C through. If a terminal that is closed ended
+        # it, who started it would miss it.
         resource_tracker.ensure_running()
         signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT})
         yield
