@@ -361,7 +361,9 @@ def demo(
     from cornercase.study import Study
 
     folder = output or Path("demo") / name
-    configuration = demonstration(name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers)
+    configuration = demonstration(
+        name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers, folder=folder / "scenario"
+    )
     study = folder / "study.db"
     with two_compile():
         tell_ending(explore_configuration(configuration, study, progress=True))

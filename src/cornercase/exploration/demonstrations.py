@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.files import read_file, written_whole
 from cornercase.exploration.configuration import Configuration
 from cornercase.scenario import LogicalScenario
 
@@ -39,6 +40,7 @@ def demonstration(
     driver: str | None = None,
     simulator: str = "builtin",
     workers: int = 1,
+    folder: Path | None = None,
 ) -> Configuration:
     """Configuration of one of the paper's experiments, at its size.
 
@@ -51,6 +53,8 @@ def demonstration(
         Who drives the ego, instead of the file's own choice.
     simulator : str
     workers : int
+    folder : Path, optional
+        Where the example's files are written, to be explored there; default: those of the package are.
 
     Returns
     -------
@@ -59,14 +63,14 @@ def demonstration(
     Raises
     ------
     InputError
-        There is no such example.
+        There is no such example, or one of its files cannot be written, or was changed.
     """
     if name not in _DEMONSTRATIONS:
         raise InputError(f"There is no example '{name}'; {suggestion(name, _DEMONSTRATIONS)}")
     stem = name.replace("-", "_")
-    folder = examples() / stem
+    files = examples() / stem if folder is None else _written(examples() / stem, folder)
     configuration = Configuration(
-        LogicalScenario.read(folder / f"{stem}.xosc", folder / f"{stem}.space.xosc"),
+        LogicalScenario.read(files / f"{stem}.xosc", files / f"{stem}.space.xosc"),
         ego="Ego",
         seed=seed,
         drivers={} if driver is None else {"Ego": driver},
@@ -75,6 +79,18 @@ def demonstration(
         **_DEMONSTRATIONS[name],
     )
     return configuration if budget is None else replace(configuration, budget=budget)
+
+
+def _written(example: Path, folder: Path) -> Path:
+    """Copy the files of an example, and leave those that are there already."""
+    for source in sorted(example.iterdir()):
+        content, copy = source.read_bytes(), folder / source.name
+        if not copy.exists():
+            with written_whole(copy) as temporary:
+                temporary.write_bytes(content)
+        elif read_file(copy) != content:
+            raise InputError(f"{copy}: differs from the example's file; choose another folder, or remove it.")
+    return folder
 
 
 def mutants_of_demonstration(name: str) -> int | None:
