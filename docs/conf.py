@@ -8,8 +8,6 @@ from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sphinx_gallery.sorting import FileNameSortKey
-
 from cornercase import NoticeWarning
 
 if TYPE_CHECKING:
@@ -49,7 +47,7 @@ numpydoc_show_class_members = False
 sphinx_gallery_conf = {
     "examples_dirs": "scripts",
     "gallery_dirs": "gallery",
-    "within_subsection_order": FileNameSortKey,
+    "within_subsection_order": "FileNameSortKey",
     "filename_pattern": "/plot_",
     "abort_on_example_error": True,
     "show_memory": False,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import inspect
+from collections.abc import Sequence
 from pathlib import Path
+from types import GenericAlias
 
 from typer.main import get_command
 from typer.testing import CliRunner
@@ -16,6 +18,13 @@ ROOMS = (
     "scenario", "roads", "recordings", "drivers", "simulators", "metrics", "study", "evidence", "optimizers",
     "exploration", "dtw", "clustering", "reduction", "suite", "report",
 )  # fmt: skip
+
+# Of the package itself.
+_WITHOUT_ROOM = ("InputError", "NoticeWarning", "SimulationError")
+
+_INTRODUCTION = """\
+Each command is a function of the same name. What third parties build on are the base classes and the registries; the rooms
+hold the parts."""
 
 _EXIT_CODES = """\
 # Commands
@@ -51,14 +60,9 @@ def write_names(page: Path, folder: Path) -> None:
         For the pages of the rooms.
     """
     folder.mkdir(exist_ok=True)
-    package = importlib.import_module("cornercase")
     rooms = "\n".join(f"   api/{room}" for room in ROOMS)
-    introduction = (
-        "Each command is a function of the same name here. What third parties build on are the base classes and registries;"
-        " the rooms below hold the parts."
-    )
     page.write_text(
-        f"Python\n======\n\n{introduction}\n\n{_table('cornercase', dir(package), 'api/names')}\n"
+        f"Python\n======\n\n{_INTRODUCTION}\n\n{_first_lines()}\n{_table('cornercase', _WITHOUT_ROOM, 'api/names')}\n"
         f"Rooms\n-----\n\n.. toctree::\n   :maxdepth: 1\n\n{rooms}\n",
         encoding="utf-8",
     )
@@ -69,11 +73,29 @@ def write_names(page: Path, folder: Path) -> None:
         (folder / f"{room}.rst").write_text(text, encoding="utf-8")
 
 
-def _table(module: str, names: list[str], folder: str) -> str:
+def _first_lines() -> str:
+    """List what the package shows: each name stands on the page of its room, so here is a link and its first line."""
+    package = importlib.import_module("cornercase")
+    lines = [".. list-table::", "   :widths: 30 70", ""]
+    for name in dir(package):
+        shown = getattr(package, name)
+        if name.startswith("_") or name in _WITHOUT_ROOM or inspect.ismodule(shown):
+            continue
+        room = next(one for one in ROOMS if name in dir(importlib.import_module(f"cornercase.{one}")))
+        first = (inspect.getdoc(shown) or "").partition("\n")[0]
+        lines += [f"   * - :py:obj:`cornercase.{name} <cornercase.{room}.{name}>`", f"     - {first}"]
+    return "\n".join(lines) + "\n"
+
+
+def _table(module: str, names: Sequence[str], folder: str) -> str:
+    package = importlib.import_module(module)
+    # Types of others have their documentation elsewhere.
     shown = [
         name
         for name in names
-        if not name.startswith("_") and not inspect.ismodule(getattr(importlib.import_module(module), name))
+        if not name.startswith("_")
+        and not inspect.ismodule(getattr(package, name))
+        and not isinstance(getattr(package, name), GenericAlias)
     ]
     lines = "\n".join(f"   {name}" for name in shown)
     return f".. currentmodule:: {module}\n\n.. autosummary::\n   :toctree: {folder}\n   :nosignatures:\n\n{lines}\n"

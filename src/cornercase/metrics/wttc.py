@@ -24,7 +24,7 @@ class Wttc(Metric):
 
     Each entity may accelerate in any direction by at most ``a``: after a time t it is somewhere in a circle
     that moves on with its present velocity and grows by ``a t²/2``. The value is the smallest t >= 0 in s
-    with
+    with ::
 
         |Δp + Δv t| = R + (a_ego + a_other) t² / 2,
 
