@@ -23,14 +23,15 @@ ROOMS = (
 _WITHOUT_ROOM = ("InputError", "NoticeWarning", "SimulationError")
 
 _INTRODUCTION = """\
-Each command is a function of the same name. What third parties build on are the base classes and the registries; the rooms
-hold the parts."""
+Each command is a function of the same name. What third parties build on are the base classes and the registries; the
+rooms hold the parts."""
 
 _EXIT_CODES = """\
 # Commands
 
 `cornercase COMMAND --help` prints what stands here. Exit codes are 0 for done; 1 where the answer is *no*, as when a
-requirement was violated or versions differ; 2 where the input cannot be used, and a sentence says why; 130 after Ctrl-C.
+requirement was violated or versions differ; 2 where the input cannot be used, and a sentence says why; 130 after
+Ctrl-C.
 """
 
 

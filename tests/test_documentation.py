@@ -237,3 +237,7 @@ def test_the_files_that_are_named_exist(page):
         and (page.name != "opendrive.md" or "." in code)
     ]
     assert [code for code in files if "NAME" not in code and not any((place / code).exists() for place in places)] == []
+
+
+def test_who_cites_names_the_version_that_is_there():
+    assert f"version: {cornercase.__version__}\n" in (ROOT / "CITATION.cff").read_text("utf-8")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import shutil
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -81,7 +81,7 @@ def test_what_is_printed_works_when_it_is_typed(page, demonstration, tmp_path, m
                 continue
             done = cornercase(*words, cwd=tmp_path)
             assert done.returncode in ((0, 1) if words[0] in MAY_SAY_NO else (0,)), f"{text}\n{done.stderr}"
-            for option, value in zip(words, words[1:], strict=False):
+            for option, value in pairwise(words):
                 assert option not in ("-o", "--output", "--junit") or (tmp_path / value).exists(), text
 
 

@@ -2,7 +2,8 @@
 Kinds of scenario
 =================
 
-What ran is grouped by who was where when: by the aspect ``interaction``. Each kind gets a name that is true of its scenarios.
+What ran is grouped by who was where when: by the aspect ``interaction``. Each kind gets a name that is true of its
+scenarios.
 """
 
 # %%
@@ -28,12 +29,13 @@ for profile in kinds.profiles:
     print(f"{profile.size:4d}  {profile.name}")
 
 # %%
-# Kernel PCA gives each scenario a place, so that scenarios that are alike lie together. DBSCAN finds the dense regions there.
+# Kernel PCA gives each scenario a place, so that scenarios that are alike lie together. DBSCAN finds the dense
+# regions there.
 
 colours = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000"]
 markers = "osD^vP*X"
 figure, (places, courses) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
-with cc.Study.open(path, readonly=True) as study:
+with cc.Study.open(path) as study:
     for number, profile in enumerate(kinds.profiles):
         look = {"color": colours[number % 8], "marker": markers[number % 8]}
         members = kinds.labels == profile.cluster

@@ -2,13 +2,13 @@
 What a search is worth
 ======================
 
-Three searches look for the critical set of the T-intersection, with 200 scenarios each. Here the score jumps wherever one of
-two goes first.
+Three searches look for the critical set of the T-intersection, with 200 scenarios each. Here the score jumps wherever
+one of two goes first.
 """
 
 # %%
-# ``sobol`` looks at no score, ``level-set`` follows a smooth model of it, and ``committee`` learns from what happened in the
-# recordings.
+# ``sobol`` looks at no score, ``level-set`` follows a smooth model of it, and ``committee`` learns from what happened
+# in the recordings.
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,7 +27,7 @@ for search in ("sobol", "level-set", "committee"):
         f"{example}.xosc", path, space=f"{example}.space.xosc", ego="Ego", other="C", metrics=["ttc"], critical=0.5,
         optimizer=search, budget=200, seed=1, on_collision="stop",
     )  # fmt: skip
-    with cc.Study.open(path, readonly=True) as study:
+    with cc.Study.open(path) as study:
         found[search] = (study.table()["ttc"] <= 0.5).cumsum()
 
 # %%
@@ -43,5 +43,5 @@ axes.legend()
 plt.show()
 
 # %%
-# Many critical scenarios are not the whole critical set. What is missed of it stands in ``cornercase show``, and how it was
-# measured in :doc:`/exploration`.
+# Many critical scenarios are not the whole critical set. What is missed of it stands in ``cornercase show``, and how
+# it was measured in :doc:`/exploration`.

@@ -18,8 +18,8 @@ example = examples() / "x_intersection" / "x_intersection"
 folder = TemporaryDirectory()
 path = Path(folder.name) / "study.db"
 cc.explore(
-    f"{example}.xosc", path, space=f"{example}.space.xosc", ego="Ego", other="Pedestrian", metrics=["wttc"], critical=0.2,
-    optimizer="sobol", budget=150,
+    f"{example}.xosc", path, space=f"{example}.space.xosc", ego="Ego", other="Pedestrian", metrics=["wttc"],
+    critical=0.2, optimizer="sobol", budget=150,
 )  # fmt: skip
 cc.analyze(path)
 reduced = cc.reduce(path, Path(folder.name) / "reduced", size=12, scenario=f"{example}.xosc")
@@ -34,20 +34,22 @@ for kept in reduced.kept[:3]:
 # %%
 # Where they lie among all that ran:
 
-with cc.Study.open(path, readonly=True) as study:
+with cc.Study.open(path) as study:
     table = study.table()
 chosen = table["id"].isin(reduced.ids)
 
 figure, axes = plt.subplots(layout="constrained")
 axes.scatter(table["ego_start"], table["pedestrian_wait"], s=12, color="#999999", label="run")
-axes.scatter(table["ego_start"][chosen], table["pedestrian_wait"][chosen], s=70, marker="D", color="#D55E00", label="kept")
+axes.scatter(
+    table["ego_start"][chosen], table["pedestrian_wait"][chosen], s=70, marker="D", color="#D55E00", label="kept"
+)
 axes.set(xlabel="ego_start in m", ylabel="pedestrian_wait in s", title="Twelve of 150")
 axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
 plt.show()
 
 # %%
-# What they leave out is judged by scenarios that played no part in the choice. Shown is the largest distance of one of them
-# to its nearest kept one, beside the median of random choices of the same size.
+# What they leave out is judged by scenarios that played no part in the choice. Shown is the largest distance of one
+# of them to its nearest kept one, beside the median of random choices of the same size.
 
 for aspect, coverage in reduced.coverage.items():
     held_out = coverage.held_out

@@ -14,7 +14,7 @@ from cornercase.metrics import METRICS, Metric
 
 
 class SpeedNearby(Metric):
-    """Speed of the ego while the other is within 10 m, in m/s."""
+    """Speed of the ego while the other is within 20 m, in m/s."""
 
     name = "speed-nearby"
     unit = "m/s"
@@ -23,7 +23,7 @@ class SpeedNearby(Metric):
 
     def course(self, recording, ego, other):
         gap = np.hypot(*(recording.center(other) - recording.center(ego)).T)
-        return np.where(gap <= 10.0, recording.speed[recording.index(ego)], np.nan)
+        return np.where(gap <= 20.0, recording.speed[recording.index(ego)], np.nan)
 
 
 METRICS.register("speed-nearby", SpeedNearby)
@@ -38,10 +38,10 @@ for driver, look in (("cautious", "-"), ("aggressive", "--")):
     measured = cc.measure(recording, "Ego", "Pedestrian", ["speed-nearby"])
     print(driver, measured.scores)
     axes.plot(recording.time, measured.courses["speed-nearby"], look, label=driver)
-axes.set(xlabel="time in s", ylabel="speed of the ego in m/s", title="While the pedestrian is within 10 m")
+axes.set(xlabel="time in s", ylabel="speed of the ego in m/s", title="While the pedestrian is within 20 m")
 axes.legend()
 plt.show()
 
 # %%
-# From here on ``cc.explore(..., metrics=["speed-nearby"])`` searches it. :doc:`/howto/own-metric` says how the command line
-# gets to know it.
+# From here on ``cc.explore(..., metrics=["speed-nearby"])`` searches it. :doc:`/howto/own-metric` says how the
+# command line gets to know it.

@@ -2,8 +2,8 @@
 A driver of your own
 ====================
 
-A driver decides about the ego's acceleration, for all concrete scenarios of a batch at once. This one keeps its speed and sees
-nobody; what does attention change?
+A driver decides about the ego's acceleration, for all concrete scenarios of a batch at once. This one keeps its speed
+and sees nobody; what does attention change?
 """
 
 from pathlib import Path
@@ -39,7 +39,7 @@ for name, driver in (("steady", Steady()), ("cautious", "cautious")):
         f"{example}.xosc", path, space=f"{example}.space.xosc", ego="Ego", other="Pedestrian", metrics=["wttc"],
         optimizer="sobol", budget=60, drivers={"Ego": driver},
     )  # fmt: skip
-    with cc.Study.open(path, readonly=True) as study:
+    with cc.Study.open(path) as study:
         tables[name] = study.table()
 
 # %%
@@ -48,5 +48,10 @@ for name, driver in (("steady", Steady()), ("cautious", "cautious")):
 figure, axes = plt.subplots(layout="constrained")
 axes.axline((0, 0), slope=1, color="#999999", linestyle=":")
 axes.scatter(tables["steady"]["wttc"], tables["cautious"]["wttc"], color="#0072B2")
-axes.set(xlabel="WTTC with steady in s", ylabel="WTTC with cautious in s", title="The same scenarios, two drivers", aspect="equal")
+axes.set(
+    xlabel="WTTC with steady in s",
+    ylabel="WTTC with cautious in s",
+    title="The same scenarios, two drivers",
+    aspect="equal",
+)
 plt.show()

@@ -20,7 +20,8 @@ for hardness in (1.0, 3.0, 6.0):
         speeds.append(np.clip(15.0 - hardness * np.clip(time - begin, 0.0, None), 5.0, None))
 
 # %%
-# Instant by instant, scenarios that brake later look as different as scenarios that brake otherwise. Warping aligns them first.
+# Instant by instant, scenarios that brake later look as different as scenarios that brake otherwise. Warping aligns
+# them first.
 
 plain = np.array([[np.abs(one - other).sum() for other in speeds] for one in speeds])
 warped = distance_matrix(speeds)

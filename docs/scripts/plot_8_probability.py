@@ -18,8 +18,8 @@ example = examples() / "t_intersection"
 scenario = example / "t_intersection.xosc"
 study = Path(folder.name) / "study.db"
 cc.explore(
-    scenario, study, space=example / "t_intersection.distributions.xosc", ego="Ego", other="C", metrics=["ttc"], critical=0.5,
-    optimizer="level-set", budget=100, seed=1,
+    scenario, study, space=example / "t_intersection.distributions.xosc", ego="Ego", other="C", metrics=["ttc"],
+    critical=0.5, optimizer="level-set", budget=100, seed=1,
 )  # fmt: skip
 
 # %%
@@ -38,9 +38,14 @@ figure, axes = plt.subplots(layout="constrained")
 for budget, estimate in estimates.items():
     value = estimate.critical
     axes.errorbar(
-        budget, value.value, [[value.value - value.low], [value.high - value.value]], fmt="o", color="#0072B2", capsize=4
+        budget,
+        value.value,
+        [[value.value - value.low], [value.high - value.value]],
+        fmt="o",
+        color="#0072B2",
+        capsize=4,
     )
-axes.set(xlabel="scenarios drawn", ylabel="probability of TTC ≤ 0.5 s", xscale="log", ylim=(0, None))
+axes.set(xlabel="scenarios drawn", ylabel="probability of TTC ≤ 0.5 s", xscale="log", yscale="log")
 axes.set_xticks(list(estimates), labels=[str(budget) for budget in estimates])
 axes.minorticks_off()
 plt.show()
