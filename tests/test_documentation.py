@@ -84,7 +84,7 @@ COMMANDS = [
     for block in BLOCKS
     if block.language in ("", "sh")
     for line in block.text.replace("\\\n", " ").splitlines()
-    if line.startswith("cornercase ")
+    if line.startswith("cornercase ") and not line.startswith("cornercase -")
 ]
 
 

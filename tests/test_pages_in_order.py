@@ -20,7 +20,7 @@ PAGES = [
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
     *sorted((ROOT / "docs" / "howto").glob("own-*.md")),
 ]
-BY_DEFAULT = ("README.md", "first-study.md", "versions.md")
+BY_DEFAULT = ("first-study.md", "search.md")
 # Their answer may be no.
 MAY_SAY_NO = ("compare", "test")
 # It serves until Ctrl-C.
@@ -90,4 +90,4 @@ def test_the_tour_names_every_page_for_users():
     for folder in ("start", "guide", "howto"):
         index = (ROOT / "docs" / folder / "index.md").read_text("utf-8")
         for page in (ROOT / "docs" / folder).glob("*.md"):
-            assert page.stem in index, page
+            assert page.stem in index or page.name == "index.md", page
