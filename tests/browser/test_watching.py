@@ -12,6 +12,7 @@ from contextlib import contextmanager
 import pytest
 
 from browser.studies import X
+from command_line import cornercase
 from cornercase.study import Study
 
 pytest.importorskip("starlette")
@@ -20,7 +21,7 @@ pytest.importorskip("uvicorn")
 CLI = (sys.executable, "-c", "from cornercase.cli import main; main()")
 # It simulates a scenario at a time, each some hundredths of a second, so that there is something to watch.
 EXPLORE = (
-    *CLI, "explore", str(X / "x_intersection.xosc"), "--space", str(X / "x_intersection.space.xosc"), "--ego", "Ego",
+    "explore", str(X / "x_intersection.xosc"), "--space", str(X / "x_intersection.space.xosc"), "--ego", "Ego",
     "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--batch", "1", "--budget",
 )  # fmt: skip
 # When each number of scenarios was first shown, in ms since 1970.
@@ -30,6 +31,11 @@ LISTEN = """() => {
   note();
   cornercase.store.on("contents", note);
 }"""
+
+
+def explore(budget, study):
+    """Run so many scenarios, if there are not as many yet."""
+    assert cornercase(*EXPLORE, budget, "-o", study).returncode == 0
 
 
 @contextmanager
@@ -67,14 +73,14 @@ def run(study):
 
 def test_scenarios_appear_while_the_search_runs_is_killed_and_goes_on(tab, tmp_path):
     study = tmp_path / "s.db"
-    subprocess.run([*EXPLORE, "8", "-o", str(study)], check=True, capture_output=True)
+    explore("8", study)
     with serving(study) as address:
         page = tab.open(address)
         assert page.evaluate("() => cornercase.store.n") == 8
         assert "8" in page.locator("#live-state").inner_text()
         page.evaluate(LISTEN)
         page.evaluate("() => cornercase.store.select(3)")
-        explorer = subprocess.Popen([*EXPLORE, "2000", "-o", str(study)], stderr=subprocess.DEVNULL)
+        explorer = subprocess.Popen([*CLI, *EXPLORE, "2000", "-o", str(study)], stderr=subprocess.DEVNULL)
         try:
             wait_for(page, 12)
         finally:
@@ -86,7 +92,7 @@ def test_scenarios_appear_while_the_search_runs_is_killed_and_goes_on(tab, tmp_p
         # All that was stored when the explorer died is there within two seconds of that.
         assert page.evaluate("() => Math.max(...seen.values())") / 1000 - ended < 2.0
         assert page.evaluate("() => cornercase.store.selected") == 3
-        subprocess.run([*EXPLORE, str(known + 4), "-o", str(study)], check=True, capture_output=True)
+        explore(str(known + 4), study)
         ended = time.time()
         wait_for(page, known + 4)
         assert page.evaluate("() => Math.max(...seen.values())") / 1000 - ended < 2.0
@@ -109,7 +115,7 @@ def test_nothing_is_served_without_the_token(tab, studies):
 
 def test_a_page_that_nobody_looks_at_makes_up_for_it(tab, tmp_path):
     study = tmp_path / "s.db"
-    subprocess.run([*EXPLORE, "2", "-o", str(study)], check=True, capture_output=True)
+    explore("2", study)
     turn = """(hidden) => {
       Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
       document.dispatchEvent(new Event("visibilitychange"));
@@ -119,17 +125,17 @@ def test_a_page_that_nobody_looks_at_makes_up_for_it(tab, tmp_path):
         page.evaluate(turn, True)
         # A browser has six connections for all tabs of a server.
         assert page.evaluate("() => cornercase.following.events.readyState === EventSource.CLOSED")
-        subprocess.run([*EXPLORE, "5", "-o", str(study)], check=True, capture_output=True)
+        explore("5", study)
         page.evaluate(turn, False)
         wait_for(page, 5)
 
 
 def test_another_study_takes_the_place_of_the_one_that_is_watched(tab, tmp_path):
     study, other = tmp_path / "s.db", tmp_path / "other.db"
-    subprocess.run([*EXPLORE, "12", "-o", str(study)], check=True, capture_output=True)
-    one = [*CLI, "explore", str(X / "x_intersection.xosc"), "--range", "ego_start=20:60", "--ego", "Ego"]
-    options = ["--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--budget", "5", "-o", str(other)]
-    subprocess.run([*one, *options], check=True, capture_output=True)
+    explore("12", study)
+    one = ["explore", X / "x_intersection.xosc", "--range", "ego_start=20:60", "--ego", "Ego"]
+    options = ["--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--budget", "5", "-o", other]
+    assert cornercase(*one, *options).returncode == 0
     with serving(study) as address:
         page = tab.open(address)
         page.evaluate("() => cornercase.store.select(12)")
@@ -142,7 +148,7 @@ def test_another_study_takes_the_place_of_the_one_that_is_watched(tab, tmp_path)
 
 def test_a_note_goes_to_the_study(tab, tmp_path):
     study = tmp_path / "s.db"
-    subprocess.run([*EXPLORE, "4", "-o", str(study)], check=True, capture_output=True)
+    explore("4", study)
     with serving(study) as address:
         page = tab.open(f"{address}#id=2")
         page.fill("#note", "look here <b>again</b>")
