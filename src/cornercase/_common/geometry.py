@@ -121,12 +121,12 @@ def box_distance(a: FloatArray, b: FloatArray) -> FloatArray:
     ndarray of float64, shape (...)
         m; NaN where a corner is NaN.
     """
-    nearest = np.minimum(_corner_distance(a, b), _corner_distance(b, a))
-    return np.where(separation(a, box_axes(a), b, box_axes(b)) <= 0.0, 0.0, nearest)
+    of_a, of_b = box_axes(a), box_axes(b)
+    nearest = np.minimum(_corner_distance(a, b, of_b), _corner_distance(b, a, of_a))
+    return np.where(separation(a, of_a, b, of_b) <= 0.0, 0.0, nearest)
 
 
-def _corner_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    axes = box_axes(b)
+def _corner_distance(a: FloatArray, b: FloatArray, axes: FloatArray) -> FloatArray:
     on_b = project(axes, b)
     beyond = np.abs(project(axes, a) - _middle(on_b)[..., None]) - 0.5 * np.ptp(on_b, -1)[..., None]
     outside = np.maximum(beyond, 0.0)

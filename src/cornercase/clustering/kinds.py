@@ -10,7 +10,6 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import gamma
-from sklearn.metrics import silhouette_score
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.spanning_tree import find_tree
@@ -102,6 +101,9 @@ def _judged_together(distances: FloatArray, least_gap: float) -> IntArray:
     whole = found = np.zeros(n, dtype=np.int64)
     if not 2 * FEWEST <= n <= FEW:
         return whole
+    # Scikit-learn takes as long to import as many a command does: who does not need it does not wait for it.
+    from sklearn.metrics import silhouette_score
+
     dimension = min(max(_dimension(distances, _NEAREST_NEIGHBOURS), 1.0), float(len(CHANCE)))
     ends, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
     find_tree(distances, ends, lengths)

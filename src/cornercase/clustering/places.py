@@ -9,8 +9,6 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
-from sklearn.cluster import KMeans
-from sklearn.exceptions import ConvergenceWarning
 
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray, IntArray
@@ -208,6 +206,9 @@ class PlacedDistances:
         n = len(self)
         if count >= n:
             return np.arange(n)
+        from sklearn.cluster import KMeans
+        from sklearn.exceptions import ConvergenceWarning
+
         # Of scenarios that are the same there are fewer groups, which is no news here.
         with one_thread(), warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
@@ -36,6 +36,9 @@ TRAITS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
     }
 )
 """By name what is said of a scenario with less than a number, and with more; `measure_traits` says what each is."""
+
+# m that rounding may make of a distance, at most.
+_ROUNDING: Final = 1e-6
 
 
 def measure_traits(recording: Recording, outcome: Outcome) -> dict[str, float]:
@@ -77,8 +80,9 @@ def measure_traits(recording: Recording, outcome: Outcome) -> dict[str, float]:
         "mean speed of the other": _mean(np.abs(recording.speed[j])),
     } | dict.fromkeys(("nearest", "nearest time", "first distance", "aside"), math.nan)
     if (both := np.flatnonzero(here & there(recording, outcome.encounter.entity))).size:
-        nearest, at, begins = _nearest(recording, i, j, both)
-        away = (recording.center(recording.names[j]) - recording.center(outcome.ego))[both[0]]
+        centers = [recording.center(recording.names[k])[both] for k in (i, j)]
+        nearest, at, begins = _nearest(recording, (i, j), both, centers)
+        away = centers[1][0] - centers[0][0]
         heading = recording.heading[i, both[0]]
         aside = float(np.cos(heading) * away[1] - np.sin(heading) * away[0])
         traits |= {
@@ -90,19 +94,19 @@ def measure_traits(recording: Recording, outcome: Outcome) -> dict[str, float]:
     return traits
 
 
-def _nearest(recording: Recording, i: int, j: int, at: IntArray) -> tuple[float, int, float]:
+def _nearest(
+    recording: Recording, which: tuple[int, int], at: IntArray, centers: Sequence[FloatArray]
+) -> tuple[float, int, float]:
     """Smallest gap between two boxes at some instants in m, the first instant of it, and the gap at the first one."""
-    centers = [recording.center(recording.names[k])[at] for k in (i, j)]
     apart = np.hypot(*(centers[1] - centers[0]).T)
-    reach = 0.5 * sum(float(np.hypot(recording.length[k], recording.width[k])) for k in (i, j))
-    # No box is nearer than its centre is, less both reaches.
-    near = apart - reach <= apart.min()
+    length, width = recording.length[list(which)], recording.width[list(which)]
+    # No box is nearer than its centre is, less both reaches, and none farther than the circles within both are.
+    reach, within = 0.5 * float(np.hypot(length, width).sum()), 0.5 * float(np.minimum(length, width).sum())
+    near = apart - reach <= max(float(apart.min()) - within, 0.0) + _ROUNDING
     near[0] = True
-    boxes = []
-    for k, center in zip((i, j), centers, strict=True):
-        x, y = center[near].T
-        boxes.append(box_corners(x, y, recording.heading[k, at[near]], recording.length[k], recording.width[k]))
-    gaps = box_distance(boxes[0], boxes[1])
+    x, y = np.stack([center[near] for center in centers]).transpose(2, 0, 1)
+    headings = recording.heading[list(which)][:, at[near]]
+    gaps = box_distance(*box_corners(x, y, headings, length[:, None], width[:, None]))
     return float(gaps.min()), int(at[near][gaps.argmin()]), float(gaps[0])
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import ndtr
-from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
-from sklearn.model_selection import StratifiedKFold
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.foretold import Foretold
@@ -21,6 +19,9 @@ MOST_KNOWN: Final = 2000
 
 MOST_GROWN: Final = 4000
 """Scenarios that trees are grown from at most."""
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
 
 _TREES: Final = 64
 _FOLDS: Final = 5
@@ -202,11 +203,15 @@ class Committee:
             every = np.arange(len(self._points))
             parts = np.array_split(np.random.default_rng(self._seed).permutation(every), _FOLDS)
             return ((np.setdiff1d(every, part), part) for part in parts)
+        from sklearn.model_selection import StratifiedKFold
+
         folds = StratifiedKFold(min(_FOLDS, fewest), shuffle=True, random_state=self._seed)
         return iter(folds.split(self._points, self._critical))
 
     def _grown(self, some: IntArray, count: int) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
         """Trees of the foretold features, which tell kinds, and a forest of the parameters, which tells critical."""
+        from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
+
         # Of all features the best one is taken at each fork: few of them tell the ways of a scenario apart.
         trees = ExtraTreesClassifier(count, max_features=None, random_state=self._seed)
         forest = RandomForestClassifier(count, random_state=self._seed)

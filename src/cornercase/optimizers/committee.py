@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
-from sklearn.ensemble import ExtraTreesClassifier
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence import Committee, encoded, with_foretold
@@ -131,6 +130,8 @@ class CommitteeOptimizer(BegunOptimizer):
         failed = ~self._known
         if not failed.any():
             return np.zeros(len(places))
+        from sklearn.ensemble import ExtraTreesClassifier
+
         trees = ExtraTreesClassifier(_TREES, random_state=0).fit(encoded(self._space, self._points), failed)
         found: FloatArray = trees.predict_proba(places)[:, trees.classes_].sum(axis=1)
         return found

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
-from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
@@ -86,6 +85,8 @@ def find_convex_parts(points: FloatArray, members: BoolArray) -> list[IntArray]:
     own = np.flatnonzero(members)
     if measure_convexity(points, members) >= CONVEX:
         return [own]
+    from sklearn.cluster import KMeans
+
     for count in range(2, min(_MOST_PARTS, len(own)) + 1):
         with threadpool_limits(limits=1):
             found = KMeans(count, n_init=10, random_state=0).fit_predict(points[own])

@@ -8,9 +8,9 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,13 @@ _HEADERS: Final = 1024
 _LENGTHS: Final = struct.Struct("<HH")
 _LENGTHS_AT: Final = 26
 _ENCRYPTED: Final = 0x1
+# A member in the list at the end of an archive, before its name, and the end of that list.
+_LISTED: Final = struct.Struct("<4s6H3L5H2L")
+_END: Final = struct.Struct("<4s4H2LH")
+# Version of the format that NumPy's archives need at most.
+_NEEDED: Final = 45
+# What stands where a number needs more than four bytes.
+_ELSEWHERE: Final = 0xFFFFFFFF
 _BOX: Final = ("length", "width", "center_x")
 _ARRAYS: Final = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
 
@@ -93,19 +100,57 @@ def unpack_arrays(
         It is no such archive, it holds something else than plain arrays, or it is larger.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = archive.infolist()
-            if (size := sum(one.file_size for one in members)) > largest:
-                raise ValueError(f"{size} bytes where at most {largest} are read")
-            if any(one.compress_type not in _METHODS for one in members):
-                raise ValueError("a way of packing that NumPy does not use")
-            named = [(one.filename.removesuffix(".npy"), one) for one in members]
-            return {name: _array(_content(data, one)) for name, one in named if only is None or name in only}
+        members = _members(data)
+        if (size := sum(one.file_size for one in members)) > largest:
+            raise ValueError(f"{size} bytes where at most {largest} are read")
+        if any(one.compress_type not in _METHODS for one in members):
+            raise ValueError("a way of packing that NumPy does not use")
+        named = [(one.filename.removesuffix(".npy"), one) for one in members]
+        return {name: _array(_content(data, one)) for name, one in named if only is None or name in only}
     except _BROKEN as error:
         raise InputError(f"The study holds arrays that cannot be read ({error}).") from error
 
 
-def _content(data: bytes, member: zipfile.ZipInfo) -> bytes:
+class _Member(NamedTuple):
+    """What `zipfile.ZipInfo` says of a member, by the same names."""
+
+    filename: str
+    header_offset: int
+    flag_bits: int
+    compress_type: int
+    compress_size: int
+    file_size: int
+    CRC: int
+
+
+def _members(data: bytes) -> Sequence[_Member | zipfile.ZipInfo]:
+    """List the members of an archive as `zipfile.ZipFile` does, but a plain list in a fraction of its time."""
+    end = len(data) - _END.size
+    if end >= 0:
+        sign, disk, first_disk, _, _, size, begin, comment = _END.unpack_from(data, end)
+        plain = sign == b"PK\5\6" and begin + size == end and not (disk or first_disk or comment)
+        if plain and (found := _listed(data, begin, end)) is not None:
+            return found
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return archive.infolist()
+
+
+def _listed(data: bytes, at: int, end: int) -> list[_Member] | None:
+    """Read a list of members; None where a member is anything but what NumPy and this module write."""
+    found = []
+    while at + _LISTED.size <= end:
+        listed = _LISTED.unpack_from(data, at)
+        sign, _, needed, flags, method, _, _, crc, packed, size, long, extra, comment, _, _, _, begin = listed
+        name = data[at + _LISTED.size : at + _LISTED.size + long]
+        plain = sign == b"PK\1\2" and needed <= _NEEDED and not (flags or extra or comment) and name.isascii()
+        if not plain or b"\0" in name or b"\\" in name or _ELSEWHERE in (packed, size, begin):
+            return None
+        found.append(_Member(name.decode(), begin, flags, method, packed, size, crc))
+        at += _LISTED.size + long
+    return found if at == end else None
+
+
+def _content(data: bytes, member: _Member | zipfile.ZipInfo) -> bytes:
     """Read what a member of an archive holds: as `zipfile.ZipFile.read` does, three times as fast for small ones."""
     name, extra = _LENGTHS.unpack_from(data, member.header_offset + _LENGTHS_AT)
     begin = member.header_offset + _LENGTHS_AT + _LENGTHS.size + name + extra
