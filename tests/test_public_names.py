@@ -53,3 +53,9 @@ def test_importing_the_package_loads_nothing_heavy():
     program = "import sys, cornercase; print([m for m in ('numpy', 'numba', 'scipy', 'pandas') if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def test_who_searches_or_looks_does_not_wait_for_scikit_learn():
+    program = "import sys, cornercase.exploration.exploring, cornercase.report.page; print('sklearn' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "False"
