@@ -142,7 +142,8 @@ def reduce(
     cover: Annotated[
         float | None,
         typer.Option(
-            metavar="X", help="Keep as few as leave nothing more unlike than this share of the largest distance."
+            metavar="X",
+            help="Keep as few as possible with every scenario within this share of the largest distance of a kept one.",
         ),
     ] = None,
     within: Annotated[

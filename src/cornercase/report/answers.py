@@ -131,7 +131,7 @@ def tell_about(data: ReportData) -> str:
         said.append(f"{_scenarios(summary.run)} run, of a suite, measured by {', '.join(meta.metrics)}.")
     else:
         searched = f"{'the ' if meta.pareto else ''}{summary.searched}"
-        said.append(f"{_scenarios(summary.run)} run, searched by {meta.optimizer} for {searched}.")
+        said.append(f"{_scenarios(summary.run)} run. Search: {meta.optimizer}, on {searched}.")
         if meta.asynchronous:
             said.append("Each scenario was proposed as soon as one had ended.")
         if meta.elsewhere:

@@ -213,9 +213,8 @@ def of_sensitivity(found: Sensitivity, searched: str) -> str:
         Sentences.
     """
     said = (
-        f"How much of the variance of {searched} comes from each parameter, by a Gaussian process that predicts"
-        f" {max(found.predicted, 0.0):.0%} of the variance of scenarios that it was not told; the lines are 90 %"
-        " intervals."
+        f"How much of the variance of {searched} comes from each parameter, by a Gaussian process with a"
+        f" cross-validated R² of {max(found.predicted, 0.0):.2f}; the lines are 90 % intervals."
     )
     if not found.foretold:
         return f"{said} {tell_unforetold()}"
@@ -306,7 +305,7 @@ def of_coverage() -> str:
         Sentences.
     """
     return (
-        "Share of all scenarios that were run, and of the critical ones, whose nearest kept one is at most so far away"
-        " by Dynamic Time Warping; beside it k-medoids, and the range that 90 of 100 random choices of as many leave."
-        " The kept ones and k-medoids were chosen from these scenarios."
+        "How many of all scenarios, and of the critical ones, have a kept scenario within this distance by Dynamic Time"
+        " Warping. For comparison: k-medoids, and the range of 90 of 100 random choices of the same size. The kept"
+        " scenarios and k-medoids were chosen from these scenarios."
     )

@@ -71,10 +71,8 @@ def tell_roles(meta: StudyMeta) -> str:
     """
     others = meta.others
     if len(others) == 1:
-        return f"{meta.ego} is the ego, {others[0]} the other."
-    return (
-        f"{meta.ego} is the ego, measured against {', '.join(others[:-1])} and {others[-1]}: the most critical counts."
-    )
+        return f"Under test: {meta.ego}, against {others[0]}."
+    return f"Under test: {meta.ego}, against {', '.join(others[:-1])} and {others[-1]}; the most critical counts."
 
 
 def tell_beginning(meta: StudyMeta) -> str:

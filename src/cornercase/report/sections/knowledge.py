@@ -121,6 +121,6 @@ def _tell_sensitivity(found: Sensitivity, searched: str) -> Iterator[str]:
         ],
     )
     yield (
-        f"<p>How much of the variance of {escape(searched)} comes from each parameter, by a Gaussian process that"
-        f" predicts {found.predicted:.0%} of the variance of scenarios that it was not told.</p>"
+        f"<p>How much of the variance of {escape(searched)} comes from each parameter, by a Gaussian process"
+        f" with a cross-validated R² of {found.predicted:.2f}.</p>"
     )
