@@ -10,6 +10,8 @@ from contextlib import closing, suppress
 
 from lxml import etree
 
+from sealed import reseal
+
 NUMBERS = (
     "nan", "inf", "-inf", "0", "-0", "-1", "1", "2", "0.5", "1e308", "-1e308", "1e300", "-1e300", "1e-308", "5e-324", "1e20", "1e9",
     "-1e9", "1e6", "65536", "2147483648", "-2147483649", "4294967295", "9223372036854775807", "9223372036854775808",
@@ -173,10 +175,18 @@ def _changed(value, rng):
 
 
 def mutated_database(path, rng) -> None:
-    """One or two cells of a study made strange, rows removed, or its bytes changed."""
+    """One or two cells of a study made strange, rows removed, or its bytes changed; most get checksums that fit."""
     if rng.random() < 0.25:
         path.write_bytes(mutated_bytes(path.read_bytes(), rng))
         return
+    _change_cells(path, rng)
+    if rng.random() < 0.75:
+        # What cannot have one keeps that of before.
+        with suppress(sqlite3.Error, TypeError, ValueError, OverflowError):
+            reseal(path)
+
+
+def _change_cells(path, rng) -> None:
     with closing(sqlite3.connect(path)) as connection, connection:
         tables = [
             name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")

@@ -300,6 +300,26 @@ def study_targets(study: Path):
     yield Target("study", 6, two, "s.db", mutated_database, quick)
     yield Target("study-pages", 0.3, two, "s.db", mutated_database, pages)
 
+    again = "explore scenario.xosc --ego Ego --other B --metric distance --metric ttc --range v=5:20 --optimizer sobol"
+    again += " --duration 4 --time-step 0.2"
+    # An estimate takes as long as fifty of the others.
+    goes_on = (
+        *[
+            f"{again} --budget 14 -o s.db",
+            f"{again} --budget 12 --replay -o s.db",
+            f"{again.replace('sobol', 'level-set')} --critical 10 --budget 2 --from s.db -o out/begun.db",
+            "test reduced --against s.db -o out/run.db",
+            "replay s.db 3 --beside 4 -o out/run.html",
+            "export s.db -o out/tables",
+        ]
+        * 5,
+        "estimate s.db --budget 100 --critical 10 -o out/estimate.db",
+    )
+
+    def with_reduced(folder: Path) -> None:
+        copies(*beside, study.parent / "reduced")(folder)
+
+    yield Target("study-goes-on", 2, with_reduced, "s.db", mutated_database, goes_on)
     for version in (1, 2):
         file = f"study_version_{version}.db"
         show = (f"show {file}", f"show {file} --json")
