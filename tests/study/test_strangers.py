@@ -7,8 +7,10 @@ import io
 import json
 import os
 import pickle
+import sqlite3
 import sys
 import zipfile
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -529,3 +531,13 @@ def test_arrays_that_numpy_packed_are_read_too():
     found = unpack_arrays(buffer.getvalue())["columns"]
     np.testing.assert_array_equal(found, columns)
     assert found.flags.writeable
+
+
+@pytest.mark.parametrize("made_up", ["x", 0.5, b"\xff" * 9])
+def test_checksums_that_are_no_numbers_are_damage(sent, made_up):
+    with closing(sqlite3.connect(sent)) as connection, connection:
+        connection.execute("UPDATE scenarios SET checksum = ? WHERE id = 2", (made_up,))
+    for one in (("show", sent), ("export", sent, "-o", sent.parent / "tables")):
+        result = cornercase(*one)
+        assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
+        assert "damaged" in result.stderr
