@@ -340,6 +340,7 @@ def ended(path):
         return 0
 
 
+@pytest.mark.slow
 def test_the_page_grows_with_an_exploration_that_is_killed_and_started_again(tmp_path):
     study = tmp_path / "s.db"
     explore = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol",

@@ -176,6 +176,7 @@ def stored(path):
         return values, motion, [study.scores_of(row.id) for row in rows], study.meta
 
 
+@pytest.mark.slow
 def test_a_driver_of_ones_own_is_found_in_the_current_folder(tmp_path, reduced_by_hand):
     (tmp_path / "mine.py").write_text(
         "import numpy as np\nfrom cornercase.drivers import Driver\n\n\nclass Calm(Driver):\n"
@@ -265,6 +266,7 @@ def test_the_folder_of_a_parcel_is_that_of_all_files():
     assert parcel.main == X.name
 
 
+@pytest.mark.slow
 def test_without_rounds_the_scenarios_are_those_of_one_process(client, tmp_path):
     one = replace(demonstration("x-intersection", budget=9, seed=1), optimizer="sobol", duration=10.0)
     explore_configuration(one, tmp_path / "here.db")

@@ -177,6 +177,7 @@ COMMON = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_killed_worker_changes_nothing(tmp_path):
     quiet, killed = tmp_path / "quiet.db", tmp_path / "killed.db"
     assert cornercase("explore", T, *COMMON, "--budget", "12", "-o", quiet).returncode == 0
