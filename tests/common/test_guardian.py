@@ -59,6 +59,21 @@ def test_what_a_killed_process_leaves_is_ended_and_removed():
     assert gone(lambda: not any(map(is_there, every)) and not Path(folder).exists())
 
 
+def test_a_process_ends_with_the_one_at_the_other_end_of_its_input():
+    lasting = "from cornercase._common.lifeline import end_with_input; import time; end_with_input(); time.sleep(600)"
+    starter = (
+        "import subprocess, sys, time; one = subprocess.Popen([sys.executable, '-c', sys.argv[1]], stdin=subprocess.PIPE);"
+        "print(one.pid, flush=True); time.sleep(600)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", starter, lasting], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    number = int(process.stdout.readline())
+    assert is_there(number)
+    process.kill()
+    process.communicate()
+    assert gone(lambda: not is_there(number))
+
+
 def test_a_guardian_that_is_killed_is_replaced_and_one_with_nothing_to_guard_ends(tmp_path):
     with Guardian() as guardian:
         folder = guardian.new_folder()

@@ -76,7 +76,8 @@ class Case:
             "explore", str(X), "--space", str(X.with_suffix(".space.xosc")), "--ego", "Ego", "--other", "Pedestrian",
             *(part for metric in metrics for part in ("--metric", metric)), "--duration", "10", "--seed", "1",
             "--batch", "4", "--budget", str(self.budget), "--retries", "9", "--optimizer", self.search,
-            "--critical", "0.5", "--simulator", self.simulator, *self.more, "-o", "study.db",
+            *(() if self.simulator == "builtin" else ("--critical", "0.5")), "--simulator", self.simulator, *self.more,
+            "-o", "study.db",
         ]  # fmt: skip
 
 
@@ -408,7 +409,7 @@ def load(loaded: Sequence[Case]) -> None:
             command = case.command()
             command[-1] = str(Path(folder, secrets.token_hex(4)))
             result = CliRunner().invoke(app, command)
-            assert result.exit_code == 0, result.output
+            assert result.exit_code == 0, (case.name, result.output, result.exception)
 
 
 def kill(kills: int, seed: int, folder: Path, seconds: float = float("inf"), chosen: tuple[Case, ...] = ()) -> Found:

@@ -7,7 +7,6 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
@@ -53,20 +52,14 @@ def end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True, name="lifeline").start()
 
 
-def end_with_input(ended: Callable[[], object] = lambda: os._exit(1)) -> None:
-    """End this process at once when its standard input does, as it does with the process at its other end.
-
-    Parameters
-    ----------
-    ended : callable, optional
-        What to do instead.
-    """
+def end_with_input() -> None:
+    """End this process at once when its standard input does, as it does with the process at its other end."""
 
     def watch() -> None:
         with suppress(OSError):
             while os.read(0, 4096):
                 pass
-        ended()
+        os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="lifeline").start()
 

@@ -86,8 +86,9 @@ def two_compile() -> Iterator[None]:
     started: list[subprocess.Popen[bytes]] = []
 
     def start() -> None:
-        nothing = subprocess.DEVNULL
-        started.append(subprocess.Popen([sys.executable, "-c", _LATER], stdin=nothing, stdout=nothing, stderr=nothing))
+        command, nothing = [sys.executable, "-c", _LATER], subprocess.DEVNULL
+        # Its input ends with this process, however this one ends.
+        started.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing))
 
     if available_cpus() < 2:
         yield
@@ -99,15 +100,20 @@ def two_compile() -> Iterator[None]:
         # What is cut while it is written counts as missing.
         for process in started:
             process.terminate()
-            process.wait()
+            process.communicate()
 
 
 def compile_later() -> None:
-    """Compile what the demonstrations need late: drivers, of which compiled frames come to last, and all after them."""
+    """Compile what the demonstrations need late: drivers, of which compiled frames come to last, and all after them.
+
+    To be called in a process of its own, which ends with its standard input.
+    """
     import numpy as np
 
     from cornercase import clustering, dtw, metrics
+    from cornercase._common.lifeline import end_with_input
 
+    end_with_input()
     _drive()
     crossing = _crossing()
     metrics.measure(crossing, "Ego", "Other", ["wttc"])
