@@ -190,17 +190,22 @@ def leave_terminal() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         # Of `interrupts_kept`.
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, *ending_signals()})
     if hasattr(os, "setsid"):
         os.setsid()
 
 
 @contextmanager
-def interrupts_kept() -> Iterator[None]:
+def interrupts_kept(*others: signal.Signals) -> Iterator[None]:
     """Keep Ctrl-C, until the block ends, from this thread and the processes and threads that it starts.
 
     A process keeps it until `leave_terminal`, so that it is not interrupted while Python loads what it needs. Where
     the platform cannot do that, nothing is kept.
+
+    Parameters
+    ----------
+    *others : signal.Signals
+        To be kept too.
 
     Yields
     ------
@@ -214,7 +219,7 @@ def interrupts_kept() -> Iterator[None]:
         # Else it would be started with the first process, and let Ctrl-C through. If a terminal that is closed ended
         # it, who started it would miss it.
         resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT, *others})
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -20,6 +20,7 @@ from cornercase._common.lifeline import end_with_parent, keep_temporary_files_in
 from cornercase._common.platform import (
     end_process_tree,
     ended_from_outside,
+    ending_signals,
     interrupts_kept,
     leave_terminal,
     words_of_exit_code,
@@ -125,7 +126,8 @@ class Worker:
             # As bytes, so that the process looks for a driver of one's own where this one did.
             given = theirs, self._name, pickle.dumps(self._options), self._folder
             self._process = context.Process(target=_serve, args=given, daemon=True)
-            with interrupts_kept():
+            # One that came in the middle would leave a process that nobody knows.
+            with interrupts_kept(*ending_signals()):
                 self._process.start()
             self._guardian.watch(self._process.pid)
             theirs.close()
