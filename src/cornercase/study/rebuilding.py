@@ -1,0 +1,143 @@
+"""A study made anew of what is left of a damaged one."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import defaultdict
+from contextlib import closing
+from dataclasses import dataclass
+from functools import reduce
+from operator import xor
+from pathlib import Path
+
+from cornercase._common.errors import InputError
+from cornercase.study.damage import damage_told, loaded
+from cornercase.study.database import make_tables
+from cornercase.study.meta import StudyMeta
+from cornercase.study.salvaging import Rows, salvaged
+from cornercase.study.schema import TABLES
+from cornercase.study.seals import put, sealed
+
+# What `analyze` makes again; all of it or none, as its parts belong together.
+_ANALYSES = ("outcomes", "analyses", "arrays")
+_OF_SCENARIOS = ("courses", "repeats", "against")
+
+
+@dataclass(frozen=True)
+class Remains:
+    """What is left of a study, and what of it has to be run again.
+
+    Attributes
+    ----------
+    meta : StudyMeta
+    rounds : dict of int to int
+        Round of each scenario, by id; 0 where it is not known.
+    again : tuple of int
+        Scenarios that are to be run again.
+    lost : tuple of str
+        What cannot be brought back by running scenarios, in words.
+    tallies : dict of str to tuple of (int, int)
+        How many rows each table had, and what their checksums come to, where that is known.
+    """
+
+    meta: StudyMeta
+    rounds: dict[int, int]
+    again: tuple[int, ...]
+    lost: tuple[str, ...]
+    tallies: dict[str, tuple[int, int]]
+
+
+def rebuild(damaged: Path, made: Path) -> Remains:
+    """Make a study of what is left of a damaged one; scenarios that are to be run again are pending in it.
+
+    Parameters
+    ----------
+    damaged : Path
+        It is only read.
+    made : Path
+        Where the new one is to be.
+
+    Returns
+    -------
+    Remains
+
+    Raises
+    ------
+    InputError
+        What the study is about is lost.
+    """
+    found = salvaged(damaged)
+    tallies = {name: (rows, sums) for name, rows, sums in found["tallies"].values()}
+    with damage_told(damaged):
+        try:
+            meta = StudyMeta.from_json({key: loaded(value) for key, value in found["meta"].values()})
+        except (LookupError, ValueError, TypeError, AttributeError, OverflowError):
+            meta = None
+    if meta is None or tallies.get("meta", _tally(found, "meta")) != _tally(found, "meta"):
+        raise InputError(
+            f"{damaged}: what it is about is damaged (its table meta), and cannot be brought back; run `explore` again,"
+            " into another study."
+        )
+    lost = []
+    if any(tallies.get(name, (0, 0)) != _tally(found, name) for name in _ANALYSES):
+        lost.append("its clusters and its reduced set; `analyze` and `reduce` make them again")
+        for name in _ANALYSES:
+            found[name] = {}
+    missing = tallies.get("notes", (0, 0))[0] - len(found["notes"])
+    if missing > 0:
+        lost.append(f"{missing} notes on scenarios")
+    rounds = _rounds_of(found, tallies)
+    again = _sort_out(found, meta, rounds)
+    with closing(sqlite3.connect(made)) as connection:
+        make_tables(connection, *(name for name, about in TABLES.items() if not about.always and _has(meta, name)))
+        for name in TABLES:
+            if name != "tallies" and (TABLES[name].always or _has(meta, name)):
+                put(connection, name, _ordered(found[name], name), replace=False)
+        connection.commit()
+    return Remains(meta, rounds, again, tuple(lost), tallies)
+
+
+def _has(meta: StudyMeta, table: str) -> bool:
+    """Whether a study has a table that not every one has."""
+    return {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}[table]
+
+
+def _ordered(rows: Rows, table: str) -> list[tuple[object, ...]]:
+    return [rows[key] for key in (sorted(rows) if TABLES[table].key else rows)]
+
+
+def _tally(found: dict[str, Rows], table: str) -> tuple[int, int]:
+    count = len(TABLES[table].columns)
+    sums = [int(sealed(table, row)[count]) for row in found[table].values()]
+    return len(sums), reduce(xor, sums, 0)
+
+
+def _rounds_of(found: dict[str, Rows], tallies: dict[str, tuple[int, int]]) -> dict[int, int]:
+    """Rounds of all scenarios that the study had."""
+    known = {int(row[0]): int(row[1]) for row in found["scenarios"].values()}
+    last = tallies["scenarios"][0] if "scenarios" in tallies else 0
+    last = max([last, *known, *(int(row[0]) for name in _OF_SCENARIOS for row in found[name].values())])
+    return {one: known.get(one, 0) for one in range(1, last + 1)}
+
+
+def _sort_out(found: dict[str, Rows], meta: StudyMeta, rounds: dict[int, int]) -> tuple[int, ...]:
+    """Make scenarios pending of which something is lost; return their ids."""
+    there: dict[str, dict[int, set[str]]] = {name: defaultdict(set) for name in _OF_SCENARIOS}
+    for name in _OF_SCENARIOS:
+        for row in found[name].values():
+            there[name][row[0]].add(row[1])
+    wanted = {"courses": True, "repeats": meta.repeats > 1, "against": len(meta.others) > 1}
+    again = []
+    for one in rounds:
+        row = found["scenarios"].get((one,))
+        whole = row is not None and row[4] != "pending"
+        if row is not None and row[4] == "done":
+            whole = all(there[name][one] >= set(meta.metrics) for name, asked in wanted.items() if asked)
+        if whole:
+            continue
+        again.append(one)
+        for name in _OF_SCENARIOS:
+            found[name] = {key: each for key, each in found[name].items() if each[0] != one}
+        if row is not None:
+            found["scenarios"][one,] = (*row[:4], "pending", None, None)
+    return tuple(again)

@@ -1,0 +1,182 @@
+"""Rows of a damaged study that are as they were written, wherever they stand in the file.
+
+What SQLite can still read is read by it. The rest is looked for page by page: a row proves by its checksum that it is whole,
+and of which table, so neither the pages that lead to it nor the description of the tables are needed.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any, Final
+
+from cornercase.study.connecting import connected
+from cornercase.study.schema import TABLES
+from cornercase.study.seals import is_sound
+
+Rows = dict[Any, tuple[Any, ...]]
+
+# Pages of a B-tree that hold rows: leaves of tables, leaves and others of tables without row numbers.
+_TABLE_LEAF, _INDEX_LEAF, _INDEX: Final = 0x0D, 0x0A, 0x02
+_HEADER: Final = 100
+_PAGE: Final = 4096
+_BROKEN: Final = (ValueError, IndexError, struct.error, OverflowError)
+_INTEGERS: Final = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
+# A later state of a scenario counts more, where an earlier one is left in the file.
+_STATES: Final = {"pending": 0, "failed": 1, "done": 2}
+
+
+def salvaged(path: Path) -> dict[str, Rows]:
+    """Find the rows of a study that are as they were written.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict of str to dict of tuple to tuple
+        By table and key, all columns in the order of `cornercase.study.schema.Table.columns`.
+    """
+    found: dict[str, Rows] = {name: {} for name in TABLES}
+    for table, stored in _read(path):
+        _add(found, table, stored)
+    # What SQLite reads counts more: what the pages hold besides may have been there before.
+    beside: dict[str, Rows] = {name: {} for name in TABLES}
+    for table, stored in _scanned(path.read_bytes()):
+        _add(beside, table, stored)
+    return {name: beside[name] | found[name] for name in TABLES}
+
+
+def _add(found: dict[str, Rows], table: str, stored: tuple[Any, ...]) -> None:
+    about = TABLES[table]
+    count = len(about.light)
+    row = (*stored[:count], stored[-1]) if about.blob else stored[:count]
+    key = row[: about.key] if about.key else row
+    before = found[table].get(key)
+    if before is None or table != "scenarios" or _STATES.get(row[4], 0) >= _STATES.get(before[4], 0):
+        found[table][key] = row
+
+
+def _read(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Read what SQLite can, from both ends of each table."""
+    with suppress(sqlite3.Error), closing(connected(path)) as connection:
+        connection.execute("PRAGMA trusted_schema = OFF")
+        for table, about in TABLES.items():
+            order = ", ".join(about.columns[: about.key]) or "rowid"
+            for backwards in ("", " DESC"):
+                ordered = order.replace(",", f"{backwards},") + backwards
+                with suppress(sqlite3.Error):
+                    for stored in connection.execute(
+                        f"SELECT {', '.join(about.stored)} FROM {table} ORDER BY {ordered}"
+                    ):
+                        if is_sound(table, stored):
+                            yield table, stored
+
+
+def _scanned(data: bytes) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Look for rows in all pages of a file."""
+    size = int.from_bytes(data[16:18], "big")
+    size = 65536 if size == 1 else size if size >= 512 and not size & (size - 1) else _PAGE
+    for start in range(0, len(data), size):
+        with suppress(*_BROKEN):
+            for values in _records(data, start, size):
+                yield from _of_tables(values)
+
+
+def _of_tables(values: tuple[int | None, list[Any]]) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    number, record = values
+    for table, about in TABLES.items():
+        if len(record) != len(about.stored):
+            continue
+        stored = list(record)
+        # A column that is the number of the row is not stored in it.
+        if number is not None and stored[0] is None:
+            stored[0] = number
+        if about.real is not None and isinstance(stored[about.real], int):
+            stored[about.real] = float(stored[about.real])
+        if is_sound(table, stored):
+            yield table, tuple(stored)
+
+
+def _records(data: bytes, start: int, size: int) -> Iterator[tuple[int | None, list[Any]]]:
+    """Numbers and values of the rows of a page."""
+    head = start + (_HEADER if start == 0 else 0)
+    kind = data[head]
+    if kind not in (_TABLE_LEAF, _INDEX_LEAF, _INDEX):
+        return
+    first = head + (12 if kind == _INDEX else 8)
+    # How many there are may be damaged, too.
+    for k in range((start + size - first) // 2):
+        with suppress(*_BROKEN):
+            cell = start + int.from_bytes(data[first + 2 * k : first + 2 * k + 2], "big")
+            if not first <= cell < start + size:
+                break
+            at = cell + (4 if kind == _INDEX else 0)
+            length, at = _varint(data, at)
+            number = None
+            if kind == _TABLE_LEAF:
+                number, at = _varint(data, at)
+            yield number, _values(_payload(data, at, length, size, kind == _TABLE_LEAF))
+
+
+def _payload(data: bytes, at: int, length: int, size: int, of_table: bool) -> bytes:
+    """Bytes of a row, which may go on in other pages."""
+    if length > len(data):
+        raise ValueError("a row that is longer than the file")
+    most = size - 35 if of_table else (size - 12) * 64 // 255 - 23
+    if length <= most:
+        return data[at : at + length]
+    least = (size - 12) * 32 // 255 - 23
+    local = least + (length - least) % (size - 4)
+    local = local if local <= most else least
+    parts, known = [data[at : at + local]], local
+    page = int.from_bytes(data[at + local : at + local + 4], "big")
+    while known < length:
+        start = (page - 1) * size
+        if page < 1 or start >= len(data):
+            raise ValueError("a row that goes on nowhere")
+        parts.append(data[start + 4 : start + 4 + min(length - known, size - 4)])
+        known += size - 4
+        page = int.from_bytes(data[start : start + 4], "big")
+    return b"".join(parts)
+
+
+def _values(payload: bytes) -> list[Any]:
+    """Take a row apart."""
+    end, at = _varint(payload, 0)
+    kinds = []
+    while at < end:
+        kind, at = _varint(payload, at)
+        kinds.append(kind)
+    values = []
+    for kind in kinds:
+        value, at = _value(payload, at, kind)
+        values.append(value)
+    return values
+
+
+def _value(payload: bytes, at: int, kind: int) -> tuple[Any, int]:
+    if kind in _INTEGERS:
+        end = at + _INTEGERS[kind]
+        return int.from_bytes(payload[at:end], "big", signed=True), end
+    if kind == 7:
+        return struct.unpack(">d", payload[at : at + 8])[0], at + 8
+    if kind < 12:
+        return {0: None, 8: 0, 9: 1}[kind] if kind in (0, 8, 9) else None, at
+    end = at + (kind - 12) // 2
+    part = payload[at:end]
+    return (part.decode() if kind % 2 else part), end
+
+
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    value = 0
+    for k in range(8):
+        byte = data[at + k]
+        value = value << 7 | byte & 0x7F
+        if byte < 0x80:
+            return value, at + k + 1
+    return value << 8 | data[at + 8], at + 9

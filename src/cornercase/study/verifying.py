@@ -1,0 +1,147 @@
+"""Whether everything in a study is as it was written."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cornercase._common import arguments
+from cornercase._common.errors import InputError
+from cornercase.study.connecting import connected, of_today, require_plain, require_study
+from cornercase.study.damage import DamageError
+from cornercase.study.schema import TABLES
+from cornercase.study.seals import is_sound, name_of, require_tally
+from cornercase.study.store import Study
+
+# What SQLite tells of at most, and rows of a table.
+_MOST: Final = 20
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was found of a study.
+
+    Attributes
+    ----------
+    path : Path
+    problems : tuple of str
+        A part of a sentence for each thing that is not as it was written; empty where all is.
+    """
+
+    path: Path
+    problems: tuple[str, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether everything is as it was written."""
+        return not self.problems
+
+
+def verify(study: Path | str) -> Verification:
+    """Look at everything in a study: SQLite's own check, checksums, counts, references and types.
+
+    Parameters
+    ----------
+    study : path
+
+    Returns
+    -------
+    Verification
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+
+    Examples
+    --------
+    >>> from cornercase.study import verify
+    >>> verify("missing.db")
+    Traceback (most recent call last):
+        ...
+    cornercase._common.errors.InputError: missing.db: there is no such study; make one with `explore`.
+    """
+    path = arguments.path("study", study)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such study; make one with `explore`.")
+    problems = list(dict.fromkeys(_problems(path)))
+    return Verification(path, tuple(problems))
+
+
+def _problems(path: Path) -> Iterator[str]:
+    found = False
+    for one in _of_file(path):
+        found = True
+        yield one
+    if found:
+        return
+    # All rows are as they were written; whether they are what a study holds is seen when they are read.
+    try:
+        with Study.open(path) as opened:
+            for _ in opened.recorded():
+                pass
+            opened.table()
+            opened.results()
+            opened.elapsed()
+            opened.elsewhere()
+            for name in opened.analyses():
+                opened.analysis(name)
+            opened.reduction(), opened.estimate()
+            for row in opened.rows():
+                opened.scores_of(row.id), opened.against_of(row.id)
+    except InputError as error:
+        yield str(error).removeprefix(f"{path}: ")
+
+
+def _of_file(path: Path) -> Iterator[str]:
+    try:
+        connection = connected(path)
+        with closing(connection):
+            connection.execute("PRAGMA trusted_schema = OFF")
+            connection.execute("PRAGMA cell_size_check = ON")
+            require_study(path, connection)
+            for (line,) in connection.execute(f"PRAGMA integrity_check({_MOST})"):
+                if line != "ok":
+                    yield f"SQLite says: {line}"
+            require_plain(path, connection)
+    except (sqlite3.Error, InputError) as error:
+        yield _words(path, error)
+        return
+    try:
+        connection = of_today(connected(path))
+    except (sqlite3.Error, InputError) as error:
+        yield _words(path, error)
+        return
+    with closing(connection):
+        there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        for table in (name for name in TABLES if name in there):
+            yield from _of_table(path, connection, table)
+
+
+def _of_table(path: Path, connection: sqlite3.Connection, table: str) -> Iterator[str]:
+    about = TABLES[table]
+    count = 0
+    try:
+        for stored in connection.execute(f"SELECT {', '.join(about.stored)} FROM {table}"):
+            if not is_sound(table, stored):
+                count += 1
+                if count <= _MOST:
+                    yield f"its table {table} does not hold {name_of(table, stored)} as it was written"
+        if count > _MOST:
+            yield f"its table {table} has {count - _MOST} more such rows"
+        require_tally(connection, table)
+    except (sqlite3.Error, DamageError) as error:
+        yield _words(path, error)
+
+
+def _words(path: Path, error: Exception) -> str:
+    if isinstance(error, sqlite3.Error):
+        return f"SQLite says: {error}"
+    text = str(error).removeprefix(f"{path}: ")
+    with suppress(ValueError):
+        text = text.removeprefix("is damaged: ").split("; `verify`")[0]
+    return text
