@@ -9,14 +9,14 @@ from cornercase._common.platform import forgive_narrow_output
 
 # Their order is that of the commands in the help.
 # isort: off
-from cornercase.cli import running, studies, testing, estimating, comparing, warming
+from cornercase.cli import running, studies, testing, estimating, comparing, verifying, warming
 
 # isort: on
 from cornercase.cli.failures import exit_code_of
 from cornercase.cli.messages import show_notices
 from cornercase.cli.options import app, debugging
 
-__all__ = ["app", "comparing", "estimating", "main", "running", "studies", "testing", "warming"]
+__all__ = ["app", "comparing", "estimating", "main", "running", "studies", "testing", "verifying", "warming"]
 
 
 def main() -> None:

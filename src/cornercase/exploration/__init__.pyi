@@ -19,3 +19,5 @@ from .judging import critical_set_of as critical_set_of
 from .judging import learns_from_features as learns_from_features
 from .objective import Objective as Objective
 from .objective import on_front as on_front
+from .repairing import Repaired as Repaired
+from .repairing import repair as repair

@@ -9,23 +9,23 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from cornercase._common.arguments import by_name, flag, number, path, whole_number
+from cornercase._common.arguments import flag, number, path, whole_number
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import Driver
 from cornercase.evidence import ImportanceSampling, guessed_proposal
+from cornercase.exploration.again import configuration_of, require_same_runs
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.drawing import ProbabilityEstimator
 from cornercase.exploration.estimation import Estimation
 from cornercase.exploration.exploring import configured_simulator
-from cornercase.scenario import LogicalScenario, Scenario
-from cornercase.simulators import Simulator
-from cornercase.study import Study, StudyMeta, explored_scenario
+from cornercase.scenario import Scenario
+from cornercase.study import Study
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -129,7 +129,7 @@ def estimate(
         meta = about.meta(objective, running.settings)
         name = f"importance-sampling:learn={learn},known={known}-{_digest(points, scores)}"
         meta = replace(meta, critical=objective.flip(threshold), optimizer=name)
-        _require_same_runs(file, source.meta, running)
+        require_same_runs(file, source.meta, running)
         guess = guessed_proposal(about.logical.space, points, scores, threshold, seed)
         sampling = ImportanceSampling(about.logical.space, _EVENTS, learn, seed, guess)
         with Study.open(made, readonly=False) if made.exists() else Study.create(made, meta) as opened:
@@ -149,33 +149,20 @@ def _configuration(
     drivers: Mapping[str, str | Driver],
 ) -> Configuration:
     """What the study was explored with, with another budget and seed."""
-    meta, settings = study.meta, study.meta.settings
-    source = explored_scenario(study, scenario)
-    if source is None:
-        raise InputError(f"`study` {study.path}: is of imported recordings, and no other scenario of it can be run.")
-    if meta.pareto:
+    if study.meta.pareto:
         raise InputError(f"`study` {study.path}: was searched for a Pareto front, so nothing says what is critical.")
-    known: dict[str, str | Driver] = dict(by_name("drivers", drivers))
-    for entity, driver in settings.get("drivers", {}).items():
-        # What a study names is no reason to import a module.
-        if isinstance(driver, str) and ":" not in driver:
-            known.setdefault(entity, driver)
-        elif entity not in known:
-            raise InputError(f"`drivers` {entity}: the study has a driver of its own there; give it again.")
-    given = {name: settings[name] for name in ("time_step", "duration", "on_collision") if name in settings}
-    return Configuration(
-        logical=LogicalScenario(source.path, meta.space, meta.fingerprint, source),
-        ego=meta.ego,
-        other=meta.other,
-        metrics=meta.metrics,
+    about = configuration_of(study, study.path, scenario, simulator, drivers)
+    # What else the search was, new draws are not.
+    return replace(
+        about,
         optimizer="random",
-        critical=meta.critical if critical is None else critical,
-        weights=meta.weights,
+        critical=study.meta.critical if critical is None else critical,
         budget=budget,
         seed=seed,
-        simulator=meta.simulator.partition(":")[0] if simulator is None else simulator,
-        drivers=known,
-        **given,
+        batch=Configuration.batch,
+        asynchronous=False,
+        repeats=1,
+        audit=0.0,
     )
 
 
@@ -191,13 +178,3 @@ def _agreed(output: Path, learn: int) -> tuple[int, int | None]:
 def _digest(points: FloatArray, scores: FloatArray) -> str:
     content = points.astype("<f8").tobytes() + np.asarray(scores, dtype="<f8").tobytes()
     return hashlib.sha256(content).hexdigest()[:12]
-
-
-def _require_same_runs(study: Path, meta: StudyMeta, simulator: Simulator) -> None:
-    """Refuse a simulator that would not run scenarios as those of the study were run."""
-    mine: dict[str, Any] = dict(simulator.settings)
-    other = [name for name in sorted({*mine, *meta.settings}) if mine.get(name) != meta.settings.get(name)]
-    if other:
-        raise InputError(
-            f"{study}: was explored with another {', '.join(other)}; give `simulator` and `drivers` as for `explore`."
-        )

@@ -12,5 +12,9 @@ from .meta import count_audits as count_audits
 from .notes import LONGEST_NOTE as LONGEST_NOTE
 from .notes import write_note as write_note
 from .opening import open_study as open_study
+from .rebuilding import Remains as Remains
+from .rebuilding import rebuild as rebuild
 from .store import Study as Study
 from .table import Row as Row
+from .verifying import Verification as Verification
+from .verifying import verify as verify

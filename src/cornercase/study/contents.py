@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -304,6 +304,30 @@ class StudyContents(ScenarioContents):
                         f" {len(recording.time)}",
                     )
             yield row.id, recording, courses
+
+    def require_sound(self) -> None:
+        """Refuse a study in which anything of a scenario is not as it was written, without unpacking it.
+
+        Raises
+        ------
+        InputError
+            Something is damaged.
+        """
+        for table in ("scenarios", "courses", "repeats"):
+            self._database.require_all(table)
+            with closing(self._database.each_row(table, blob=True)) as found:
+                for _ in found:
+                    pass
+
+    def tallies(self) -> dict[str, tuple[int, int]]:
+        """Tell what each table holds in short, to compare studies by.
+
+        Returns
+        -------
+        dict of str to (int, int)
+            Number of rows, and the exclusive or of their checksums, by table.
+        """
+        return {name: (rows, sums) for name, rows, sums in self._database.rows("tallies")}
 
     def _counts(self) -> dict[str, int]:
         """Count the scenarios in each state."""

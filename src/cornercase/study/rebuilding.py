@@ -83,6 +83,8 @@ def rebuild(damaged: Path, made: Path) -> Remains:
         lost.append("its clusters and its reduced set; `analyze` and `reduce` make them again")
         for name in _ANALYSES:
             found[name] = {}
+    if "scenarios" not in tallies:
+        lost.append("how many scenarios it had; the same `explore` goes on from those that are there")
     missing = tallies.get("notes", (0, 0))[0] - len(found["notes"])
     if missing > 0:
         lost.append(f"{missing} notes on scenarios")
@@ -92,7 +94,7 @@ def rebuild(damaged: Path, made: Path) -> Remains:
         make_tables(connection, *(name for name, about in TABLES.items() if not about.always and _has(meta, name)))
         for name in TABLES:
             if name != "tallies" and (TABLES[name].always or _has(meta, name)):
-                put(connection, name, _ordered(found[name], name), replace=False)
+                put(connection, name, found[name].values(), replace=False)
         connection.commit()
     return Remains(meta, rounds, again, tuple(lost), tallies)
 
@@ -100,10 +102,6 @@ def rebuild(damaged: Path, made: Path) -> Remains:
 def _has(meta: StudyMeta, table: str) -> bool:
     """Whether a study has a table that not every one has."""
     return {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}[table]
-
-
-def _ordered(rows: Rows, table: str) -> list[tuple[object, ...]]:
-    return [rows[key] for key in (sorted(rows) if TABLES[table].key else rows)]
 
 
 def _tally(found: dict[str, Rows], table: str) -> tuple[int, int]:
@@ -124,20 +122,20 @@ def _sort_out(found: dict[str, Rows], meta: StudyMeta, rounds: dict[int, int]) -
     """Make scenarios pending of which something is lost; return their ids."""
     there: dict[str, dict[int, set[str]]] = {name: defaultdict(set) for name in _OF_SCENARIOS}
     for name in _OF_SCENARIOS:
-        for row in found[name].values():
-            there[name][row[0]].add(row[1])
+        for one in found[name].values():
+            there[name][one[0]].add(one[1])
     wanted = {"courses": True, "repeats": meta.repeats > 1, "against": len(meta.others) > 1}
     again = []
-    for one in rounds:
-        row = found["scenarios"].get((one,))
+    for number in rounds:
+        row = found["scenarios"].get((number,))
         whole = row is not None and row[4] != "pending"
         if row is not None and row[4] == "done":
-            whole = all(there[name][one] >= set(meta.metrics) for name, asked in wanted.items() if asked)
+            whole = all(there[name][number] >= set(meta.metrics) for name, asked in wanted.items() if asked)
         if whole:
             continue
-        again.append(one)
+        again.append(number)
         for name in _OF_SCENARIOS:
-            found[name] = {key: each for key, each in found[name].items() if each[0] != one}
+            found[name] = {key: each for key, each in found[name].items() if each[0] != number}
         if row is not None:
-            found["scenarios"][one,] = (*row[:4], "pending", None, None)
+            found["scenarios"][number,] = (*row[:4], "pending", None, None)
     return tuple(again)

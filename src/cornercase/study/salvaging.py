@@ -1,14 +1,14 @@
 """Rows of a damaged study that are as they were written, wherever they stand in the file.
 
-What SQLite can still read is read by it. The rest is looked for page by page: a row proves by its checksum that it is whole,
-and of which table, so neither the pages that lead to it nor the description of the tables are needed.
+What SQLite can still read is read by it. The rest is looked for page by page: a row proves by its checksum that it is
+whole, and of which table, so neither the pages that lead to it nor the description of the tables are needed.
 """
 
 from __future__ import annotations
 
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -18,13 +18,16 @@ from cornercase.study.schema import TABLES
 from cornercase.study.seals import is_sound
 
 Rows = dict[Any, tuple[Any, ...]]
+Stored = tuple[str, int | None, tuple[Any, ...]]
 
 # Pages of a B-tree that hold rows: leaves of tables, leaves and others of tables without row numbers.
-_TABLE_LEAF, _INDEX_LEAF, _INDEX: Final = 0x0D, 0x0A, 0x02
+_TABLE_LEAF, _INDEX_LEAF, _INDEX = 0x0D, 0x0A, 0x02
 _HEADER: Final = 100
 _PAGE: Final = 4096
 _BROKEN: Final = (ValueError, IndexError, struct.error, OverflowError)
 _INTEGERS: Final = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
+# Tables whose order is that in which their rows were written.
+_NUMBERED: Final = ("arrays", "elsewhere")
 # A later state of a scenario counts more, where an earlier one is left in the file.
 _STATES: Final = {"pending": 0, "failed": 1, "done": 2}
 
@@ -39,45 +42,48 @@ def salvaged(path: Path) -> dict[str, Rows]:
     Returns
     -------
     dict of str to dict of tuple to tuple
-        By table and key, all columns in the order of `cornercase.study.schema.Table.columns`.
+        By table and key, all columns in the order of `cornercase.study.schema.Table.columns`; in the order in which
+        they stand in the table.
     """
-    found: dict[str, Rows] = {name: {} for name in TABLES}
-    for table, stored in _read(path):
-        _add(found, table, stored)
     # What SQLite reads counts more: what the pages hold besides may have been there before.
-    beside: dict[str, Rows] = {name: {} for name in TABLES}
-    for table, stored in _scanned(path.read_bytes()):
-        _add(beside, table, stored)
-    return {name: beside[name] | found[name] for name in TABLES}
+    found, order = _gathered([*_scanned(path.read_bytes()), *_read(path)])
+    return {name: dict(sorted(rows.items(), key=lambda one: order[name][one[0]])) for name, rows in found.items()}
 
 
-def _add(found: dict[str, Rows], table: str, stored: tuple[Any, ...]) -> None:
-    about = TABLES[table]
-    count = len(about.light)
-    row = (*stored[:count], stored[-1]) if about.blob else stored[:count]
-    key = row[: about.key] if about.key else row
-    before = found[table].get(key)
-    if before is None or table != "scenarios" or _STATES.get(row[4], 0) >= _STATES.get(before[4], 0):
-        found[table][key] = row
+def _gathered(stored: Iterable[Stored]) -> tuple[dict[str, Rows], dict[str, dict[Any, Any]]]:
+    """Put rows together by table and key; and what they are ordered by."""
+    found: dict[str, Rows] = {name: {} for name in TABLES}
+    order: dict[str, dict[Any, Any]] = {name: {} for name in TABLES}
+    for table, number, values in stored:
+        about = TABLES[table]
+        count = len(about.light)
+        row = (*values[:count], values[-1]) if about.blob else values[:count]
+        key = row[: about.key] if about.key else number
+        before = found[table].get(key)
+        if before is None or table != "scenarios" or _STATES.get(row[4], 0) >= _STATES.get(before[4], 0):
+            found[table][key] = row
+            order[table][key] = number if table in _NUMBERED else key
+    return found, order
 
 
-def _read(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
+def _read(path: Path) -> Iterator[Stored]:
     """Read what SQLite can, from both ends of each table."""
     with suppress(sqlite3.Error), closing(connected(path)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         for table, about in TABLES.items():
-            order = ", ".join(about.columns[: about.key]) or "rowid"
+            numbered = table in _NUMBERED
+            order = "rowid" if numbered else ", ".join(about.columns[: about.key])
+            columns = ", ".join(("rowid", *about.stored) if numbered else about.stored)
             for backwards in ("", " DESC"):
                 ordered = order.replace(",", f"{backwards},") + backwards
                 with suppress(sqlite3.Error):
-                    for stored in connection.execute(
-                        f"SELECT {', '.join(about.stored)} FROM {table} ORDER BY {ordered}"
-                    ):
+                    for found in connection.execute(f"SELECT {columns} FROM {table} ORDER BY {ordered}"):
+                        number, stored = (found[0], found[1:]) if numbered else (None, found)
                         if is_sound(table, stored):
-                            yield table, stored
+                            yield table, number, stored
 
 
-def _scanned(data: bytes) -> Iterator[tuple[str, tuple[Any, ...]]]:
+def _scanned(data: bytes) -> Iterator[Stored]:
     """Look for rows in all pages of a file."""
     size = int.from_bytes(data[16:18], "big")
     size = 65536 if size == 1 else size if size >= 512 and not size & (size - 1) else _PAGE
@@ -87,7 +93,7 @@ def _scanned(data: bytes) -> Iterator[tuple[str, tuple[Any, ...]]]:
                 yield from _of_tables(values)
 
 
-def _of_tables(values: tuple[int | None, list[Any]]) -> Iterator[tuple[str, tuple[Any, ...]]]:
+def _of_tables(values: tuple[int | None, list[Any]]) -> Iterator[Stored]:
     number, record = values
     for table, about in TABLES.items():
         if len(record) != len(about.stored):
@@ -99,7 +105,7 @@ def _of_tables(values: tuple[int | None, list[Any]]) -> Iterator[tuple[str, tupl
         if about.real is not None and isinstance(stored[about.real], int):
             stored[about.real] = float(stored[about.real])
         if is_sound(table, stored):
-            yield table, tuple(stored)
+            yield table, number, tuple(stored)
 
 
 def _records(data: bytes, start: int, size: int) -> Iterator[tuple[int | None, list[Any]]]:

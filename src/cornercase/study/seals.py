@@ -106,7 +106,7 @@ def put(connection: sqlite3.Connection, table: str, rows: Iterable[Sequence[Any]
         before = connection.execute(known, stored[: about.key]).fetchone() if replace and about.key else None
         connection.execute(write, stored)
         added += before is None
-        sums ^= stored[len(about.columns)] ^ (0 if before is None else before[0])
+        sums ^= stored[len(about.columns)] ^ (0 if before is None else _number(table, before[0]))
     _tally(connection, table, added, sums)
 
 
@@ -125,7 +125,13 @@ def remove(connection: sqlite3.Connection, table: str, where: str = "1", *values
     found = connection.execute(f"SELECT checksum FROM {table} WHERE {where}", values).fetchall()
     if found:
         connection.execute(f"DELETE FROM {table} WHERE {where}", values)
-        _tally(connection, table, -len(found), reduce(xor, (one for (one,) in found)))
+        _tally(connection, table, -len(found), reduce(xor, (_number(table, one) for (one,) in found)))
+
+
+def _number(table: str, checksum: Any) -> int:
+    if not isinstance(checksum, int):
+        raise DamageError(f"its table {table} has a row without a checksum")
+    return checksum
 
 
 def read_rows(
@@ -181,10 +187,12 @@ def require_tally(connection: sqlite3.Connection, table: str) -> None:
     if not TABLES[table].tallied:
         return
     found = [one for (one,) in connection.execute(f"SELECT checksum FROM {table}")]
-    # A damaged one may be no number at all.
-    whole = all(isinstance(one, int) for one in found)
-    if not whole or (len(found), reduce(xor, found, 0)) != known_tally(connection, table):
+    if not all(isinstance(one, int) for one in found) or _come_to(found) != known_tally(connection, table):
         raise DamageError(f"its table {table} does not hold the rows that were written")
+
+
+def _come_to(checksums: Sequence[int]) -> tuple[int, int]:
+    return len(checksums), reduce(xor, checksums, 0)
 
 
 def known_tally(connection: sqlite3.Connection, table: str) -> tuple[int, int]:

@@ -130,8 +130,9 @@ class Study(StudyContents):
         Raises
         ------
         InputError
-            The study is of something else.
+            The study is of something else, or damaged.
         """
+        self.require_sound()
         try:
             self.meta.require_same(meta, self.path, same_budget=same_budget)
         except InputError:
@@ -188,7 +189,13 @@ class Study(StudyContents):
             put(connection, "meta", [(key, json.dumps(value, sort_keys=True)) for key, value in plain])
         self.meta, self.space = meta, meta.space
 
-    def propose(self, number: int, points: FloatArray, values: Sequence[Mapping[str, Value]]) -> list[Row]:
+    def propose(
+        self,
+        number: int,
+        points: FloatArray,
+        values: Sequence[Mapping[str, Value]],
+        ids: Sequence[int] | None = None,
+    ) -> list[Row]:
         """Store a round of proposals as pending, all or none.
 
         Parameters
@@ -199,6 +206,8 @@ class Study(StudyContents):
             In the unit cube.
         values : sequence of mapping, length n
             Values of the scenario's parameters.
+        ids : sequence of int, length n, optional
+            Ids of scenarios that were lost; by default the next ones.
 
         Returns
         -------
@@ -206,9 +215,10 @@ class Study(StudyContents):
         """
         with self._database.writing() as connection:
             ((last,),) = connection.execute("SELECT COALESCE(MAX(id), 0) FROM scenarios")
+            numbers = range(last + 1, last + 1 + len(points)) if ids is None else ids
             rows = [
-                Row(last + k, number, point, dict(one), "pending", None)
-                for k, (point, one) in enumerate(zip(points, values, strict=True), 1)
+                Row(one, number, point, dict(found), "pending", None)
+                for one, point, found in zip(numbers, points, values, strict=True)
             ]
             put(connection, "scenarios", [_plain_row(row) for row in rows])
         return rows

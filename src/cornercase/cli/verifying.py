@@ -1,0 +1,69 @@
+"""The command that looks whether a study is as it was written, and brings back what is lost."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cornercase._common.texts import json_text
+from cornercase.cli import parsing
+from cornercase.cli.options import Drivers, StudyFile, Workers, app, out
+
+
+@app.command()
+def verify(
+    study: StudyFile,
+    *,
+    repair: Annotated[
+        bool,
+        typer.Option("--repair", help="Run again what was lost; the damaged file is kept as STUDY.db.damaged."),
+    ] = False,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Scenario file; default: found beside the study or here by its fingerprint."),
+    ] = None,
+    simulator: Annotated[
+        str | None, typer.Option(metavar="NAME", help="What runs scenarios again; default: that of the study.")
+    ] = None,
+    driver: Drivers = None,
+    workers: Workers = 1,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Look whether everything in a study is as it was written; exit code 1 where it is not.
+
+    \b
+    Example:
+      cornercase verify study.db
+      cornercase verify study.db --repair
+    """
+    from cornercase.study import verify as verified
+
+    found = verified(study)
+    again: tuple[int, ...] = ()
+    lost: tuple[str, ...] = ()
+    damaged: Path | None = None
+    if repair and not found.sound:
+        from cornercase.exploration import repair as repaired
+
+        drivers = parsing.pairs(driver or [], "--driver")
+        mended = repaired(study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers)
+        again, lost, damaged = mended.again, mended.lost, mended.damaged
+    if as_json:
+        told = {"sound": found.sound, "problems": list(found.problems)}
+        if repair:
+            told |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
+        sys.stdout.write(json_text(told) + "\n")
+    else:
+        for one in found.problems:
+            out.print(f"{study}: {one}")
+        if found.sound:
+            out.print(f"{study}: everything is as it was written.")
+        if damaged is not None:
+            out.print(f"Repaired; {len(again)} scenarios were run again, and the damaged file is {damaged}.")
+            for one in lost:
+                out.print(f"Lost: {one}.")
+    if lost or (not found.sound and not repair):
+        raise typer.Exit(1)

@@ -1,0 +1,231 @@
+"""A damaged study brought back: what is lost of it is run again."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cornercase._common.arguments import path, whole_number
+from cornercase._common.errors import InputError
+from cornercase.drivers import Driver
+from cornercase.exploration.again import configuration_of, require_same_runs
+from cornercase.exploration.explorer import ScenarioExplorer
+from cornercase.exploration.exploring import configured_simulator, started_references
+from cornercase.exploration.proposing import Proposer, Search
+from cornercase.optimizers import create_optimizer
+from cornercase.scenario import Scenario
+from cornercase.study import IMPORTED, Remains, Row, Study, rebuild, verify
+
+_DAMAGED: Final = ".damaged"
+
+
+@dataclass(frozen=True)
+class Repaired:
+    """What became of a damaged study.
+
+    Attributes
+    ----------
+    study : Path
+    damaged : Path or None
+        Where the damaged file is now; None where nothing was to be mended.
+    again : tuple of int
+        Scenarios that were run again.
+    lost : tuple of str
+        What could not be brought back, in words.
+    """
+
+    study: Path
+    damaged: Path | None
+    again: tuple[int, ...]
+    lost: tuple[str, ...]
+
+
+def repair(
+    study: Path | str,
+    *,
+    scenario: Path | str | Scenario | None = None,
+    simulator: str | None = None,
+    drivers: Mapping[str, str | Driver] | None = None,
+    workers: int = 1,
+) -> Repaired:
+    """Bring back a damaged study.
+
+    What is as it was written is kept. Scenarios of which something is lost are run again, with the simulator and the
+    settings of the study; where it is lost which they were, its search is asked for them again. The damaged file is
+    kept under another name.
+
+    Parameters
+    ----------
+    study : path
+    scenario : path or Scenario, optional
+        File that was explored. By default it is looked for beside the study and in the current folder, and known by its
+        fingerprint.
+    simulator : str, optional
+        By default that of the study, without options.
+    drivers : mapping of str to str or Driver, optional
+        Drivers of your own, by entity, where the study has some; presets are those of the study.
+    workers : int, default 1
+        Simulators side by side.
+
+    Returns
+    -------
+    Repaired
+
+    Raises
+    ------
+    InputError
+        It cannot be brought back, or what it takes is not here; the study is left as it is.
+
+    See Also
+    --------
+    cornercase.study.verify : Tells what is damaged.
+    """
+    file = path("study", study)
+    workers = whole_number("workers", workers, least=1)
+    if verify(file).sound:
+        return Repaired(file, None, (), ())
+    handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.resolve().parent)
+    os.close(handle)
+    made = Path(name)
+    try:
+        made.unlink()
+        remains = rebuild(file, made)
+        if remains.again:
+            _require_runnable(file, remains)
+            _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
+        lost = [*remains.lost, *_still_other(made, remains)]
+        kept = _free_name(file)
+        os.replace(file, kept)
+        for ending in ("-wal", "-shm"):
+            beside = file.with_name(file.name + ending)
+            if beside.exists():
+                os.replace(beside, kept.with_name(kept.name + ending))
+        os.replace(made, file)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be repaired ({error.strerror}); make room, or copy it elsewhere.") from error
+    finally:
+        for ending in ("", "-wal", "-shm", "-journal"):
+            made.with_name(made.name + ending).unlink(missing_ok=True)
+    return Repaired(file, kept, remains.again, tuple(lost))
+
+
+def _free_name(file: Path) -> Path:
+    kept = file.with_name(file.name + _DAMAGED)
+    number = 2
+    while kept.exists():
+        kept = file.with_name(f"{file.name}{_DAMAGED}-{number}")
+        number += 1
+    return kept
+
+
+def _require_runnable(file: Path, remains: Remains) -> None:
+    meta, count = remains.meta, len(remains.again)
+    if meta.simulator == IMPORTED or meta.optimizer == "none" or meta.optimizer.startswith("importance-sampling:"):
+        command = "import" if meta.simulator == IMPORTED else "test" if meta.suite else "estimate"
+        raise InputError(
+            f"{file}: {count} of its scenarios are damaged, and are not made by a search; make it again with"
+            f" `{command}`, under another name."
+        )
+    if meta.asynchronous and not all(remains.rounds.values()):
+        raise InputError(
+            f"{file}: it is lost which scenarios were run, and its search had no rounds, so that it cannot be asked"
+            " again; run `explore` again, into another study."
+        )
+
+
+def _still_other(made: Path, remains: Remains) -> list[str]:
+    """Name tables that are not what they were, where that is known."""
+    with Study.open(made) as opened:
+        now = opened.tallies()
+    skipped = ("notes", "outcomes", "analyses", "arrays")
+    other = [name for name, one in remains.tallies.items() if name not in skipped and now.get(name, (0, 0)) != one]
+    return [f"its table {name} is not what it was" for name in sorted(other)]
+
+
+def _run_again(
+    file: Path,
+    made: Path,
+    remains: Remains,
+    scenario: Path | str | Scenario | None,
+    simulator: str | None,
+    drivers: Mapping[str, str | Driver],
+    workers: int,
+) -> None:
+    with Study.open(made, readonly=False) as opened:
+        about = replace(configuration_of(opened, file, scenario, simulator, drivers), workers=workers)
+        objective = about.objective()
+        optimizer = create_optimizer(
+            about.optimizer, about.logical.space, about.seed, threshold=about.threshold(objective), budget=about.budget
+        )
+        with configured_simulator(about) as running, started_references(about) as references:
+            require_same_runs(file, opened.meta, running)
+            explorer = _Repairer(about, running, optimizer, opened, objective, references)
+            explorer.repair(remains.rounds)
+
+
+class _Repairer(ScenarioExplorer):
+    """Runs pending scenarios of a study, and asks its search for those that are lost."""
+
+    def repair(self, rounds: Mapping[int, int]) -> None:
+        """Go through the rounds of the study, and bring each back.
+
+        Parameters
+        ----------
+        rounds : mapping of int to int
+            Round of each scenario by id; 0 where it is not known.
+        """
+        if all(rounds.values()):
+            # Nothing is asked, so nothing has to be told.
+            self._simulate([row for row in self._study.rows() if row.state == "pending"], None)
+            return
+        self._search = Search(self._optimizer, self._study.meta.asynchronous)
+        self._proposer = Proposer(self._search, self._study)
+        known = self._objective.oriented_of(self._study)
+        scores: dict[int, Any] = dict(zip((row.id for row in self._study.done()), known, strict=True))
+        batch, done = self._configuration.batch, 0
+        for number, members in groupby(_filled(rounds, batch).items(), key=lambda one: one[1]):
+            ids = [one for one, _ in members]
+            there = {row.id: row for row in self._study.rows_of(number)}
+            if missing := [one for one in ids if one not in there]:
+                there |= self._proposed_again(number, ids, missing, done, there)
+            rows = [there[one] for one in ids]
+            scores |= self._simulate([row for row in rows if row.state == "pending"], None)
+            self._tell(rows, scores)
+            done += len(ids)
+
+    def _proposed_again(
+        self, number: int, ids: Sequence[int], missing: Sequence[int], done: int, there: Mapping[int, Row]
+    ) -> dict[int, Row]:
+        points = self._proposer.propose(done, len(ids))
+        same = len(points) == len(ids) and all(
+            np.array_equal(points[k], there[one].point) for k, one in enumerate(ids) if one in there
+        )
+        if not same:
+            raise InputError(
+                f"{self._study.path}: its search does not propose the same scenarios again, as with another version"
+                " of cornercase; run `explore` again, into another study."
+            )
+        wanted = [ids.index(one) for one in missing]
+        rows = self._study.propose(number, points[wanted], self._space.values(points[wanted]), missing)
+        return {row.id: row for row in rows}
+
+
+def _filled(rounds: Mapping[int, int], batch: int) -> dict[int, int]:
+    """Rounds of all scenarios: those that are not known are in that of the one before, until it is full."""
+    filled: dict[int, int] = {}
+    current, count = 1, 0
+    for one in sorted(rounds):
+        later = next((rounds[k] for k in range(one, len(rounds) + 1) if rounds[k]), None)
+        turn = rounds[one] or (current if count < batch else current + 1)
+        if not rounds[one] and later is not None:
+            turn = min(turn, later)
+        current, count = turn, count + 1 if turn == current else 1
+        filled[one] = turn
+    return filled
