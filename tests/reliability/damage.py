@@ -86,7 +86,9 @@ def _by_sql(path: Path, rng: np.random.Generator, kind: str) -> str:
     with closing(sqlite3.connect(path)) as connection, connection:
         there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
         filled = [
-            name for name in TABLES if name in there and connection.execute(f"SELECT 1 FROM {name}").fetchone() is not None
+            name
+            for name in TABLES
+            if name in there and connection.execute(f"SELECT 1 FROM {name}").fetchone() is not None
         ]
         table = str(rng.choice([name for name in filled if TABLES[name].blob or kind != "blob"]))
         about = TABLES[table]
@@ -138,7 +140,9 @@ class Harness:
         (folder / "whole").mkdir()
         self.whole = whole_study(folder / "whole")
         cornercase(*self._reading(self.whole, folder / "out")["reduce"])
-        self.said = {name: cornercase(*words).stdout for name, words in self._reading(self.whole, folder / "out").items()}
+        self.said = {
+            name: cornercase(*words).stdout for name, words in self._reading(self.whole, folder / "out").items()
+        }
         self.undisturbed, self.explored = held(self.whole, *_APART), held(self.whole, *_APART, *_ANALYSED)
         self.tried = Tried()
 
@@ -241,4 +245,3 @@ def _timeless(said: str) -> dict[str, Any]:
 
 def _files(folder: Path) -> dict[str, bytes]:
     return {str(one.relative_to(folder)): one.read_bytes() for one in sorted(folder.rglob("*")) if one.is_file()}
-

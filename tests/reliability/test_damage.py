@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 
 import pytest
-
-from reliability.damage import Harness
+from damage import Harness
 
 SEED = int(os.environ.get("CORNERCASE_TORTURE_SEED", "0"))
 COMMANDS = ("show", "export", "report", "reduce", "explore", "analyze")
 
 
 @pytest.fixture(scope="module")
-def harness(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Harness]:
-    yield Harness(tmp_path_factory.mktemp("damage"))
+def harness(tmp_path_factory: pytest.TempPathFactory) -> Harness:
+    return Harness(tmp_path_factory.mktemp("damage"))
 
 
 @pytest.mark.parametrize("seed", range(SEED, SEED + 8))
