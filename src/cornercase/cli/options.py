@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
-from cornercase._common.texts import plain_text
+from cornercase._common.texts import plain_text, shorten
 from cornercase._common.version import __version__
 from cornercase.cli.interrupting import InterruptedGroup, exit_code
 
@@ -122,6 +122,11 @@ def _main(
         raise typer.Exit
 
 
+# Reasons of failures that are told, and characters of each.
+_REASONS: Final = 3
+_LONGEST_REASON: Final = 300
+
+
 def tell_ending(result: ExplorationResult) -> None:
     """Say how an exploration ended."""
     if result.same is not None:
@@ -132,5 +137,11 @@ def tell_ending(result: ExplorationResult) -> None:
         raise typer.Exit(exit_code())
     failed = f", {result.failed} of which failed" if result.failed else ""
     out.print(f"{result.ended} scenarios in {result.study}{failed}; ended because {result.reason}.")
+    for reason, count in list(result.reasons.items())[:_REASONS]:
+        out.print(f"  {count} failed: {shorten(reason, _LONGEST_REASON)}")
+    if len(result.reasons) > _REASONS:
+        out.print(f"  and {sum(list(result.reasons.values())[_REASONS:])} more, for other reasons; 'show' tells all.")
     for sentence in result.alike:
         out.print(sentence)
+    if result.failed and not result.done:
+        raise typer.Exit(1)

@@ -137,6 +137,9 @@ def explore(
             help="Begin from the scores of a study of the same parameters: another driver, simulator or time step.",
         ),
     ] = None,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Run the study's scenarios that failed once more, then go on.")
+    ] = False,
     profile: Profile = None,
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
@@ -188,6 +191,7 @@ def explore(
         drivers=parsing.pairs(driver or (), "--driver"),
         replay=replay,
         from_study=from_study,
+        retry_failed=retry_failed,
         progress=True,
     )
     tell_ending(result)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,8 @@ class ExplorationResult:
         A sentence for each metric by which all scenarios are the same.
     same : bool or None
         Whether the results in the study gave the same proposals again; None where that was not asked.
+    reasons : mapping of str to int
+        How many scenarios failed for which reason, the most frequent first.
     """
 
     study: Path
@@ -53,6 +56,7 @@ class ExplorationResult:
     interrupted: bool = False
     alike: tuple[str, ...] = ()
     same: bool | None = None
+    reasons: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def of(cls, study: Study, reason: str, interrupted: bool = False) -> ExplorationResult:
@@ -69,7 +73,9 @@ class ExplorationResult:
         ExplorationResult
         """
         alike = tuple(tell_alike(study).values())
-        return cls(study.path, len(study.done()), len(study.failed()), reason, interrupted, alike)
+        failed = study.failed()
+        reasons = dict(Counter(row.error or "" for row in failed).most_common())
+        return cls(study.path, len(study.done()), len(failed), reason, interrupted, alike, reasons=reasons)
 
     @property
     def ended(self) -> int:

@@ -66,6 +66,7 @@ def explore(
     drivers: Mapping[str, str | Driver] | None = None,
     replay: bool = False,
     from_study: Path | str | None = None,
+    retry_failed: bool = False,
     progress: bool = False,
 ) -> ExplorationResult:
     """Search a logical scenario for its critical concrete scenarios.
@@ -143,6 +144,9 @@ def explore(
     from_study : path, optional
         Study of the same parameters, of another driver, simulator or time step, whose scores the search begins from.
         They are copied; a search that goes on needs them no more.
+    retry_failed : bool, default False
+        Run scenarios of the study that failed once more before it goes on, as after a failure from outside. What was
+        proposed since then stays.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -197,7 +201,7 @@ def explore(
     )
     if flag("replay", replay):
         return _replay(configuration, path("study", study))
-    return explore_configuration(configuration, study, progress)
+    return explore_configuration(configuration, study, progress, retry_failed=retry_failed)
 
 
 def _replay(one: Configuration, study: Path) -> ExplorationResult:
@@ -218,7 +222,9 @@ def _searched_by(one: Configuration) -> tuple[Objective, Optimizer]:
     return objective, optimizer
 
 
-def explore_configuration(configuration: Configuration, study: Path | str, progress: bool = False) -> ExplorationResult:
+def explore_configuration(
+    configuration: Configuration, study: Path | str, progress: bool = False, *, retry_failed: bool = False
+) -> ExplorationResult:
     """Explore into a study, or go on with the one that is there; as `explore`.
 
     Parameters
@@ -226,6 +232,8 @@ def explore_configuration(configuration: Configuration, study: Path | str, progr
     configuration : Configuration
     study : path
     progress : bool, default False
+    retry_failed : bool, default False
+        Whether scenarios that failed are run once more.
 
     Returns
     -------
@@ -238,8 +246,9 @@ def explore_configuration(configuration: Configuration, study: Path | str, progr
     """
     file = path("study", study)
     flag("progress", progress)
+    flag("retry_failed", retry_failed)
     try:
-        return _explore(configuration, file, progress)
+        return _explore(configuration, file, progress, retry_failed)
     except KeyboardInterrupt:
         # Interrupted at the very beginning or end, when the explorer does not handle it itself.
         with suppress(InputError), Study.open(file, readonly=True) as opened:
@@ -247,7 +256,7 @@ def explore_configuration(configuration: Configuration, study: Path | str, progr
         raise
 
 
-def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResult:
+def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool) -> ExplorationResult:
     begun = time.monotonic()
     one.require_entities()
     objective, optimizer = _searched_by(one)
@@ -275,6 +284,8 @@ def _explore(one: Configuration, path: Path, progress: bool) -> ExplorationResul
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
             if known is not None:
                 study.keep_elsewhere(known.points, known.scores)
+            if retry_failed:
+                study.retry_failed()
             study.add_elapsed("files", time.monotonic() - begun)
             kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
             try:

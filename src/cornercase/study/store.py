@@ -282,6 +282,22 @@ class Study(StudyContents):
         with self._database.writing() as connection:
             self._end(connection, scenario, "failed", str(error), None)
 
+    def retry_failed(self) -> int:
+        """Make scenarios that failed pending again.
+
+        Returns
+        -------
+        int
+            How many.
+        """
+        failed = self.failed()
+        with self._database.writing() as connection:
+            put(connection, "scenarios", [_plain_row(replace(row, state="pending", error=None)) for row in failed])
+            for row in failed if self.meta.asynchronous else ():
+                # Its result comes anew.
+                remove(connection, "results", "scenario = ?", row.id)
+        return len(failed)
+
     def _end(
         self, connection: Connection, scenario: int, state: str, error: str | None, recording: bytes | None
     ) -> None:
