@@ -52,7 +52,7 @@ def test_fills_a_map_that_is_given(tmp_path):
     assert np.array_equal(out, distance_matrix(series))
 
 
-def test_goes_on_after_being_killed(tmp_path):
+def test_goes_on_after_being_killed(tmp_path, monkeypatch):
     series = random_walks(500, longest=200)
     path = tmp_path / "matrix.npy"
     np.savez(tmp_path / "series.npz", *series)
@@ -73,22 +73,47 @@ def test_goes_on_after_being_killed(tmp_path):
     squares = progress.read_text().splitlines()[1:]
     assert 5 < len(squares) < 32 * 33 / 2
 
-    # What is noted is there; a mark shows that it is not computed again, and the last line is as good as torn.
+    # What is noted is there and is not computed again, and the last line is as good as torn.
     whole = distance_matrix(series)
     half = np.load(path, mmap_mode="r+")
     for line in squares:
-        rows, columns = (slice(SIDE * int(a), SIDE * (int(a) + 1)) for a in line.split())
+        rows, columns = (slice(SIDE * int(a), SIDE * (int(a) + 1)) for a in line.split()[:2])
         assert np.array_equal(half[rows, columns], whole[rows, columns])
         assert np.array_equal(half[columns, rows], whole[columns, rows])
-    half[0, 1] = -1.0
-    half.flush()
+    del half
     with progress.open("a") as notes:
         notes.write("31 3")
+    computed = []
+    alone = disk.pairs.distances
+    monkeypatch.setattr(disk.pairs, "distances", lambda *given: computed.append(1) or alone(*given))
     resumed = distance_matrix(series, out=path, resume=True)
-    assert resumed[0, 1] == -1.0
-    resumed[0, 1] = whole[0, 1]
+    assert len(computed) == 32 * 33 // 2 - len(set(squares))
     assert np.array_equal(resumed, whole)
     assert len(set(progress.read_text().splitlines()[1:])) == 32 * 33 // 2
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "mirror", "journal", "other squares"])
+def test_what_is_not_as_it_was_noted_is_computed_again(tmp_path, damage):
+    series = random_walks(40)
+    path = tmp_path / "matrix.npy"
+    expected = np.array(distance_matrix(series, out=path))
+    data = bytearray(path.read_bytes())
+    progress = progress_of(path)
+    if damage == "cut":
+        del data[len(data) // 2 :]
+    elif damage == "flip":
+        data[-9] ^= 1
+    elif damage == "mirror":
+        data[128 + 8 * (39 * 40) + 3] ^= 1
+    elif damage == "journal":
+        progress.write_bytes(progress.read_bytes().replace(b"\n1 1 ", b"\n1 \xff "))
+    else:
+        first, *squares = progress.read_text().splitlines()
+        progress.write_text("\n".join([first, *squares[1:], *squares[:1], "0 2 17", "a b c"]) + "\n")
+    path.write_bytes(bytes(data))
+    assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
+    # And is whole from then on.
+    assert np.array_equal(np.load(path), expected)
 
 
 def test_resume_begins_where_nothing_is(tmp_path):

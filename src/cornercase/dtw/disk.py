@@ -1,8 +1,9 @@
 """A distance matrix that does not fit in memory: written to a file square by square, and gone on with.
 
 Beside the matrix stands ``NAME.progress``: in its first line a fingerprint of the series and the settings, then
-one line for each square that is in the file. A square is noted after it has been written out, so a process that is
-killed loses the square at which it was; the same call with ``resume=True`` computes that and the rest.
+one line for each square that is in the file, with its CRC-32. A square is noted after it has been written out, so a
+process that is killed loses the square at which it was; the same call with ``resume=True`` computes that and the rest,
+and what of the file is not as it was noted.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from __future__ import annotations
 import hashlib
 import mmap
 import os
+import zlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,9 +83,9 @@ def distance_matrix(
     elif not path.exists():
         journal.unlink(missing_ok=True)
     try:
-        done = _begun(journal, fingerprint)
-        view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not done)
-        _fill(view, series, journal, done, settings, advance, client)
+        noted = _begun(journal, fingerprint)
+        view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not noted)
+        _fill(view, series, journal, noted, settings, advance, client)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
     return view
@@ -92,7 +95,7 @@ def _fill(
     view: FloatMap,
     series: Sequence[Floats],
     journal: Path,
-    done: set[tuple[int, int]],
+    noted: dict[tuple[int, int], int],
     settings: Settings,
     advance: Callable[[int], None],
     client: Client | None,
@@ -102,7 +105,7 @@ def _fill(
     wanted = []
     for a in range(len(bands)):
         for b in range(a, len(bands)):
-            if (a, b) in done:
+            if (a, b) in noted and _is_there(view, bands[a], bands[b], noted[a, b]):
                 advance(pairs.cells(parts[a], None if a == b else parts[b]))
             else:
                 wanted.append((a, b))
@@ -116,9 +119,22 @@ def _fill(
             part[columns.start : columns.stop, rows.start : rows.stop] = square.T
             part.flush()
             del part
-            notes.write(f"{a} {b}\n".encode())
+            notes.write(f"{a} {b} {_checksum(square)}\n".encode())
             notes.flush()
             os.fsync(notes.fileno())
+
+
+def _is_there(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
+    """Tell whether a square and its mirror image are as they were noted."""
+    # A map of its own, as where squares are written.
+    part = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
+    square = part[rows.start : rows.stop, columns.start : columns.stop]
+    mirror = part[columns.start : columns.stop, rows.start : rows.stop].T
+    return _checksum(square) == checksum == _checksum(mirror)
+
+
+def _checksum(square: Floats) -> int:
+    return zlib.crc32(np.ascontiguousarray(square).tobytes())
 
 
 def _squares(
@@ -149,6 +165,11 @@ def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
 
 
 def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatMap:
+    if not new:
+        # One that was cut is filled with what is computed again.
+        end = _header_size(path) + size * size * dtype.itemsize
+        if path.stat().st_size < end:
+            os.truncate(path, end)
     try:
         view: FloatMap = np.lib.format.open_memmap(path, "w+" if new else "r+", dtype, (size, size))
     except ValueError as error:
@@ -158,24 +179,42 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
     return view
 
 
-def _begun(journal: Path, fingerprint: str) -> set[tuple[int, int]]:
-    """Return the squares that are in the file; a journal that is not there is begun."""
+def _header_size(path: Path) -> int:
+    """Bytes before the numbers of a NumPy file."""
+    with path.open("rb") as file:
+        try:
+            version = np.lib.format.read_magic(file)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            read(file)
+        except ValueError as error:
+            raise InputError(f"{path}: is no NumPy file; give another path.") from error
+        return file.tell()
+
+
+def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
+    """Return checksums of the squares that are in the file; a journal that is not there is begun."""
     if not journal.exists():
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
-        return set()
+        return {}
     content = journal.read_bytes()
     # A line without its end was not all written when the machine went down.
     whole = content[: content.rfind(b"\n") + 1]
     if len(whole) < len(content):
         journal.write_bytes(whole)
-    first, *squares = whole.decode().splitlines() or [fingerprint]
+    first, *squares = whole.decode(errors="replace").splitlines() or [fingerprint]
     if not whole:
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
     if first != fingerprint:
         raise InputError(
             f"{journal}: tells of other series or settings; give those again, or delete it and the matrix."
         )
-    return {(int(a), int(b)) for a, b in (line.split() for line in squares)}
+    noted = {}
+    for line in squares:
+        # What cannot be read was damaged, and its square is computed again.
+        with suppress(ValueError):
+            a, b, checksum = map(int, line.split())
+            noted[a, b] = checksum
+    return noted
 
 
 def _fingerprint(series: Sequence[Floats], settings: Settings) -> str:
@@ -185,6 +224,6 @@ def _fingerprint(series: Sequence[Floats], settings: Settings) -> str:
         digest.update(one.tobytes())
     cost = "squared" if settings.squared else "euclidean"
     return (
-        f"cornercase-dtw 1 {digest.hexdigest()} {len(series)} {cost} window={settings.window} "
+        f"cornercase-dtw 2 {digest.hexdigest()} {len(series)} {cost} window={settings.window} "
         f"{settings.dtype} {settings.device} side={SIDE}"
     )
