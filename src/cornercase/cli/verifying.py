@@ -52,10 +52,10 @@ def verify(
         mended = repaired(study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers)
         again, lost, damaged = mended.again, mended.lost, mended.damaged
     if as_json:
-        told = {"sound": found.sound, "problems": list(found.problems)}
+        words = {"sound": found.sound, "problems": list(found.problems)}
         if repair:
-            told |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
-        sys.stdout.write(json_text(told) + "\n")
+            words |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
+        sys.stdout.write(json_text(words) + "\n")
     else:
         for one in found.problems:
             out.print(f"{study}: {one}")

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 # Series along one side of a square: some seconds of work, and 16 MB of the file with its mirror image.
 SIDE = 1024
 
+_FORMAT: Any = np.lib.format
+
 Floats = npt.NDArray[np.floating[Any]]
 FloatMap = np.memmap[Any, np.dtype[np.floating[Any]]]
 
@@ -183,9 +185,8 @@ def _header_size(path: Path) -> int:
     """Bytes before the numbers of a NumPy file."""
     with path.open("rb") as file:
         try:
-            version = np.lib.format.read_magic(file)
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            read(file)
+            version = _FORMAT.read_magic(file)
+            (_FORMAT.read_array_header_1_0 if version == (1, 0) else _FORMAT.read_array_header_2_0)(file)
         except ValueError as error:
             raise InputError(f"{path}: is no NumPy file; give another path.") from error
         return file.tell()
