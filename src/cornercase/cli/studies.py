@@ -223,6 +223,7 @@ def reduce(
         exposure=exposure,
         scenario=scenario,
         memory=memory,
+        progress=True,
     )
     out.print(f"{len(reduced.kept)} of {reduced.run} scenarios kept, in {output}")
     if reduced.exposing is not None:
@@ -373,8 +374,8 @@ def demo(
             # First, as the study remembers the last set that was kept of it.
             if (mutants := mutants_of_demonstration(name)) is not None:
                 _keep_suite(opened, folder / "suite", mutants, configuration.logical.scenario)
-            reduction.reduce(opened, folder / "reduced", scenario=configuration.logical.scenario)
-            write_report(opened, folder / "report.html", scenario=configuration.logical.scenario)
+            reduction.reduce(opened, folder / "reduced", scenario=configuration.logical.scenario, progress=True)
+            write_report(opened, folder / "report.html", scenario=configuration.logical.scenario, progress=True)
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
 

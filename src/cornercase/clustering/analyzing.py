@@ -14,7 +14,7 @@ from cornercase._common.arguments import texts
 from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
-from cornercase._common.progress import ProgressBar
+from cornercase._common.progress import ProgressBar, bars_wanted
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.agreement import agree_with_facts, find_facts
 from cornercase.clustering.analysis import Analysis, read_analysis, read_between, read_distances, stored_analysis
@@ -139,7 +139,7 @@ def analyze(
                 "`keep`: kept clusters keep their settings;"
                 " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."
             )
-        with connected(cluster, workers, else_none=True) as client:
+        with bars_wanted(progress), connected(cluster, workers, else_none=True) as client:
             return _analyzed(opened, aspects, model, window, keep, limit, client, progress)
 
 

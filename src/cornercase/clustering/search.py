@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 from threadpoolctl import threadpool_limits
 
+from cornercase._common.progress import step
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.clusters import NOISE, Candidate, Clustering, ClusteringMethod
 from cornercase.clustering.density import find_dense_regions
@@ -82,12 +83,15 @@ def search_settings(
     scaled = distances / scale if scale else distances
     searching = "auto" in (gamma, eps) and n >= _FEWEST
     search = _Search(scaled, searching, method)
+    spaces = list(_spaces(n, n_components, min_samples, search.smallest if searching else 0))
+    several = search.kinds.max() > 0 or eps != "auto"
+    widths = (gamma,) if gamma != "auto" else GAMMAS if searching and several else (GAMMA_OF_ONE,)
     # Threads of the linear algebra would change the last digits with their number.
-    with threadpool_limits(limits=1):
-        for axes, needed in _spaces(n, n_components, min_samples, search.smallest if searching else 0):
-            several = search.kinds.max() > 0 or eps != "auto"
-            for width in (gamma,) if gamma != "auto" else GAMMAS if searching and several else (GAMMA_OF_ONE,):
+    with threadpool_limits(limits=1), step(len(spaces) * len(widths), "clustering", "settings at most") as tell:
+        for k, (axes, needed) in enumerate(spaces):
+            for i, width in enumerate(widths, start=1):
                 search.try_width(width, eps, axes, needed)
+                tell(k * len(widths) + i)
             if not searching or search.best_score >= GOOD:
                 break
         best = search.choose(settled="auto" not in (gamma, eps)) if searching else 0

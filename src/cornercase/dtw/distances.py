@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from cornercase._common.dask_client import require_client
 from cornercase._common.errors import InputError
 from cornercase._common.platform import available_cpus
+from cornercase._common.progress import bars_wanted, step
 from cornercase.dtw import disk, pairs, tiles
 from cornercase.dtw.pairs import Settings
 
@@ -317,16 +318,22 @@ def _checked(
     return arrays
 
 
+# Steps of the algorithm that the bar counts as one.
+_SHOWN: Final = 1_000_000
+
+
 @contextmanager
 def _shown(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
     """Give the function to call with the number of cells of each finished tile."""
-    if not progress:
-        yield lambda done: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
+    total = max(1, round(cells / _SHOWN))
+    done = 0
 
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("DTW distances", total=cells)
-        yield lambda done: bar.advance(task, done)
-        bar.update(task, completed=cells)
+    with bars_wanted(progress), step(total, "comparing", f"times {_SHOWN:,} steps of DTW") as tell:
+
+        def advance(more: int) -> None:
+            nonlocal done
+            done += more
+            tell(min(total, round(done / _SHOWN)))
+
+        yield advance
+        tell(total)

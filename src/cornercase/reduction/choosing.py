@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from cornercase._common.progress import step
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering import Distances
 from cornercase.reduction.cluster_selection import choose_by_cluster
@@ -152,8 +153,11 @@ def try_choice(material: Material, wish: Wish) -> list[Trial]:
     """
     everyone = np.arange(len(material.labels))
     trials = []
-    for judging in divide(len(everyone)):
-        rows = np.setdiff1d(everyone, judging)
-        kept, _ = choose(material.part(rows), wish)
-        trials.append(Trial(rows, rows[[one.index for one in kept]], judging))
+    parts = list(divide(len(everyone)))
+    with step(len(parts), "choosing", "sets, to judge the choice") as tell:
+        for judging in parts:
+            rows = np.setdiff1d(everyone, judging)
+            kept, _ = choose(material.part(rows), wish)
+            trials.append(Trial(rows, rows[[one.index for one in kept]], judging))
+            tell(len(trials))
     return trials

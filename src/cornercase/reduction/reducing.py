@@ -13,6 +13,7 @@ from cornercase._common.arguments import number, text, whole_number
 from cornercase._common.errors import InputError, NoticeWarning
 from cornercase._common.files import portable_name, require_folder
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
+from cornercase._common.progress import bars_wanted
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, Distances, read_analyses, read_analysis
 from cornercase.reduction.choosing import Material, Wish, choose, try_choice
@@ -64,6 +65,7 @@ def reduce(
     exposure: Exposure | None = None,
     scenario: Path | str | Scenario | None = None,
     memory: str | float = DEFAULT_MEMORY,
+    progress: bool = False,
 ) -> ReducedSet:
     """Keep the few concrete scenarios that matter, and write them as OpenSCENARIO files.
 
@@ -103,6 +105,8 @@ def reduce(
         current folder, and known by its fingerprint; the path that the study holds is never opened.
     memory : str or float, default "4 GB"
         That the process may take, in bytes or in words.
+    progress : bool, default False
+        Show a bar for what takes more than two seconds.
 
     Returns
     -------
@@ -140,7 +144,7 @@ def reduce(
     by = None if by is None else text("by", by)
     folder = require_folder("folder", folder)
     limit = MemoryLimit.of(memory)
-    with open_study(study) as opened:
+    with bars_wanted(progress), open_study(study) as opened:
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
         begun = time.monotonic()
         # Looked at before anything is written or takes time.

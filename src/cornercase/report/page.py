@@ -6,8 +6,7 @@ import base64
 import importlib.resources
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,7 +19,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.pending_files import written_together
-from cornercase._common.progress import ProgressBar
+from cornercase._common.progress import bars_wanted, step
 from cornercase._common.texts import plain_text
 from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
@@ -84,7 +83,6 @@ _SCRIPTS: Final = (
     "main.js",
 )
 _ENDINGS: Final = (".html", ".htm")
-_WORTH_A_BAR: Final = 2_000
 POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
@@ -119,7 +117,7 @@ def write_report(
     memory : str or float, default "4 GB"
         Memory that the process may take, as ``"500 MB"`` or in bytes.
     progress : bool, default False
-        Show a bar where there are thousands of recordings to read.
+        Show a bar for what takes more than two seconds.
 
     Returns
     -------
@@ -146,7 +144,7 @@ def write_report(
         if not opened.done():
             _tell_why_empty(opened)
         begun = time.monotonic()
-        with _bar_of(len(opened.done()), progress) as tell:
+        with bars_wanted(progress), step(len(opened.done()), "reading", "recordings") as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, tell=tell)
         packed = pack_most(opened, data)
         sketch, missing = find_roads(opened, data.region, scenario, data.rows[0].values)
@@ -165,19 +163,6 @@ def write_report(
         with written_whole(path) as temporary:
             temporary.write_text(fill_page(data, packed, roads), encoding="utf-8", newline="\n")
     return path
-
-
-@contextmanager
-def _bar_of(count: int, progress: bool) -> Iterator[Callable[[int], None] | None]:
-    """A bar for so many recordings, where there are so many that somebody waits for them."""
-    if not progress or count < _WORTH_A_BAR:
-        yield None
-        return
-    bar = ProgressBar(count, "reading", "recordings")
-    try:
-        yield lambda done: bar.update(done, "")
-    finally:
-        bar.stop()
 
 
 def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, Any]) -> str:
