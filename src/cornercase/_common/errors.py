@@ -54,7 +54,11 @@ def suggestion(word: str, known: Iterable[str]) -> str:
         ``"did you mean 'wttc'?"`` where one is close, else ``"known are: …"``.
     """
     names = sorted(known)
-    close = difflib.get_close_matches(word, names, n=1)
+    # Names are told apart by case; who does not know that means the same.
+    alike = {name.casefold(): name for name in reversed(names)}
+    close = difflib.get_close_matches(word, names, n=1) or [
+        alike[one] for one in difflib.get_close_matches(word.casefold(), alike, n=1)
+    ]
     if close:
         return f"did you mean '{close[0]}'?"
     return f"known are: {', '.join(names)}." if names else "none are known."

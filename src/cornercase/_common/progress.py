@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -63,7 +63,8 @@ class ProgressBar:
         console = Console(stderr=True)
         self._progress: Progress | None = None
         self._task: Any = None
-        if console.is_terminal:
+        self._quiet = loudness.get() == "quiet"
+        if console.is_terminal and not self._quiet:
             self._progress = Progress(
                 TextColumn(doing),
                 BarColumn(),
@@ -90,7 +91,9 @@ class ProgressBar:
         speed = self._rate_of(done, rate)
         if self._progress is not None:
             self._progress.update(self._task, completed=done, total=self._total, rate=speed, word=word)
-        elif now - self._said > _SECONDS_BETWEEN_LINES or (done >= self._total and done != self._done):
+        elif not self._quiet and (
+            now - self._said > _SECONDS_BETWEEN_LINES or (done >= self._total and done != self._done)
+        ):
             self._said, self._done = now, done
             said = [f"{done} of {self._total} {self._things}", speed, word]
             print(", ".join(filter(None, said)), file=sys.stderr, flush=True)
@@ -107,6 +110,9 @@ class ProgressBar:
         if self._progress is not None:
             self._progress.stop()
 
+
+loudness: ContextVar[Literal["quiet", "usual", "verbose"]] = ContextVar("loudness", default="usual")
+"""Whether no bar is shown, or those of long steps, or all."""
 
 _wanted: ContextVar[bool] = ContextVar("wanted", default=False)
 
@@ -150,10 +156,11 @@ def step(total: int, doing: str, things: str) -> Iterator[Callable[[int], None]]
     """
     begun, bar = time.monotonic(), None
     wanted = _wanted.get()
+    short = 0.0 if loudness.get() == "verbose" else _SECONDS_OF_A_SHORT_STEP
 
     def tell(done: int) -> None:
         nonlocal bar
-        if bar is None and wanted and time.monotonic() - begun > _SECONDS_OF_A_SHORT_STEP:
+        if bar is None and wanted and time.monotonic() - begun >= short:
             bar = ProgressBar(total, doing, things, begun)
         if bar is not None:
             bar.update(done, "")

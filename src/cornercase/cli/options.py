@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -10,6 +11,8 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from cornercase._common.errors import NoticeWarning
+from cornercase._common.progress import loudness
 from cornercase._common.texts import plain_text, shorten
 from cornercase._common.version import __version__
 from cornercase.cli.interrupting import InterruptedGroup, exit_code
@@ -22,7 +25,6 @@ app = typer.Typer(
     cls=InterruptedGroup,
     help="Find, cluster and reduce the critical concrete scenarios of a logical scenario.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -115,8 +117,17 @@ def _main(
         bool,
         typer.Option("--debug", envvar="CORNERCASE_DEBUG", help="Show tracebacks too: cornercase --debug explore …"),
     ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Neither bars nor notices: cornercase -q explore …")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Bars for short steps too: cornercase -v analyze …")
+    ] = False,
 ) -> None:
     debugging.set(debug)
+    loudness.set("quiet" if quiet else "verbose" if verbose else "usual")
+    if quiet:
+        warnings.simplefilter("ignore", NoticeWarning)
     if version:
         out.print(f"cornercase {__version__}")
         raise typer.Exit

@@ -17,6 +17,11 @@ def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name or not value:
+            if option == "--driver":
+                who = "the entity that it drives goes before it" if not sign else "give both"
+                raise InputError(
+                    f"{option} {text}: write it as ENTITY=NAME, as Ego={value or name or 'normal'}; {who}."
+                )
             raise InputError(f"{option} {text}: write it as NAME=VALUE.")
         pairs[name] = value
     return pairs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,10 +10,11 @@ from typing import Annotated, Any
 import typer
 from rich.table import Column, Table
 
+from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file
 from cornercase._common.texts import first_line, json_text, shorten
 from cornercase.cli import parsing
-from cornercase.cli.messages import LONGEST
+from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
 from cornercase.cli.options import (
     Cluster,
     Critical,
@@ -199,20 +201,47 @@ def explore(
 
 @app.command()
 def check(
-    scenario: ScenarioFile,
+    scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO.xosc…", help="OpenSCENARIO files.")],
     *,
     space: SpaceFile = None,
 ) -> None:
-    """Tell what a scenario file holds, what of it has no effect here, and whether it is valid and can be run.
+    """Tell what scenario files hold, what of them has no effect here, and whether they are valid and can be run.
+
+    It ends with exit code 1 where one of them is not valid or cannot be run.
 
     \b
     Example:
       cornercase check examples/x_intersection/x_intersection.xosc \\
           --space examples/x_intersection/x_intersection.space.xosc
+      cornercase check reduced/*.xosc
     """
     from cornercase import simulators
 
-    found = simulators.check(scenario, space)
+    if space is not None and len(scenarios) > 1:
+        raise InputError("--space: is of one scenario; check one at a time with it.")
+    bad = []
+    for scenario in scenarios:
+        if len(scenarios) > 1:
+            out.print(f"{scenario}:")
+        try:
+            found = simulators.check(scenario, space)
+        except InputError as error:
+            if len(scenarios) == 1:
+                raise
+            out.print(in_words_of_the_command_line(str(error)))
+            bad.append(scenario)
+            continue
+        _tell_check(found)
+        if not found.good:
+            bad.append(scenario)
+    if len(scenarios) > 1:
+        out.print(f"{len(scenarios) - len(bad)} of {len(scenarios)} are valid and can be run")
+    if bad:
+        raise typer.Exit(1)
+
+
+def _tell_check(found: Any) -> None:
+    """Print what was found of one scenario."""
     for key, count in found.contents.items():
         out.print(f"{key}: {count}")
     out.print(f"parameters: {', '.join(found.parameters) or 'none'}")
@@ -231,8 +260,6 @@ def check(
             out.print(f"varied: {_words_of(parameter)}")
         out.print(f"concrete scenarios: {'infinitely many' if found.space.size is None else found.space.size}")
     out.print("can be run" if not found.trouble else "cannot be run")
-    if not found.good:
-        raise typer.Exit(1)
 
 
 @app.command(name="convert")
@@ -367,20 +394,28 @@ def import_(
 
 @app.command()
 def metrics(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]…", help="Say how these are defined, and what options they take."),
+    ] = None,
     *,
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
-    """List the criticality metrics, also those of other packages.
+    """List the criticality metrics, also those of other packages, or say how some of them are defined.
 
     A metric takes options behind a colon, those of its class in the documentation: --metric ttc:accelerating=true
 
     \b
     Example:
       cornercase metrics
+      cornercase metrics wttc
     """
     from cornercase.metrics import METRICS
 
-    known = [METRICS.create(name) for name in METRICS.names()]
+    if names and not as_json:
+        out.print("\n\n".join(_definition(METRICS.create(name)) for name in dict.fromkeys(names)))
+        return
+    known = [METRICS.create(name) for name in dict.fromkeys(names or METRICS.names())]
     if as_json:
         keys = ("name", "unit", "lower_is_critical", "cap", "source")
         rows = [{key: getattr(one, key) for key in keys} | {"definition": first_line(one)} for one in known]
@@ -420,6 +455,17 @@ def simulators(
             name, "no" if one.missing else "yes", one.version or "-", ", ".join(one.abilities), one.missing or "-"
         )
     out.print(table)
+
+
+def _definition(metric: Any) -> str:
+    """What a metric is, its unit and its options."""
+    what = (inspect.getdoc(metric) or "").replace("``", "").replace("`", "")
+    side = "low" if metric.lower_is_critical else "high"
+    return (
+        f"{metric.name}, in {metric.unit}; {side} is critical\n\n{what}"
+        if metric.unit
+        else (f"{metric.name}, without unit; {side} is critical\n\n{what}")
+    )
 
 
 def _words_of(parameter: Any) -> str:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, Final
 
 import numpy as np
 from scipy.stats import qmc
 
+from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.optimizers.base import Optimizer
 from cornercase.scenario import ParameterSpace
+
+_MOST: Final = 1_000_000
 
 
 class GridOptimizer(Optimizer):
@@ -21,7 +25,13 @@ class GridOptimizer(Optimizer):
     seed : int
         Not used: nothing of a grid is random.
     budget : int, default 3375
-        The grid has as many steps per parameter as fit into this number of scenarios, and one at least.
+        The grid has as many steps per parameter as fit into this number of scenarios, and one at least; it may have a
+        million points.
+
+    Raises
+    ------
+    InputError
+        The grid would have more.
     """
 
     name = "grid"
@@ -35,10 +45,15 @@ class GridOptimizer(Optimizer):
         while True:
             # The parameter with the fewest steps gets the next one, as long as the grid stays in the budget.
             order = sorted((steps[j], j) for j in range(len(steps)) if steps[j] < sizes[j])
-            grown = next((j for count, j in order if np.prod(steps) // count * (count + 1) <= budget), None)
+            grown = next((j for count, j in order if math.prod(steps) // count * (count + 1) <= budget), None)
             if grown is None:
                 break
             steps[grown] += 1
+            if math.prod(steps) > _MOST:
+                raise InputError(
+                    f"`budget` {budget}: its grid has more than {_MOST} points, which would take gigabytes, as all are"
+                    " in memory to be run in an order that spreads out; give less, or search with 'sobol'."
+                )
         grid = space.lattice(steps)
         grid = grid[_spread_out(steps)]
         self._points = grid[space.admits(grid)]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.texts import plain_text, shorten
 from cornercase._common.version import __version__
 from cornercase.metrics import condition_of
 from cornercase.scenario import ParameterSpace
@@ -42,6 +43,8 @@ _TYPES: Final[dict[str, Any]] = (
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
     | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
 )
+# Characters of a setting in a message.
+_LONGEST_SETTING: Final = 60
 # What only later versions write.
 _LATER: Final = ("asynchronous", "elsewhere", "kinds", "origin", "requirements", "suite")
 _YES_OR_NO: Final = ("asynchronous", "pareto")
@@ -284,8 +287,7 @@ class StudyMeta:
                 words = "another condition of what is critical"
             if mine != given:
                 if name == "settings":
-                    names = sorted({*mine, *given})
-                    words += f" ({', '.join(one for one in names if mine.get(one) != given.get(one))})"
+                    words += f" ({_differences(mine, given)})"
                 raise InputError(
                     f"{path}: belongs to {words}; name another study with `study`, or give the same options."
                 )
@@ -314,3 +316,13 @@ def _several(names: list[Any]) -> tuple[str, ...]:
 def _last_part(path: str) -> str:
     # Written on Windows, it may be read elsewhere.
     return re.split(r"[\\/]", path.rstrip("\\/"))[-1]
+
+
+def _differences(mine: Mapping[str, Any], given: Mapping[str, Any]) -> str:
+    """Which settings differ, with both values where these are short."""
+    found = []
+    for name in sorted({*mine, *given}):
+        if mine.get(name) != given.get(name):
+            values = [shorten(plain_text(str(one.get(name, "none"))), _LONGEST_SETTING) for one in (mine, given)]
+            found.append(f"{name}: {values[0]} there, {values[1]} here")
+    return "; ".join(found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
@@ -19,6 +20,20 @@ from cornercase.simulators.carmaker.port_run import WAITING, PortRun
 from cornercase.simulators.hosts import address
 
 _PORT: Final = 16660
+# s that a CarMaker on this machine gets to take a call.
+_PATIENCE: Final = 0.2
+_MISSING: Final = (
+    f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port {_PORT}; install the module from"
+    f" CarMaker's folder, or start CarMaker with -cmdport {_PORT}. One on another machine or port is named by options."
+)
+
+
+def _listens() -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", _PORT), _PATIENCE).close()
+    except OSError:
+        return False
+    return True
 
 
 class CarMakerSimulator(Simulator):
@@ -119,10 +134,10 @@ class CarMakerSimulator(Simulator):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Say what it takes; whether a CarMaker listens is known when it is asked."""
+        """Say what it takes: IPG's module, or a CarMaker that listens where one does by default."""
         return Availability(
             "",
-            "",
+            "" if has_cmapi() or _listens() else _MISSING,
             (
                 "vehicle dynamics",
                 "traffic objects",

@@ -1,0 +1,122 @@
+"""What a new user stumbled over in the first hour, by number."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import warnings
+
+import pytest
+
+from command_line import SPACE, X, cornercase
+from cornercase._common.errors import InputError, NoticeWarning
+from cornercase.optimizers.grid import GridOptimizer
+from cornercase.scenario import ParameterSpace
+from cornercase.simulators.carmaker import simulator as carmaker
+
+SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--budget", "2", "--batch", "2")
+
+
+@pytest.fixture
+def notices():
+    """Filters that a command sets are gone after it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", NoticeWarning)
+        yield
+
+
+def test_stumble_7_nothing_is_taken_for_markup_and_no_carmaker_is_here_that_is_not(monkeypatch):
+    monkeypatch.setattr(carmaker, "has_cmapi", lambda: False)
+    monkeypatch.setattr(carmaker, "_listens", lambda: False)
+    found = json.loads(cornercase("simulators", "--json").stdout)
+    assert "no CarMaker listens on port 16660" in found["carmaker"]["missing"]
+    shown = cornercase("simulators").stdout
+    (line,) = [one for one in shown.splitlines() if one.split()[:1] == ["carmaker"]]
+    assert line.split()[1] == "no"
+    monkeypatch.setattr(carmaker, "has_cmapi", lambda: True)
+    assert not json.loads(cornercase("simulators", "--json").stdout)["carmaker"]["missing"]
+
+
+@pytest.mark.parametrize("names", [["a"], ["a", "b", "c"]])
+def test_stumble_9_a_grid_of_a_billion_is_refused_at_once(names):
+    space = ParameterSpace.from_ranges([f"{name}=0:1" for name in names])
+    with pytest.raises(InputError, match=r"`budget` 1000000000: its grid has more than 1000000 points"):
+        GridOptimizer(space, 0, budget=1_000_000_000)
+    # Few points are few, however large the budget is.
+    steps = ParameterSpace.from_ranges(["a=0:1:0.1", "b=0:1:0.5"])
+    assert len(GridOptimizer(steps, 0, budget=1_000_000_000).ask(100)) == 33
+
+
+def test_stumble_10_python_runs_it_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "cornercase", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("cornercase 0.")
+
+
+def test_stumble_10_a_shell_can_complete_commands(monkeypatch):
+    monkeypatch.setenv("_CORNERCASE_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "cornercase re")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    program = "import sys; sys.argv = ['cornercase']; from cornercase.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["reduce", "report", "replay"]
+
+
+def test_stumble_10_a_metric_tells_its_definition():
+    told = cornercase("metrics", "wttc", "ttc:accelerating=true").stdout
+    assert told.startswith("wttc, in s; low is critical\n\nTime to collision if both entities do the worst")
+    assert "accelerating" in told
+    found = json.loads(cornercase("metrics", "pet", "--json").stdout)
+    assert [one["name"] for one in found] == ["pet"]
+    assert cornercase("metrics", "nothing").returncode == 2
+
+
+def test_stumble_10_many_files_are_checked_at_once(tmp_path):
+    shutil.copytree(X.parent, tmp_path / "x")
+    good, bad = tmp_path / "x" / X.name, tmp_path / "x" / "bad.xosc"
+    assert cornercase("check", good, good).stdout.endswith("2 of 2 are valid and can be run\n")
+    bad.write_text("<OpenSCENARIO>")
+    done = cornercase("check", bad, good)
+    assert done.returncode == 1
+    assert done.stdout.endswith("1 of 2 are valid and can be run\n")
+    assert f"{good}:" in done.stdout
+    assert cornercase("check", good, good, "--space", SPACE).returncode == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--metric", "WTTC"), "did you mean 'wttc'?"),
+        (("--metric", "wttc", "--driver", "aggressive"), "write it as ENTITY=NAME, as Ego=aggressive"),
+    ],
+)
+def test_stumble_10_what_is_meant_is_suggested(options, words, tmp_path):
+    done = cornercase(*SEARCH, *options, "-o", tmp_path / "study.db")
+    assert done.returncode == 2
+    assert words in done.stderr
+
+
+def test_stumble_10_other_settings_are_told_with_both_values_and_quiet_is_quiet(tmp_path, notices):
+    search = (*SEARCH, "--metric", "wttc", "--optimizer", "sobol", "-o", tmp_path / "study.db")
+    quiet = cornercase("-q", *search)
+    assert quiet.returncode == 0
+    assert not quiet.stderr
+    assert "2 scenarios in" in quiet.stdout
+    done = cornercase(*search, "--time-step", "0.1")
+    assert done.returncode == 2
+    assert "other simulator settings (time_step: 0.05 there, 0.1 here)" in done.stderr
+    cornercase("-q", "analyze", tmp_path / "study.db", "--by", "wttc")
+    assert "settings at most" in cornercase("-v", "analyze", tmp_path / "study.db", "--by", "wttc").stderr
+
+
+def test_stumble_6_fewer_than_asked_for_is_said(tmp_path, notices):
+    search = (*SEARCH, "--metric", "wttc", "--optimizer", "sobol", "-o", tmp_path / "study.db")
+    for command in (search, ("analyze", tmp_path / "study.db", "--by", "wttc")):
+        assert cornercase(*command).returncode == 0
+    done = cornercase("reduce", tmp_path / "study.db", "--size", "5000", "--scenario", X, "-o", tmp_path / "reduced")
+    assert done.returncode == 0
+    assert "5000 scenarios were asked for, and " in done.stderr
+    assert (
+        "asked for" not in cornercase("reduce", tmp_path / "study.db", "--scenario", X, "-o", tmp_path / "two").stderr
+    )
