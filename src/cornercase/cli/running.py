@@ -228,7 +228,7 @@ def check(
         except InputError as error:
             if len(scenarios) == 1:
                 raise
-            out.print(in_words_of_the_command_line(str(error)))
+            out.print(shorten(in_words_of_the_command_line(str(error)).replace("\n", "\\n"), LONGEST))
             bad.append(scenario)
             continue
         _tell_check(found)
