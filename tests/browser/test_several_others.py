@@ -42,7 +42,7 @@ def report(tmp_path_factory):
 
 def test_the_page_says_whom_scores_are_against(tab, report):
     page = tab.open(report)
-    assert "measured against A and B" in page.locator("#about").inner_text()
+    assert "Under test: Ego, against A and B" in page.locator("#about").inner_text()
     titles = page.locator(".grid .head > *").all_inner_texts()
     column = next(k for k, title in enumerate(titles) if title.startswith("other by clearance"))
     rows = page.locator(".grid .body .row")

@@ -61,7 +61,7 @@ def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
         Study.open(tmp_path / "cold.db", readonly=False) as cold,
     ):
         assert cold.elsewhere() is None
-        assert "elsewhere" not in {key for key, _ in content(cold.path)["meta"]}
+        assert "elsewhere" not in {key for key, *_ in content(cold.path)["meta"]}
         assert not np.array_equal(begun.points(), cold.points())
         assert StudyMeta.from_json(begun.meta.to_json()) == begun.meta
         # What is said of the critical set is by the other study too, and of the scenarios of this one.

@@ -91,7 +91,7 @@ def test_collisions_with_one_that_is_not_measured_against_are_told(study):
     assert f"Ego touches Parked in {with_parked} of {len(rows)} scenarios" in words["note"]
     assert sum(words["metrics"]["clearance"]["scenarios against"].values()) == len(rows)
     assert words["note"] in page["about"]
-    assert "measured against Slow and Oncoming" in page["about"]
+    assert "against Slow and Oncoming; the most critical counts" in page["about"]
     for scenario, places in zip(page["scenarios"]["id"], page["scenarios"]["against"], strict=True):
         found = [None if place is None else page["other"][place] for place in places]
         assert found == [whom[scenario][name] for name in METRICS_OF]

@@ -66,7 +66,7 @@ def distance_matrix(
     device : {"cpu", "cuda"}
         Where to compute. ``"cuda"`` needs an NVIDIA GPU and the extra `gpu`; the last digits may differ there.
     progress : bool
-        Show a progress bar on standard error.
+        Show a progress bar on standard error, once it takes seconds.
     out : path or numpy.memmap of `dtype`, shape (n, n), optional
         For a matrix that does not fit in memory: the path of a file to make (NumPy's format, ``numpy.load(path,
         mmap_mode="r")`` reads it), or a map onto one. A second file, ``.progress``, stands beside it.
@@ -328,7 +328,7 @@ def _shown(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
     total = max(1, round(cells / _SHOWN))
     done = 0
 
-    with bars_wanted(progress), step(total, "comparing", f"times {_SHOWN:,} steps of DTW") as tell:
+    with bars_wanted(progress), step(total, "comparing", "million steps") as tell:
 
         def advance(more: int) -> None:
             nonlocal done

@@ -42,7 +42,7 @@ def salvaged(path: Path) -> dict[str, Rows]:
     Returns
     -------
     dict of str to dict of tuple to tuple
-        By table and key, all columns in the order of `cornercase.study.schema.Table.columns`; in the order in which
+        By table and key, all columns in the order of `Table.columns`; in the order in which
         they stand in the table.
     """
     # What SQLite reads counts more: what the pages hold besides may have been there before.
