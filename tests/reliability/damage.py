@@ -45,8 +45,11 @@ def held(path: Path, *but: str, check: bool = True) -> dict[str, Any] | None:
     """What a file holds; None where SQLite cannot tell, or finds it damaged where that is looked at."""
     try:
         with closing(sqlite3.connect(path)) as connection:
+            # What it names may be no text any more.
+            connection.text_factory = lambda raw: raw.decode(errors="replace")
             if check and connection.execute("PRAGMA integrity_check").fetchall() != [("ok",)]:
                 return None
+            connection.text_factory = str
             found: dict[str, Any] = {
                 name: connection.execute(f"SELECT * FROM {name}").fetchall()
                 for name in STATEMENTS

@@ -149,6 +149,7 @@ def reduce(
         begun = time.monotonic()
         # Looked at before anything is written or takes time.
         explored = explored_scenario(opened, scenario)
+        opened.elapsed()
         _require_memory(opened, limit)
         ran = read_ran(opened)
         if share is not None:

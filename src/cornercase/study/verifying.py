@@ -104,9 +104,12 @@ def _of_file(path: Path) -> Iterator[str]:
             connection.execute("PRAGMA trusted_schema = OFF")
             connection.execute("PRAGMA cell_size_check = ON")
             require_study(path, connection)
+            # It names what it finds, which may be no text any more.
+            connection.text_factory = _text
             for (line,) in connection.execute(f"PRAGMA integrity_check({_MOST})"):
                 if line != "ok":
                     yield f"SQLite says: {line}"
+            connection.text_factory = str
             require_plain(path, connection)
     except (sqlite3.Error, InputError) as error:
         yield _words(path, error)
@@ -136,6 +139,10 @@ def _of_table(path: Path, connection: sqlite3.Connection, table: str) -> Iterato
         require_tally(connection, table)
     except (sqlite3.Error, DamageError) as error:
         yield _words(path, error)
+
+
+def _text(raw: bytes) -> str:
+    return raw.decode(errors="replace")
 
 
 def _words(path: Path, error: Exception) -> str:

@@ -83,8 +83,9 @@ def _spreads(pairs: Sequence[Pair], metrics: Sequence[str]) -> dict[str, float]:
     found = {}
     for name in metrics if ran else ():
         scores: FloatArray = np.array([one.scores[name][0] for one in ran])
-        low, high = np.quantile(scores, (0.05, 0.95)).tolist()
-        found[name] = (high - low) / 2.0 or float(np.ptp(scores)) or 1.0
+        scores = scores[np.isfinite(scores)]
+        low, high = np.quantile(scores, (0.05, 0.95)).tolist() if len(scores) else (0.0, 0.0)
+        found[name] = (high - low) / 2.0 or float(np.ptp(scores) if len(scores) else 0.0) or 1.0
     return found
 
 

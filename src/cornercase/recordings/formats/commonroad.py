@@ -76,6 +76,8 @@ def read_commonroad(path: Path | str) -> Recording:
     steps: set[int] = set()
     for obstacle in scenario.dynamic_obstacles:
         states = [obstacle.initial_state, *_trajectory(path, obstacle)]
+        if not all(isinstance(getattr(state, "time_step", None), int) for state in states):
+            raise InputError(f"{path}: obstacle {obstacle.obstacle_id} has a state without an exact time.")
         steps.update(state.time_step for state in states)
         track = tracks[str(obstacle.obstacle_id)] = _track(path, obstacle)
         for state in states:
