@@ -59,7 +59,7 @@ def held(path: Path, *but: str, check: bool = True) -> dict[str, Any] | None:
             found["version"] = connection.execute("PRAGMA user_version").fetchone()
             found["application"] = connection.execute("PRAGMA application_id").fetchone()
             return found
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeDecodeError):
         return None
 
 

@@ -42,7 +42,8 @@ def exit_code_of(command: Callable[[], Any]) -> int:
     try:
         code = command()
         # What is still held back is written here, where an error of it can be told.
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except _Usage as error:
         # click says it in several lines; this is where what it quotes loses its orders to the terminal.
         said = io.StringIO()

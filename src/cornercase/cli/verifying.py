@@ -52,17 +52,20 @@ def verify(
         mended = repaired(study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers)
         again, lost, damaged = mended.again, mended.lost, mended.damaged
     if as_json:
-        words = {"sound": found.sound, "problems": list(found.problems)}
+        words = {"sound": found.sound, "checked": found.checked, "problems": list(found.problems)}
         if repair:
             words |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
         sys.stdout.write(json_text(words) + "\n")
     else:
         for one in found.problems:
             out.print(f"{study}: {one}")
-        if found.sound:
+        if found.sound and found.checked:
             out.print(f"{study}: everything is as it was written.")
+        elif found.sound:
+            out.print(f"{study}: can be read; it is of an earlier version, whose studies have no checksums.")
         if damaged is not None:
-            out.print(f"Repaired; {len(again)} scenarios were run again, and the damaged file is {damaged}.")
+            how = "Repaired in part" if lost else "Repaired"
+            out.print(f"{how}; {len(again)} scenarios were run again, and the damaged file is {damaged}.")
             for one in lost:
                 out.print(f"Lost: {one}.")
     if lost or (not found.sound and not repair):

@@ -106,7 +106,9 @@ class KernelSpace:
         return float(np.linalg.norm(kernel - cross @ weights) / np.linalg.norm(kernel))
 
     def _kernel(self, distances: FloatArray) -> FloatArray:
-        return np.asarray(np.exp(-self._gamma * distances**2))
+        # As far apart as that is as good as infinitely far.
+        with np.errstate(over="ignore"):
+            return np.asarray(np.exp(-self._gamma * distances**2))
 
 
 def _fitted(kernel: FloatArray, centred: FloatArray, count: int) -> tuple[KernelPCA, FloatArray]:

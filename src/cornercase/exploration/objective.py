@@ -84,7 +84,9 @@ class Objective:
         """
         # Left out of the sum, since NaN times 0 is NaN.
         used = self._factors.any(axis=1)
-        values = scores[:, used] @ self._factors[used]
+        # Weights without measure give infinite sums.
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = scores[:, used] @ self._factors[used]
         return np.asarray(values if self.pareto else values[:, 0])
 
     def oriented_of(self, study: Study) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -88,10 +89,12 @@ def repair(
     cornercase.study.verify : Tells what is damaged.
     """
     file = path("study", study)
+    # A link stays one.
+    file = file.resolve()
     workers = whole_number("workers", workers, least=1)
     if verify(file).sound:
         return Repaired(file, None, (), ())
-    handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.resolve().parent)
+    handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
     os.close(handle)
     made = Path(name)
     try:
@@ -108,8 +111,9 @@ def repair(
             if beside.exists():
                 os.replace(beside, kept.with_name(kept.name + ending))
         os.replace(made, file)
-    except OSError as error:
-        raise InputError(f"{file}: cannot be repaired ({error.strerror}); make room, or copy it elsewhere.") from error
+    except (OSError, sqlite3.Error) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{file}: cannot be repaired ({why}); make room, or copy it elsewhere.") from error
     finally:
         for ending in ("", "-wal", "-shm", "-journal"):
             made.with_name(made.name + ending).unlink(missing_ok=True)

@@ -384,6 +384,8 @@ class RoadNetwork:
 
     @cached_property
     def _locator(self) -> Locator:
+        if not any(held for road in self.roads for _, held in road.sections):
+            raise InputError(f"{self.path}: none of its roads has a lane, so nothing has a place on them.")
         return Locator(self.roads)
 
     def path_of_lane(

@@ -35,6 +35,11 @@ def sentences(path: Path) -> Iterator[None]:
     """
     try:
         yield
+    except UnicodeDecodeError as error:
+        # SQLite quotes what is damaged in its message.
+        raise InputError(
+            f"{path}: cannot be used as a study (damaged text). `verify` tells what of it is damaged."
+        ) from error
     except sqlite3.Error as error:
         # What SQLite says of pages that it cannot read.
         advice = " `verify` tells what of it is damaged." if "malformed" in str(error) else ""

@@ -57,6 +57,8 @@ class Database:
         self.connection = connection
         self._lease = lease
         self._closed = self._writing = False
+        # Why it is not ours any more.
+        self._lost = ""
         (_, _, file), *_ = connection.execute("PRAGMA database_list").fetchall()
         # A migrated copy has no name; what is immutable is not looked at again.
         self._sees_others = bool(file) and not is_out_of_reach(path)
@@ -400,18 +402,25 @@ class Database:
         if self._closed or self._lease is None or _identity(self.path) == self._files[self.path]:
             return
         words = "another file has taken its place" if self.path.exists() else "it was removed"
+        # What was moved shall hold what is still in the log: SQLite does not see to that by itself.
+        with suppress(sqlite3.Error):
+            self.connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         self.close()
         # What is beside it now would be taken for the log of what has its name now.
         for beside, known in self._files.items():
             if beside != self.path and known is not None and _identity(beside) == known:
                 with suppress(OSError):
                     beside.unlink()
-        raise StudyLostError(
+        self._lost = (
             f"{self.path}: {words} while this command wrote to it; what it had stored is not under this name any more."
             " Run the same command again, after putting the study back if you have moved it."
         )
+        raise StudyLostError(self._lost)
 
     def _require_open(self) -> None:
+        # Whoever cleans up afterwards says the same.
+        if self._lost:
+            raise StudyLostError(self._lost)
         if self._closed:
             raise InputError(f"{self.path}: is closed; open it again with `Study.open`.")
 

@@ -11,6 +11,7 @@ from operator import xor
 from pathlib import Path
 
 from cornercase._common.errors import InputError
+from cornercase.study.connecting import require_one_name
 from cornercase.study.damage import damage_told, loaded
 from cornercase.study.database import make_tables
 from cornercase.study.meta import StudyMeta
@@ -64,8 +65,9 @@ def rebuild(damaged: Path, made: Path) -> Remains:
     Raises
     ------
     InputError
-        What the study is about is lost.
+        What the study is about is lost, or the file has several names.
     """
+    require_one_name(damaged)
     found = salvaged(damaged)
     tallies = {name: (rows, sums) for name, rows, sums in found["tallies"].values()}
     with damage_told(damaged):

@@ -13,12 +13,15 @@ from cornercase._common import arguments
 from cornercase._common.errors import InputError
 from cornercase.study.connecting import connected, of_today, require_plain, require_study
 from cornercase.study.damage import DamageError
+from cornercase.study.migrations import schema_version
 from cornercase.study.schema import TABLES
 from cornercase.study.seals import is_sound, name_of, require_tally
 from cornercase.study.store import Study
 
 # What SQLite tells of at most, and rows of a table.
 _MOST: Final = 20
+# Schema version of the first studies that have checksums.
+_WITH_CHECKSUMS: Final = 6
 
 
 @dataclass(frozen=True)
@@ -30,10 +33,13 @@ class Verification:
     path : Path
     problems : tuple of str
         A part of a sentence for each thing that is not as it was written; empty where all is.
+    checked : bool, default True
+        Whether the study has checksums; those of earlier schema versions have none.
     """
 
     path: Path
     problems: tuple[str, ...]
+    checked: bool = True
 
     @property
     def sound(self) -> bool:
@@ -69,7 +75,15 @@ def verify(study: Path | str) -> Verification:
     if not path.is_file():
         raise InputError(f"{path}: there is no such study; make one with `explore`.")
     problems = list(dict.fromkeys(_problems(path)))
-    return Verification(path, tuple(problems))
+    return Verification(path, tuple(problems), _has_checksums(path))
+
+
+def _has_checksums(path: Path) -> bool:
+    try:
+        with closing(connected(path)) as connection:
+            return schema_version(connection) >= _WITH_CHECKSUMS
+    except (sqlite3.Error, UnicodeDecodeError):
+        return True
 
 
 def _problems(path: Path) -> Iterator[str]:
@@ -111,12 +125,12 @@ def _of_file(path: Path) -> Iterator[str]:
                     yield f"SQLite says: {line}"
             connection.text_factory = str
             require_plain(path, connection)
-    except (sqlite3.Error, InputError) as error:
+    except (sqlite3.Error, UnicodeDecodeError, InputError) as error:
         yield _words(path, error)
         return
     try:
         connection = of_today(connected(path))
-    except (sqlite3.Error, InputError) as error:
+    except (sqlite3.Error, UnicodeDecodeError, InputError) as error:
         yield _words(path, error)
         return
     with closing(connection):
@@ -137,7 +151,7 @@ def _of_table(path: Path, connection: sqlite3.Connection, table: str) -> Iterato
         if count > _MOST:
             yield f"its table {table} has {count - _MOST} more such rows"
         require_tally(connection, table)
-    except (sqlite3.Error, DamageError) as error:
+    except (sqlite3.Error, UnicodeDecodeError, DamageError) as error:
         yield _words(path, error)
 
 
@@ -146,6 +160,8 @@ def _text(raw: bytes) -> str:
 
 
 def _words(path: Path, error: Exception) -> str:
+    if isinstance(error, UnicodeDecodeError):
+        return "SQLite says: something damaged that is no text"
     if isinstance(error, sqlite3.Error):
         return f"SQLite says: {error}"
     text = str(error).removeprefix(f"{path}: ")

@@ -66,6 +66,8 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
             raise InputError(f"{about}: '{name}' has the type '{kind}', which is not known.")
     if not fields:
         raise InputError(f"{about}: names no quantity.")
+    if not all(names.values()):
+        raise InputError(f"{about}: has a quantity without a name.")
     if len(set(names.values())) < len(names):
         raise InputError(f"{about}: names a quantity twice.")
     record = np.dtype(fields)
