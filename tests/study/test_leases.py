@@ -131,3 +131,18 @@ def test_a_study_that_is_gone_or_another_one_ends_what_writes_to_it(path):
     assert path.read_bytes() == other.read_bytes() == before
     with Study.open(path) as there:
         assert [row.state for row in there.rows()] == ["pending", "pending"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files that are open stay there")
+def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
+    study = Study.open(path, readonly=False)
+    study.fail(1, SimulationError("here"))
+    moved = path.rename(path.with_name("moved.db"))
+    with pytest.raises(StudyLostError, match="was removed while this command wrote to it"):
+        study.fail(2, SimulationError("there"))
+    # Whoever cleans up afterwards is told the same.
+    with pytest.raises(StudyLostError, match="was removed while this command wrote to it"):
+        study.rows()
+    with Study.open(moved) as opened:
+        assert [row.state for row in opened.rows()] == ["failed", "failed"]
+    assert [one.name for one in path.parent.iterdir()] == ["moved.db"]

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import NoticeWarning
 from cornercase._common.texts import shorten
-from cornercase.cli.options import err
+from cornercase.cli.options import debugging, err
 
 LONGEST: Final = 1400
 """Characters of a line that is said of an input, whatever is called how in a file."""
@@ -68,13 +68,17 @@ def in_words_of_the_command_line(message: str) -> str:
 
 
 def show_notices() -> None:
-    """Print each `NoticeWarning` from now on as a line of its own on standard error, and others as before."""
+    """Print each `NoticeWarning` from now on as a line of its own on standard error.
+
+    Others are printed as before, those of numbers (`RuntimeWarning`) only with ``--debug``.
+    """
     show = warnings.showwarning
 
     def shown(message: Any, category: Any, *place: Any, **more: Any) -> None:
         if issubclass(category, NoticeWarning):
             err.print(shorten(f"{str(message)[:1].upper()}{str(message)[1:]}.", LONGEST))
-        else:
+        # What NumPy says of numbers without measure is for who mends cornercase.
+        elif not issubclass(category, RuntimeWarning) or debugging.get():
             show(message, category, *place, **more)
 
     warnings.showwarning = shown

@@ -22,6 +22,7 @@ from cornercase.roads.lane import (
 )
 from cornercase.roads.reference_line import Geometry, read_geometry, read_number
 
+_SHORTEST_ROAD: Final = 1e-9
 _LONGEST_ROAD: Final = 1e5
 # A lane runs at most so steeply across its road, as a slope.
 _STEEPEST: Final = 10.0
@@ -207,8 +208,8 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
         The road cannot be used.
     """
     length = read_number(element, "length", where)
-    if length <= 0:
-        raise InputError(f"{where}: has the length {length:g} m; it must be above 0.")
+    if length < _SHORTEST_ROAD:
+        raise InputError(f"{where}: has the length {length:g} m; it must be at least {_SHORTEST_ROAD:g} m.")
     if length > _LONGEST_ROAD:
         raise InputError(f"{where}: is {length:g} m long; at most {_LONGEST_ROAD:g} m are read.")
     geometries = tuple(
