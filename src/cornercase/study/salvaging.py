@@ -68,7 +68,7 @@ def _gathered(stored: Iterable[Stored]) -> tuple[dict[str, Rows], dict[str, dict
 
 def _read(path: Path) -> Iterator[Stored]:
     """Read what SQLite can, from both ends of each table."""
-    with suppress(sqlite3.Error), closing(connected(path)) as connection:
+    with suppress(sqlite3.Error, UnicodeDecodeError), closing(connected(path)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         for table, about in TABLES.items():
             numbered = table in _NUMBERED
@@ -76,7 +76,7 @@ def _read(path: Path) -> Iterator[Stored]:
             columns = ", ".join(("rowid", *about.stored) if numbered else about.stored)
             for backwards in ("", " DESC"):
                 ordered = order.replace(",", f"{backwards},") + backwards
-                with suppress(sqlite3.Error):
+                with suppress(sqlite3.Error, UnicodeDecodeError):
                     for found in connection.execute(f"SELECT {columns} FROM {table} ORDER BY {ordered}"):
                         number, stored = (found[0], found[1:]) if numbered else (None, found)
                         if is_sound(table, stored):
