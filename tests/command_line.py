@@ -23,7 +23,7 @@ Ended = subprocess.CompletedProcess[str]
 def cornercase(*arguments: object, cwd: Path | None = None) -> Ended:
     """Run a command here; a traceback of it is one of the test."""
     words = ["cornercase", *map(str, arguments)]
-    said, told, before = io.StringIO(), io.StringIO(), sys.argv
+    said, told, before, loaded = io.StringIO(), io.StringIO(), sys.argv, set(sys.modules)
     folder = contextlib.chdir(cwd) if cwd is not None else contextlib.nullcontext()
     sys.argv = words
     code = 0
@@ -34,7 +34,17 @@ def cornercase(*arguments: object, cwd: Path | None = None) -> Ended:
         code = int(ended.code or 0)
     finally:
         sys.argv = before
+        if cwd is not None:
+            _forget_modules_of(cwd, set(sys.modules) - loaded)
     return Ended(words, code, said.getvalue(), told.getvalue())
+
+
+def _forget_modules_of(folder: Path, names: set[str]) -> None:
+    # A user's module of the same name in another test's folder would not be imported again.
+    for name in names:
+        file = getattr(sys.modules[name], "__file__", None)
+        if file is not None and Path(file).resolve().is_relative_to(folder.resolve()):
+            del sys.modules[name]
 
 
 def process(*arguments: object, cwd: Path | None = None, environment: dict[str, str] | None = None) -> Ended:
