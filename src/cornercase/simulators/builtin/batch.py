@@ -130,12 +130,14 @@ class Batch:
         """Let `run`, in another thread, come to an end soon; nothing that came out is of use then."""
         self._stepper.halted = True
 
-    def results(self, chosen: Sequence[int]) -> list[Recording | SimulationError]:
+    def results(self, chosen: Sequence[int], turn: Lock | None = None) -> list[Recording | SimulationError]:
         """Give what came out of some scenarios, once the batch has run.
 
         Parameters
         ----------
         chosen : sequence of int
+        turn : Lock, optional
+            What only one thread may have that is in Python; held here, but for while compiled code runs.
 
         Returns
         -------
@@ -143,9 +145,9 @@ class Batch:
             Each with memory of its own.
         """
         world, scene = self._world, self._stepper.scene
-        motion, placed = motion_of(scene, np.array(chosen, dtype=np.int64))
+        motion, placed = motion_of(scene, np.array(chosen, dtype=np.int64), turn)
         names, kinds = tuple(world.names), tuple(entity.kind for entity in world.entities)
-        boxes = [scene.boxes[:, column].copy() for column in (LENGTH, WIDTH, CENTER_X)]
+        boxes = np.ascontiguousarray(scene.boxes[:, [LENGTH, WIDTH, CENTER_X]].T)
         time = np.arange(scene.frames.max(initial=0)) * self._time_step
         result: list[Recording | SimulationError] = []
         for i, moved, there in zip(chosen, motion, placed.tolist(), strict=True):
@@ -155,6 +157,7 @@ class Batch:
             if not there:
                 result.append(SimulationError("no entity is ever placed on the map"))
                 continue
+            length, width, center_x = boxes.copy()
             result.append(
                 Recording(
                     time=time[: moved.shape[2]].copy(),
@@ -166,9 +169,9 @@ class Batch:
                     heading=moved[2],
                     speed=moved[3],
                     acceleration=moved[4],
-                    length=boxes[0].copy(),
-                    width=boxes[1].copy(),
-                    center_x=boxes[2].copy(),
+                    length=length,
+                    width=width,
+                    center_x=center_x,
                     collisions=self._collisions.get(i, ()),
                 )
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from itertools import pairwise
@@ -164,10 +165,7 @@ class BuiltinSimulator(Simulator):
                 for chosen in files.values():
                     self._run_file(concretes, chosen, ran, crew)
                 # Recordings of the first batch are made while the next ones still run.
-                for begin, end in _portions_of_results(ran):
-                    with crew.turn:
-                        made = _results([ran.pop(i) for i in range(begin, end)])
-                    yield from made
+                yield from _made(ran, crew.turn)
             except BaseException:
                 # The pool waits for its threads; whoever interrupts does not wait for the rest of the batches.
                 for batch in crew.running:
@@ -290,26 +288,48 @@ class _Crew(NamedTuple):
 _Ran = tuple[Future[Batch], int] | SimulationError
 
 
+def _made(ran: dict[int, _Ran], turn: Lock) -> Iterator[Recording | SimulationError]:
+    """What came out of scenarios, a few ahead of what the caller has taken."""
+    waiting: deque[Future[list[Recording | SimulationError]]] = deque()
+    with ThreadPoolExecutor(available_cpus()) as makers:
+        for begin, end in _portions_of_results(ran):
+            chosen = [ran.pop(i) for i in range(begin, end)]
+            if not (ran or waiting):
+                yield from _results(chosen, turn)
+                return
+            waiting.append(makers.submit(_results, chosen, turn))
+            if len(waiting) > available_cpus():
+                yield from waiting.popleft().result()
+        while waiting:
+            yield from waiting.popleft().result()
+
+
 def _portions_of_results(ran: Mapping[int, _Ran]) -> Iterator[tuple[int, int]]:
     """Recordings that are made together, first and last one: few, as only those that the caller keeps take memory."""
     count, begin, held = len(ran), 0, 0
+    future: Future[Batch] | None = None
     for i in range(count):
         found = ran[i]
-        held += 0 if isinstance(found, SimulationError) else found[0].result().bytes_of(found[1])
+        if not isinstance(found, SimulationError):
+            if found[0] is not future:
+                future = found[0]
+                batch = future.result()
+            held += batch.bytes_of(found[1])
         if held > _MOST_RECORDED:
             yield begin, i + 1
             begin, held = i + 1, 0
     yield begin, count
 
 
-def _results(ran: list[_Ran]) -> list[Recording | SimulationError]:
+def _results(ran: list[_Ran], turn: Lock) -> list[Recording | SimulationError]:
     """What came out of scenarios, of each batch at once."""
-    places: dict[Batch, list[int]] = {}
-    for found in ran:
-        if not isinstance(found, SimulationError):
-            places.setdefault(found[0].result(), []).append(found[1])
-    made = {batch: iter(batch.results(chosen)) for batch, chosen in places.items()}
-    return [found if isinstance(found, SimulationError) else next(made[found[0].result()]) for found in ran]
+    with turn:
+        places: dict[Future[Batch], list[int]] = {}
+        for found in ran:
+            if not isinstance(found, SimulationError):
+                places.setdefault(found[0], []).append(found[1])
+        made = {future: iter(future.result().results(chosen, turn)) for future, chosen in places.items()}
+        return [found if isinstance(found, SimulationError) else next(made[found[0]]) for found in ran]
 
 
 def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:

@@ -14,13 +14,12 @@ from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.frames.motion import advance, set_speed, settle
 from cornercase.simulators.builtin.frames.scene import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
-from cornercase.simulators.builtin.frames.synchronising import CHANGING, keep_distance, synchronise
+from cornercase.simulators.builtin.frames.synchronising import keep_distance, synchronise
 from cornercase.simulators.builtin.frames.table import (
+    CHANGING,
     DISTANCE_ACTION,
     LANE_CHANGE,
     LANE_OFFSET,
-    MEMORY,
-    REMEMBERED,
     SPEED_ACTION,
     SYNCHRONISATION,
     TRAJECTORY_ACTION,
@@ -81,7 +80,7 @@ class Kept(NamedTuple):
         The actions that run in the scenario, in their order, and then -1.
     floats : ndarray of float64, shape (J, 12)
     flags : ndarray of bool, shape (J, 2)
-    memory : ndarray of float64, shape (J, 24)
+    memory : ndarray of float64, shape (J, 8)
     """
 
     live: IntArray
@@ -103,7 +102,7 @@ def room_to_keep(actions):
     Kept
     """
     floats, flags = np.empty((actions, len(_FLOATS) + 1)), np.empty((actions, len(_FLAGS)), dtype=np.bool_)
-    return Kept(np.empty(actions + 1, dtype=np.int64), floats, flags, np.empty((actions, MEMORY)))
+    return Kept(np.empty(actions + 1, dtype=np.int64), floats, flags, np.empty((actions, CHANGING)))
 
 
 @_part
@@ -189,19 +188,13 @@ def _keep(scene, actions, kept, n, j):
         kept.floats[j, len(_FLOATS)] = f[LAST_S, master]
     for k in range(len(_FLAGS)):
         kept.flags[j, k] = b[_FLAGS[k], e]
-    for k in range(_changing(actions, j)):
+    for k in range(CHANGING):
         kept.memory[j, k] = actions.memory[n, j, k]
 
 
 @_part
 def _decides_speed(kind):
     return kind in (SPEED_ACTION, SYNCHRONISATION, DISTANCE_ACTION)
-
-
-@_part
-def _changing(actions, j):
-    """How many of the numbers that an action remembers can change as it acts: the first ones."""
-    return CHANGING if actions.options[j, 0] == SYNCHRONISATION else actions.options[j, REMEMBERED]
 
 
 @_kernel
@@ -220,7 +213,7 @@ def _take_back(scene, actions, kept, n, j):
             f[_FLOATS[k], e] = kept.floats[j, k]
     for k in range(len(_FLAGS)):
         b[_FLAGS[k], e] = kept.flags[j, k]
-    for k in range(_changing(actions, j)):
+    for k in range(CHANGING):
         actions.memory[n, j, k] = kept.memory[j, k]
 
 

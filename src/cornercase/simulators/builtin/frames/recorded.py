@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from threading import Lock
 
 import numpy as np
 
@@ -15,13 +16,15 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.frames.scene import PAGE, QUANTITIES, Scene
 
 
-def motion_of(scene: Scene, scenarios: IntArray) -> tuple[list[FloatArray], BoolArray]:
+def motion_of(scene: Scene, scenarios: IntArray, turn: Lock | None) -> tuple[list[FloatArray], BoolArray]:
     """Copy the motion of scenarios, each to memory of its own.
 
     Parameters
     ----------
     scene : Scene
     scenarios : ndarray of int64, shape (S,)
+    turn : Lock, optional
+        What only one thread may have that is in Python; held here, but for while compiled code runs.
 
     Returns
     -------
@@ -33,7 +36,13 @@ def motion_of(scene: Scene, scenarios: IntArray) -> tuple[list[FloatArray], Bool
     shape = len(QUANTITIES), scene.pages.shape[2]
     motion = [np.empty((*shape, instants)) for instants in scene.frames[scenarios].tolist()]
     targets = np.array([address_of(one) for one in motion], dtype=np.int64)
-    return motion, _copy(scene.pages, scene.page, scene.frames, scenarios, targets)
+    if turn is not None:
+        turn.release()
+    try:
+        return motion, _copy(scene.pages, scene.page, scene.frames, scenarios, targets)
+    finally:
+        if turn is not None:
+            turn.acquire()
 
 
 @kernel(error_model="numpy")

@@ -64,9 +64,6 @@ _STEADY_DISTANCE, _STEADY_TIME, _FINAL = 18, 19, 20
 # Of each of the two places, counted from its first.
 _PLACE_X, _PLACE_Y, _ROAD, _S, _ITS_TRACK, _ALONG, _TOLERANCE = range(7)
 
-CHANGING: Final = 4
-"""So many of them change from step to step, the first ones."""
-
 _ACCELERATION, _BEHIND, _DISTANCE, _UP, _DOWN, _FASTEST, _JERK_UP, _JERK_DOWN = range(8)
 
 _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)

@@ -18,11 +18,11 @@ DIMENSIONS: Final = ("time", "rate", "distance")
 """Dimensions of transitions, as compiled code numbers them."""
 
 OPTIONS: Final = 8
-"""How many whole numbers describe an action: its kind, its entity, what it needs besides, and how much it remembers."""
-REMEMBERED: Final = OPTIONS - 1
-"""Where it stands how many numbers an action remembers."""
+"""How many whole numbers describe an action: its kind, its entity, and what it needs besides."""
 MEMORY: Final = 24
 """How many numbers an action can remember of each scenario."""
+CHANGING: Final = 8
+"""So many of these, the first ones, can change from step to step. Copying as many each time is quickest."""
 
 
 class Actions(NamedTuple):
@@ -75,9 +75,8 @@ def gather_actions(found: Sequence[Compilable | None], scenarios: int) -> Action
     for j, action in enumerate(found):
         if action is not None:
             given = action.options()
-            assert len(given) <= REMEMBERED
+            assert len(given) <= OPTIONS
             options[j, : len(given)] = given
-            options[j, REMEMBERED] = len(action.remembered)
             for k, name in enumerate(action.remembered):
                 memory[:, j, k] = getattr(action, name)
                 setattr(action, name, memory[:, j, k])
