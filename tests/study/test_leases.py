@@ -9,13 +9,14 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 import pytest
 
 from cornercase import SimulationError
 from cornercase._common.errors import InputError, StudyLostError
-from cornercase.study import Study
+from cornercase.study import Study, write_note
 from synthetic import SPACE, about
 
 POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
@@ -146,3 +147,45 @@ def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
     with Study.open(moved) as opened:
         assert [row.state for row in opened.rows()] == ["failed", "failed"]
     assert [one.name for one in path.parent.iterdir()] == ["moved.db"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files that are open cannot be written by others there")
+@pytest.mark.parametrize("closes", [True, False])
+def test_a_study_that_is_copied_over_ends_what_writes_to_it_and_stays_as_it_is(path, closes):
+    other = path.with_name("other.db")
+    with Study.create(other, about(SPACE, "distance")) as made:
+        made.propose(1, POINTS[:1], SPACE.values(POINTS[:1]))
+    study = Study.open(path, readonly=False)
+    study.fail(1, SimulationError("stays in the log"))
+    # The same file under the same name, as `cp` leaves it.
+    path.write_bytes(other.read_bytes())
+    end = study.close if closes else partial(study.fail, 2, SimulationError("nowhere"))
+    with pytest.raises(StudyLostError, match="another file was copied over it"):
+        end()
+    assert path.read_bytes() == other.read_bytes()
+    assert sorted(one.name for one in path.parent.iterdir()) == ["other.db", "s.db"]
+    with pytest.raises(StudyLostError, match="another file was copied over it"):
+        study.rows()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files that are open cannot be written by others there")
+def test_a_study_that_is_cut_ends_what_writes_to_it(path):
+    study = Study.open(path, readonly=False)
+    os.truncate(path, 0)
+    with pytest.raises(StudyLostError, match="or it was cut"):
+        study.fail(1, SimulationError("nowhere"))
+    assert path.read_bytes() == b""
+    with pytest.raises(InputError, match="is empty, and no study"):
+        Study.open(path)
+
+
+def test_others_may_write_their_notes_and_read_while_one_writes(path):
+    with Study.open(path, readonly=False) as study:
+        for number in (1, 2):
+            write_note(path, number, "seen")
+            with closing(sqlite3.connect(path)) as connection:
+                connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+            study.fail(number, SimulationError("told"))
+    with Study.open(path) as study:
+        assert [row.state for row in study.rows()] == ["failed", "failed"]
+        assert study.notes() == {1: "seen", 2: "seen"}

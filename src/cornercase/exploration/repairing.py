@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sqlite3
 import tempfile
@@ -17,6 +18,7 @@ from cornercase._common.arguments import path, whole_number
 from cornercase._common.errors import InputError
 from cornercase.drivers import Driver
 from cornercase.exploration.again import configuration_of, require_same_runs
+from cornercase.exploration.asynchronous import AsynchronousExplorer
 from cornercase.exploration.explorer import ScenarioExplorer
 from cornercase.exploration.exploring import configured_simulator, started_references
 from cornercase.exploration.proposing import Proposer, Search
@@ -59,8 +61,8 @@ def repair(
     """Bring back a damaged study.
 
     What is as it was written is kept. Scenarios of which something is lost are run again, with the simulator and the
-    settings of the study; where it is lost which they were, its search is asked for them again. The damaged file is
-    kept under another name.
+    settings of the study; where it is lost which they were, its search is asked for them again, and where it is lost
+    how many, it goes on until its budget is used up. The damaged file is kept under another name.
 
     Parameters
     ----------
@@ -100,10 +102,13 @@ def repair(
     try:
         made.unlink()
         remains = rebuild(file, made)
-        if remains.again:
+        lost = list(remains.lost)
+        if remains.again or not remains.counted:
             _require_runnable(file, remains)
             _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
-        lost = [*remains.lost, *_still_other(made, remains)]
+        if not remains.counted:
+            lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
+        lost += _still_other(made, remains)
         kept = _free_name(file)
         os.replace(file, kept)
         for ending in ("-wal", "-shm"):
@@ -133,9 +138,9 @@ def _require_runnable(file: Path, remains: Remains) -> None:
     meta, count = remains.meta, len(remains.again)
     if meta.simulator == IMPORTED or meta.optimizer == "none" or meta.optimizer.startswith("importance-sampling:"):
         command = "import" if meta.simulator == IMPORTED else "test" if meta.suite else "estimate"
+        what = f"{count} of its scenarios are damaged" if count else "it is lost how many scenarios it had"
         raise InputError(
-            f"{file}: {count} of its scenarios are damaged, and are not made by a search; make it again with"
-            f" `{command}`, under another name."
+            f"{file}: {what}, and they are not made by a search; make it again with `{command}`, under another name."
         )
     if meta.asynchronous and not all(remains.rounds.values()):
         raise InputError(
@@ -170,22 +175,31 @@ def _run_again(
         )
         with configured_simulator(about) as running, started_references(about) as references:
             require_same_runs(file, opened.meta, running)
-            explorer = _Repairer(about, running, optimizer, opened, objective, references)
-            explorer.repair(remains.rounds)
+            kind = _Repairer if remains.counted or not about.asynchronous else AsynchronousExplorer
+            explorer = kind(about, running, optimizer, opened, objective, references)
+            if isinstance(explorer, _Repairer):
+                explorer.repair(remains.rounds, remains.counted)
+            else:
+                explorer.run()
 
 
 class _Repairer(ScenarioExplorer):
     """Runs pending scenarios of a study, and asks its search for those that are lost."""
 
-    def repair(self, rounds: Mapping[int, int]) -> None:
+    def repair(self, rounds: Mapping[int, int], counted: bool) -> None:
         """Go through the rounds of the study, and bring each back.
 
         Parameters
         ----------
         rounds : mapping of int to int
             Round of each scenario by id; 0 where it is not known.
+        counted : bool
+            Whether these are all; otherwise the search goes on until its budget is used up.
         """
-        if all(rounds.values()):
+        self._counted = counted
+        if not counted:
+            rounds = dict.fromkeys(range(1, self._configuration.budget + 1), 0) | dict(rounds)
+        elif all(rounds.values()):
             # Nothing is asked, so nothing has to be told.
             self._simulate([row for row in self._study.rows() if row.state == "pending"], None)
             return
@@ -199,15 +213,21 @@ class _Repairer(ScenarioExplorer):
             there = {row.id: row for row in self._study.rows_of(number)}
             if missing := [one for one in ids if one not in there]:
                 there |= self._proposed_again(number, ids, missing, done, there)
-            rows = [there[one] for one in ids]
+            rows = [there[one] for one in ids if one in there]
+            if not rows:
+                return
             scores |= self._simulate([row for row in rows if row.state == "pending"], None)
             self._tell(rows, scores)
-            done += len(ids)
+            done += len(rows)
 
     def _proposed_again(
         self, number: int, ids: Sequence[int], missing: Sequence[int], done: int, there: Mapping[int, Row]
     ) -> dict[int, Row]:
         points = self._proposer.propose(done, len(ids))
+        if not self._counted:
+            # It may have no more.
+            ids = ids[: len(points)]
+            missing = [one for one in missing if one in ids]
         same = len(points) == len(ids) and all(
             np.array_equal(points[k], there[one].point) for k, one in enumerate(ids) if one in there
         )
@@ -223,13 +243,13 @@ class _Repairer(ScenarioExplorer):
 
 def _filled(rounds: Mapping[int, int], batch: int) -> dict[int, int]:
     """Rounds of all scenarios: those that are not known are in that of the one before, until it is full."""
+    later, last = {}, math.inf
+    for one in sorted(rounds, reverse=True):
+        later[one] = last = rounds[one] or last
     filled: dict[int, int] = {}
     current, count = 1, 0
     for one in sorted(rounds):
-        later = next((rounds[k] for k in range(one, len(rounds) + 1) if rounds[k]), None)
-        turn = rounds[one] or (current if count < batch else current + 1)
-        if not rounds[one] and later is not None:
-            turn = min(turn, later)
+        turn = rounds[one] or int(min(current if count < batch else current + 1, later[one]))
         current, count = turn, count + 1 if turn == current else 1
         filled[one] = turn
     return filled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import stat
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -70,6 +71,34 @@ def damage_of(path: Path) -> Iterator[None]:
         raise DamageError.of(path, str(error)) if str(path) not in str(error) else error from error
 
 
+def require_file(path: Path) -> None:
+    """Refuse what is no file, or has nothing in it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        There is no file of this name, or it is empty.
+    """
+    try:
+        found = path.stat()
+    except OSError as error:
+        if not isinstance(error, FileNotFoundError | NotADirectoryError):
+            raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+        raise InputError(f"{path}: there is no such study; make one with `explore`.") from error
+    except ValueError as error:
+        raise InputError(f"{path}: is no name of a file ({error}).") from error
+    if not stat.S_ISREG(found.st_mode):
+        raise InputError(f"{path}: is not a file; name the file of a study.")
+    if not found.st_size:
+        raise InputError(
+            f"{path}: is empty, and no study; copy the study here anew, or remove the file and make one with `explore`."
+        )
+
+
 def require_study(path: Path, connection: sqlite3.Connection) -> None:
     """Refuse what is no study of a version that is known.
 
@@ -122,6 +151,51 @@ def require_plain(path: Path, connection: sqlite3.Connection) -> None:
             raise InputError(f"{path}: is no study as cornercase writes it; it holds the {kind} '{name}'.")
     if today and (missing := set(ALWAYS) - {name for _, name, _ in found}):
         raise DamageError.of(path, f"its table {min(missing)} is missing")
+
+
+def require_whole(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse a file in whose pages SQLite finds something wrong, also in those that are not read.
+
+    Parameters
+    ----------
+    path : Path
+    connection : sqlite3.Connection
+
+    Raises
+    ------
+    DamageError
+        It does.
+    """
+    for line in told_by_sqlite(connection, 1):
+        raise DamageError.of(path, f"SQLite says: {line}")
+
+
+def told_by_sqlite(connection: sqlite3.Connection, most: int) -> Iterator[str]:
+    """Tell what SQLite finds wrong in a file.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+    most : int
+        Lines that are told.
+
+    Yields
+    ------
+    str
+    """
+    plain = connection.text_factory
+    # It names what it finds, which may be no text any more.
+    connection.text_factory = _any_text
+    try:
+        for (line,) in connection.execute(f"PRAGMA integrity_check({most})"):
+            if line != "ok":
+                yield line
+    finally:
+        connection.text_factory = plain
+
+
+def _any_text(raw: bytes) -> str:
+    return raw.decode(errors="replace")
 
 
 def of_today(connection: sqlite3.Connection) -> sqlite3.Connection:

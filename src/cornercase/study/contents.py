@@ -22,6 +22,7 @@ from cornercase.study.damage import damage_told, loaded, require
 from cornercase.study.elsewhere import digest_of_scores
 from cornercase.study.export import write_scenarios, write_table
 from cornercase.study.scenarios import ScenarioContents
+from cornercase.study.schema import TABLES
 from cornercase.study.table import scenario_table
 
 if TYPE_CHECKING:
@@ -306,14 +307,15 @@ class StudyContents(ScenarioContents):
             yield row.id, recording, courses
 
     def require_sound(self) -> None:
-        """Refuse a study in which anything of a scenario is not as it was written, without unpacking it.
+        """Refuse a study in which anything is not as it was written, without unpacking it.
 
         Raises
         ------
         InputError
             Something is damaged.
         """
-        for table in ("scenarios", "courses", "repeats"):
+        there = {name for (name,) in self._database.found("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        for table in (name for name in TABLES if name in there):
             self._database.require_all(table)
             with closing(self._database.each_row(table, blob=True)) as found:
                 for _ in found:

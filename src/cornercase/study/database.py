@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 import sqlite3
 import time
 import weakref
 from collections.abc import Generator, Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,14 +21,17 @@ from cornercase.study.connecting import (
     migrate_alone,
     of_today,
     remove_log,
+    require_file,
     require_one_name,
     require_plain,
     require_study,
+    require_whole,
     sentences,
 )
 from cornercase.study.damage import damage_told
 from cornercase.study.lease import Lease
 from cornercase.study.migrations import schema_version
+from cornercase.study.own_file import OwnFile
 from cornercase.study.schema import ALWAYS, APPLICATION, SCHEMA_VERSION, STATEMENTS
 from cornercase.study.seals import put, read_rows, require_tally
 
@@ -64,8 +66,7 @@ class Database:
         self._sees_others = bool(file) and not is_out_of_reach(path)
         self._forced = -math.inf
         self._tallied: dict[str, tuple[int, int]] = {}
-        # Names may be changed while the file is open, also of those that SQLite keeps beside it.
-        self._files = {} if lease is None else {one: _identity(one) for one in _files_of(path)}
+        self._own = None if lease is None else OwnFile(path, connection, lease)
         if lease is not None:
             # One that was never closed does not keep others from writing.
             weakref.finalize(self, lease.give_back)
@@ -127,10 +128,7 @@ class Database:
         InputError
             There is none, it is none, another program writes to it, or it is of a later schema version.
         """
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is not a file; name the file of a study.")
-        if not path.is_file():
-            raise InputError(f"{path}: there is no such study; make one with `explore`.")
+        require_file(path)
         # What is no study is not written to.
         reader = cls._opened(path, writes=False)
         if readonly:
@@ -153,6 +151,8 @@ class Database:
                 require_plain(path, connection)
                 if writes:
                     require_one_name(path)
+                    # What is not read could lead what is written astray.
+                    require_whole(path, connection)
                     connection.execute("PRAGMA journal_mode = WAL")
                     if schema_version(connection) < SCHEMA_VERSION:
                         with damage_told(path):
@@ -175,7 +175,14 @@ class Database:
         return self._lease is None
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file.
+
+        Raises
+        ------
+        StudyLostError
+            It was open for writing, and was removed or replaced since.
+        """
+        self._require_own(thorough=True)
         if not self._closed and self._lease is not None:
             self._lease.give_back(self.connection)
         self._closed = True
@@ -372,6 +379,8 @@ class Database:
             yield self.connection
             return
         forces = time.monotonic() - self._forced >= _SECONDS_BETWEEN_FORCED
+        # What was moved is told of afterwards, so that it takes all with it.
+        self._require_own(thorough=forces, name=False)
         with sentences(self.path), damage_of(self.path):
             self.connection.execute(f"PRAGMA synchronous = {'FULL' if forces else 'NORMAL'}")
             self.connection.execute("BEGIN IMMEDIATE")
@@ -392,30 +401,25 @@ class Database:
             self._writing = False
 
     def require_there(self) -> None:
-        """Refuse to go on with a file that is open for writing and has another name by now, or none.
+        """Refuse to go on with a file that is open for writing and has another name by now, or none, or other content.
 
         Raises
         ------
         StudyLostError
             It was removed or replaced.
         """
-        if self._closed or self._lease is None or _identity(self.path) == self._files[self.path]:
+        self._require_own(thorough=False)
+
+    def _require_own(self, thorough: bool, name: bool = True) -> None:
+        if self._closed or self._own is None:
             return
-        words = "another file has taken its place" if self.path.exists() else "it was removed"
-        # What was moved shall hold what is still in the log: SQLite does not see to that by itself.
-        with suppress(sqlite3.Error):
-            self.connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        self.close()
-        # What is beside it now would be taken for the log of what has its name now.
-        for beside, known in self._files.items():
-            if beside != self.path and known is not None and _identity(beside) == known:
-                with suppress(OSError):
-                    beside.unlink()
-        self._lost = (
-            f"{self.path}: {words} while this command wrote to it; what it had stored is not under this name any more."
-            " Run the same command again, after putting the study back if you have moved it."
-        )
-        raise StudyLostError(self._lost)
+        try:
+            self._own.require_content(thorough)
+            if name:
+                self._own.require_name()
+        except StudyLostError as error:
+            self._closed, self._lost = True, str(error)
+            raise
 
     def _require_open(self) -> None:
         # Whoever cleans up afterwards says the same.
@@ -438,20 +442,6 @@ def make_tables(connection: sqlite3.Connection, *more: str) -> None:
         connection.execute(STATEMENTS[name])
     connection.execute(f"PRAGMA application_id = {APPLICATION}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-
-
-def _files_of(path: Path) -> tuple[Path, ...]:
-    """The file of a study, and those that SQLite keeps beside it."""
-    whole = path.resolve()
-    return (path, *(whole.with_name(whole.name + ending) for ending in ("-wal", "-shm")))
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
-    try:
-        found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
 
 
 @contextmanager

@@ -112,11 +112,30 @@ class Lease:
         StudyLostError
             Another one has taken it.
         """
-        if connection.execute("SELECT 1 FROM lease WHERE token = ?", (self.token,)).fetchone() is None:
+        if not self.stands(connection):
             raise StudyLostError(
                 f"{self.path}: another cornercase took this study over, as this one seemed to have ended; what was"
                 " stored until then is in it. Run the same command again once the other one has ended."
             )
+
+    def stands(self, connection: sqlite3.Connection) -> bool:
+        """Tell whether the lease stands in a file.
+
+        Parameters
+        ----------
+        connection : sqlite3.Connection
+            With the file.
+
+        Returns
+        -------
+        bool
+        """
+        return connection.execute("SELECT 1 FROM lease WHERE token = ?", (self.token,)).fetchone() is not None
+
+    def forget(self) -> None:
+        """Let it go without writing to the file, which is another one by now."""
+        self.ended.set()
+        _held.discard((os.getpid(), self.token))
 
     def give_back(self, connection: sqlite3.Connection | None = None) -> None:
         """Let another one write.

@@ -15,7 +15,7 @@ from cornercase.study.connecting import require_one_name
 from cornercase.study.damage import damage_told, loaded
 from cornercase.study.database import make_tables
 from cornercase.study.meta import StudyMeta
-from cornercase.study.salvaging import Rows, salvaged
+from cornercase.study.salvaging import Rows, salvaged, tables_in_order
 from cornercase.study.schema import TABLES
 from cornercase.study.seals import put, sealed
 
@@ -39,6 +39,8 @@ class Remains:
         What cannot be brought back by running scenarios, in words.
     tallies : dict of str to tuple of (int, int)
         How many rows each table had, and what their checksums come to, where that is known.
+    counted : bool
+        Whether it is known how many scenarios it had.
     """
 
     meta: StudyMeta
@@ -46,6 +48,7 @@ class Remains:
     again: tuple[int, ...]
     lost: tuple[str, ...]
     tallies: dict[str, tuple[int, int]]
+    counted: bool
 
 
 def rebuild(damaged: Path, made: Path) -> Remains:
@@ -69,7 +72,7 @@ def rebuild(damaged: Path, made: Path) -> Remains:
     """
     require_one_name(damaged)
     found = salvaged(damaged)
-    tallies = {name: (rows, sums) for name, rows, sums in found["tallies"].values()}
+    tallies = _known_tallies(damaged, found)
     with damage_told(damaged):
         try:
             meta = StudyMeta.from_json({key: loaded(value) for key, value in found["meta"].values()})
@@ -81,14 +84,14 @@ def rebuild(damaged: Path, made: Path) -> Remains:
             " into another study."
         )
     lost = []
-    if any(tallies.get(name, (0, 0)) != _tally(found, name) for name in _ANALYSES):
-        lost.append("its clusters and its reduced set; `analyze` and `reduce` make them again")
+    if any(tallies.get(name) != _tally(found, name) for name in _ANALYSES):
+        some = "" if set(_ANALYSES) <= set(tallies) else ", if it had any"
+        lost.append(f"its clusters and its reduced set{some}; `analyze` and `reduce` make them again")
         for name in _ANALYSES:
             found[name] = {}
-    if "scenarios" not in tallies:
-        lost.append("how many scenarios it had; the same `explore` goes on from those that are there")
-    missing = tallies.get("notes", (0, 0))[0] - len(found["notes"])
-    if missing > 0:
+    if "notes" not in tallies:
+        lost.append("notes on scenarios, if there were more")
+    elif missing := tallies["notes"][0] - len(found["notes"]):
         lost.append(f"{missing} notes on scenarios")
     rounds = _rounds_of(found, tallies)
     again = _sort_out(found, meta, rounds)
@@ -98,7 +101,23 @@ def rebuild(damaged: Path, made: Path) -> Remains:
             if name != "tallies" and (TABLES[name].always or _has(meta, name)):
                 put(connection, name, found[name].values(), replace=False)
         connection.commit()
-    return Remains(meta, rounds, again, tuple(lost), tallies)
+    return Remains(meta, rounds, again, tuple(lost), tallies, "scenarios" in tallies)
+
+
+def _known_tallies(damaged: Path, found: dict[str, Rows]) -> dict[str, tuple[int, int]]:
+    """How many rows each table had: as it is written down, or as they are where the pages of the table are in order.
+
+    Of a table that is in order, only what stands in it is left in `found`, and nothing that was removed before.
+    """
+    tallies = {str(name): (int(rows), int(sums)) for name, rows, sums in found["tallies"].values()}
+    whole = tables_in_order(damaged)
+    for name in (name for name, about in TABLES.items() if about.tallied):
+        if name in whole and tallies.setdefault(name, _tally(whole, name)) == _tally(whole, name):
+            found[name] = whole[name]
+        elif name not in tallies and "tallies" in whole:
+            # It never had rows.
+            tallies[name], found[name] = (0, 0), {}
+    return tallies
 
 
 def _has(meta: StudyMeta, table: str) -> bool:

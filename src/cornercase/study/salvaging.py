@@ -50,6 +50,55 @@ def salvaged(path: Path) -> dict[str, Rows]:
     return {name: dict(sorted(rows.items(), key=lambda one: order[name][one[0]])) for name, rows in found.items()}
 
 
+def holds_rows(path: Path) -> bool:
+    """Tell whether anything in a file proves by its checksum that cornercase wrote it.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    bool
+    """
+    return any(True for _ in _scanned(path.read_bytes()))
+
+
+def tables_in_order(path: Path) -> dict[str, Rows]:
+    """Read the tables of a study in whose pages SQLite finds nothing wrong, and all of whose rows are sound.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    dict of str to dict of tuple to tuple
+        As `salvaged`, without the other tables.
+    """
+    found: dict[str, Rows] = {}
+    with suppress(sqlite3.Error, UnicodeDecodeError), closing(connected(path)) as connection:
+        connection.execute("PRAGMA trusted_schema = OFF")
+        for name in TABLES:
+            with suppress(sqlite3.Error, UnicodeDecodeError):
+                # Those before 3.33 take no name, and look at the whole file.
+                if connection.execute(f"PRAGMA integrity_check({name})").fetchall() == [("ok",)]:
+                    rows = list(_of_table(connection, name))
+                    if all(is_sound(name, stored) for _, stored in rows):
+                        found[name] = _gathered((name, *one) for one in rows)[0][name]
+    return found
+
+
+def _of_table(connection: sqlite3.Connection, table: str, backwards: str = "") -> Iterator[tuple[int | None, Any]]:
+    """Numbers and values of the rows of a table, in the order of their keys."""
+    numbered = table in _NUMBERED
+    keys = ("rowid",) if numbered else TABLES[table].columns[: TABLES[table].key]
+    columns = ", ".join(("rowid", *TABLES[table].stored) if numbered else TABLES[table].stored)
+    order = ", ".join(key + backwards for key in keys)
+    for found in connection.execute(f"SELECT {columns} FROM {table} ORDER BY {order}"):
+        yield (found[0], found[1:]) if numbered else (None, found)
+
+
 def _gathered(stored: Iterable[Stored]) -> tuple[dict[str, Rows], dict[str, dict[Any, Any]]]:
     """Put rows together by table and key; and what they are ordered by."""
     found: dict[str, Rows] = {name: {} for name in TABLES}
@@ -70,15 +119,10 @@ def _read(path: Path) -> Iterator[Stored]:
     """Read what SQLite can, from both ends of each table."""
     with suppress(sqlite3.Error, UnicodeDecodeError), closing(connected(path)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
-        for table, about in TABLES.items():
-            numbered = table in _NUMBERED
-            order = "rowid" if numbered else ", ".join(about.columns[: about.key])
-            columns = ", ".join(("rowid", *about.stored) if numbered else about.stored)
+        for table in TABLES:
             for backwards in ("", " DESC"):
-                ordered = order.replace(",", f"{backwards},") + backwards
                 with suppress(sqlite3.Error, UnicodeDecodeError):
-                    for found in connection.execute(f"SELECT {columns} FROM {table} ORDER BY {ordered}"):
-                        number, stored = (found[0], found[1:]) if numbered else (None, found)
+                    for number, stored in _of_table(connection, table, backwards):
                         if is_sound(table, stored):
                             yield table, number, stored
 

@@ -11,10 +11,11 @@ from typing import Final
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
-from cornercase.study.connecting import connected, of_today, require_plain, require_study
+from cornercase.study.connecting import connected, of_today, require_file, require_plain, require_study, told_by_sqlite
 from cornercase.study.damage import DamageError
 from cornercase.study.migrations import schema_version
-from cornercase.study.schema import TABLES
+from cornercase.study.salvaging import holds_rows
+from cornercase.study.schema import APPLICATION, SCHEMA_VERSION, TABLES
 from cornercase.study.seals import is_sound, name_of, require_tally
 from cornercase.study.store import Study
 
@@ -61,7 +62,8 @@ def verify(study: Path | str) -> Verification:
     Raises
     ------
     InputError
-        There is no such file.
+        There is no such file, or it is none of a study: of another program, of a later schema version, or nothing in it
+        was written by cornercase.
 
     Examples
     --------
@@ -72,10 +74,32 @@ def verify(study: Path | str) -> Verification:
     cornercase._common.errors.InputError: missing.db: there is no such study; make one with `explore`.
     """
     path = arguments.path("study", study)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such study; make one with `explore`.")
+    require_file(path)
+    _require_own(path)
     problems = list(dict.fromkeys(_problems(path)))
     return Verification(path, tuple(problems), _has_checksums(path))
+
+
+def _require_own(path: Path) -> None:
+    """Refuse what is no study, damaged or not."""
+    try:
+        with closing(connected(path)) as connection:
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            (application,) = connection.execute("PRAGMA application_id").fetchone()
+            version = schema_version(connection)
+            if application not in (0, APPLICATION) or (application == APPLICATION and version > SCHEMA_VERSION):
+                # Whether this number is what is damaged, nobody can tell.
+                require_study(path, connection)
+            if application == APPLICATION:
+                return
+    except (sqlite3.Error, UnicodeDecodeError):
+        pass
+    try:
+        found = holds_rows(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    if not found:
+        raise InputError(f"{path}: is no cornercase study, or nothing is left of one.")
 
 
 def _has_checksums(path: Path) -> bool:
@@ -118,12 +142,8 @@ def _of_file(path: Path) -> Iterator[str]:
             connection.execute("PRAGMA trusted_schema = OFF")
             connection.execute("PRAGMA cell_size_check = ON")
             require_study(path, connection)
-            # It names what it finds, which may be no text any more.
-            connection.text_factory = _text
-            for (line,) in connection.execute(f"PRAGMA integrity_check({_MOST})"):
-                if line != "ok":
-                    yield f"SQLite says: {line}"
-            connection.text_factory = str
+            for line in told_by_sqlite(connection, _MOST):
+                yield f"SQLite says: {line}"
             require_plain(path, connection)
     except (sqlite3.Error, UnicodeDecodeError, InputError) as error:
         yield _words(path, error)
@@ -153,10 +173,6 @@ def _of_table(path: Path, connection: sqlite3.Connection, table: str) -> Iterato
         require_tally(connection, table)
     except (sqlite3.Error, UnicodeDecodeError, DamageError) as error:
         yield _words(path, error)
-
-
-def _text(raw: bytes) -> str:
-    return raw.decode(errors="replace")
 
 
 def _words(path: Path, error: Exception) -> str:

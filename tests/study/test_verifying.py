@@ -1,0 +1,92 @@
+"""What `verify` takes for a study, damaged or not, and what it refuses."""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from command_line import cornercase
+from cornercase import SimulationError
+from cornercase.study import Study
+from synthetic import SPACE, about
+
+POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
+
+
+@pytest.fixture
+def path(tmp_path):
+    with Study.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
+        study.propose(1, POINTS, SPACE.values(POINTS))
+        study.fail(1, SimulationError("told"))
+    return tmp_path / "s.db"
+
+
+def run(path, *statements):
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for one in statements:
+            connection.execute(one)
+
+
+@pytest.mark.parametrize("repair", [(), ("--repair",)])
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"", "is empty, and no study; copy the study here anew, or remove the file"),
+        (b"time,entity\n0.0,Ego\n" * 1000, "is no cornercase study, or nothing is left of one"),
+        (bytes(100_000), "is no cornercase study, or nothing is left of one"),
+    ],
+)
+def test_what_is_no_study_is_bad_input(tmp_path, content, told, repair):
+    (tmp_path / "a.db").write_bytes(content)
+    result = cornercase("verify", tmp_path / "a.db", *repair)
+    assert result.returncode == 2
+    assert told in result.stderr
+    assert result.stdout == ""
+    assert [one.name for one in tmp_path.iterdir()] == ["a.db"]
+
+
+@pytest.mark.parametrize("repair", [(), ("--repair",)])
+@pytest.mark.parametrize(
+    ("statement", "told"),
+    [
+        ("PRAGMA user_version = 7", "has schema version 7, this cornercase reads up to 6"),
+        ("PRAGMA application_id = 1196444487", "is a database, but no cornercase study"),
+    ],
+)
+def test_a_study_of_a_later_version_or_of_another_program_is_left_as_it_is(path, statement, told, repair):
+    run(path, statement)
+    before = path.read_bytes()
+    result = cornercase("verify", path, *repair)
+    assert result.returncode == 2
+    assert told in result.stderr
+    assert path.read_bytes() == before
+    assert [one.name for one in path.parent.iterdir()] == ["s.db"]
+
+
+def test_a_database_of_another_program_is_bad_input(tmp_path):
+    run(tmp_path / "a.db", "CREATE TABLE songs (name TEXT)", "INSERT INTO songs VALUES ('one')")
+    result = cornercase("verify", tmp_path / "a.db", "--repair")
+    assert result.returncode == 2
+    assert "is no cornercase study" in result.stderr
+
+
+def test_a_study_whose_head_is_zeroed_is_a_damaged_one(path):
+    path.write_bytes(bytes(100) + path.read_bytes()[100:])
+    result = cornercase("verify", path)
+    assert result.returncode == 1
+    assert "SQLite says" in result.stdout
+
+
+def test_nobody_writes_where_sqlite_finds_something_wrong_in_what_is_not_read(path):
+    # A page that no table has is a damage that no reader meets.
+    data = path.read_bytes()
+    pages = int.from_bytes(data[28:32], "big") + 1
+    path.write_bytes(data[:28] + pages.to_bytes(4, "big") + data[32:] + b"\xff" * 4096)
+    assert cornercase("show", path).returncode == 0
+    result = cornercase("analyze", path)
+    assert result.returncode == 2
+    assert "is damaged: SQLite says" in result.stderr
+    assert cornercase("verify", path).returncode == 1
