@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 import subprocess
@@ -120,3 +121,82 @@ def test_stumble_6_fewer_than_asked_for_is_said(tmp_path, notices):
     assert (
         "asked for" not in cornercase("reduce", tmp_path / "study.db", "--scenario", X, "-o", tmp_path / "two").stderr
     )
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    """A study of 24 scenarios, analysed and reduced, of which 21 are critical."""
+    folder = tmp_path_factory.mktemp("searched")
+    study = folder / "study.db"
+    search = (*SEARCH[:-4], "--budget", "24", "--metric", "wttc", "--optimizer", "sobol", "--critical", "1")
+    for command in (
+        (*search, "-o", study),
+        ("analyze", study, "--by", "wttc"),
+        ("reduce", study, "--scenario", X, "-o", folder / "reduced"),
+    ):
+        assert cornercase(*command).returncode == 0
+    return study
+
+
+def test_stumble_04_what_is_critical_is_asked_anew_of_a_study_that_stays_as_it_is(searched, tmp_path):
+    study = tmp_path / "study.db"
+    shutil.copy(searched, study)
+    before = study.read_bytes()
+
+    def shown(*options):
+        return json.loads(cornercase("show", study, "--json", *options).stdout)
+
+    own = shown()
+    scores = [float(row["wttc"]) for row in rows_of(study, tmp_path / "tables")]
+    threshold = sorted(scores)[len(scores) // 2]
+    asked = shown("--critical", str(threshold))
+    assert own["critical"]["scenarios"] == sum(one <= 1 for one in scores)
+    assert asked["critical"]["scenarios"] == sum(one <= threshold for one in scores) < own["critical"]["scenarios"]
+    assert "asked" not in own["critical"]
+    assert "its own is wttc ≤ 1 s" in asked["critical"]["asked"]
+    assert asked["critical"]["share"]["value"] < own["critical"]["share"]["value"]
+    # What is told of the reduced set is of this threshold too, and says by which it was chosen.
+    assert "They were chosen by wttc ≤ 1 s" in asked["chosen"]
+    assert "chosen" not in own
+    assert study.read_bytes() == before
+    assert shown("--critical", "1") == own
+
+    page = tmp_path / "report.html"
+    assert cornercase("report", study, "--critical", str(threshold), "--scenario", X, "-o", page).returncode == 0
+    text = page.read_text(encoding="utf-8")
+    assert "This threshold is asked of the study afterwards: its own is wttc" in text
+    assert "--critical 1 " in text, "the command that makes the study again has its own threshold"
+
+    assert cornercase("analyze", study, "--by", "wttc", "--critical", str(threshold)).returncode == 0
+    kept = tmp_path / "kept"
+    options = ("--critical", str(threshold), "--scenario", X, "-o", kept)
+    assert cornercase("reduce", study, *options).returncode == 0
+    manifest = json.loads((kept / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["critical threshold"] == threshold
+    assert manifest["critical threshold of the study"] == 1
+    assert "chosen" not in shown("--critical", str(threshold))
+    # Without it, the study is asked by its own again.
+    again = shown()
+    assert again["critical"] == own["critical"]
+    assert f"They were chosen by wttc ≤ {threshold:g} s" in again["chosen"]
+    assert again["clusters"]["wttc"]["mutual information with"] == own["clusters"]["wttc"]["mutual information with"]
+
+
+def rows_of(study, folder):
+    cornercase("export", study, "-o", folder)
+    with (folder / "scenarios.csv").open(encoding="utf-8", newline="") as text:
+        return list(csv.DictReader(text))
+
+
+def test_stumble_04_where_no_score_says_what_is_critical_that_is_said(tmp_path):
+    search = (*SEARCH, "--metric", "wttc", "--metric", "distance", "--optimizer", "sobol")
+    for options, words in (
+        (("--pareto",), "no one score of a Pareto front says what is critical; leave --critical out"),
+        (("--critical-if", "wttc < 1"), "the condition 'wttc < 1' says what is critical; leave --critical out"),
+    ):
+        study = tmp_path / f"study{options[0]}.db"
+        assert cornercase(*search, *options, "-o", study).returncode == 0
+        done = cornercase("show", study, "--critical", "0.5")
+        assert done.returncode == 2
+        assert words in done.stderr
+    assert cornercase("show", study, "--critical", "nan").returncode == 2

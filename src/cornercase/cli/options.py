@@ -51,6 +51,14 @@ Critical = Annotated[
     float | None,
     typer.Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own."),
 ]
+CriticalAnew = Annotated[
+    float | None,
+    typer.Option(
+        "--critical",
+        metavar="X",
+        help="Score from which a scenario is critical, asked anew; default: the study's, which stays as it is.",
+    ),
+]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
 Ego = Annotated[str, typer.Option(help="Entity under test.")]
 Other = Annotated[

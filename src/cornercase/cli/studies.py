@@ -17,6 +17,7 @@ from cornercase.cli.messages import in_words_of_the_command_line
 from cornercase.cli.options import (
     By,
     Cluster,
+    CriticalAnew,
     Eps,
     Gamma,
     LocalWorkers,
@@ -62,6 +63,7 @@ def analyze(
     ] = False,
     workers: LocalWorkers = 1,
     cluster: Cluster = None,
+    critical: CriticalAnew = None,
     memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
@@ -88,6 +90,7 @@ def analyze(
         keep=keep,
         workers=workers,
         cluster=cluster,
+        critical=critical,
         memory=memory,
         progress=True,
     )
@@ -173,6 +176,7 @@ def reduce(
     ] = None,
     workers: LocalWorkers = 1,
     cluster: Cluster = None,
+    critical: CriticalAnew = None,
     memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
@@ -185,7 +189,7 @@ def reduce(
     """
     from cornercase import reduction
     from cornercase.clustering import read_analysis
-    from cornercase.study import Study
+    from cornercase.study import open_study
     from cornercase.suite import find_exposure
 
     if require and expose is None:
@@ -198,7 +202,7 @@ def reduce(
     exposure = None
     if expose is not None:
         # Not after the mutants have run.
-        with Study.open(study, readonly=True) as opened:
+        with open_study(study, readonly=True, critical=critical) as opened:
             read_analysis(opened, by or opened.meta.metrics[0])
         exposure = find_exposure(
             study,
@@ -222,6 +226,7 @@ def reduce(
         within=within,
         exposure=exposure,
         scenario=scenario,
+        critical=critical,
         memory=memory,
         progress=True,
     )
@@ -248,6 +253,7 @@ def report(
             metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
         ),
     ] = None,
+    critical: CriticalAnew = None,
     memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
@@ -265,6 +271,7 @@ def report(
         output,
         figures=figures if figures_in is None else figures_in,
         scenario=scenario,
+        critical=critical,
         memory=memory,
         progress=True,
     )
@@ -398,6 +405,7 @@ def _keep_suite(study: Study, folder: Path, mutants: int, scenario: Scenario) ->
 def show(
     study: StudyFile,
     *,
+    critical: CriticalAnew = None,
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
     """Tell what was run and what was found.
@@ -405,10 +413,11 @@ def show(
     \b
     Example:
       cornercase show study.db
+      cornercase show study.db --critical 0.5
     """
     from cornercase.report import put_in_words, summarize
 
-    words = put_in_words(summarize(study))
+    words = put_in_words(summarize(study, critical=critical))
     if as_json:
         sys.stdout.write(json_text(words) + "\n")
         return

@@ -114,9 +114,8 @@ def find_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]
     for name in dict.fromkeys(met.entity for one in outcomes for met in one.others):
         firsts = [{met.entity: met.first for met in one.others}.get(name) for one in outcomes]
         facts[f"first of {quoted_name(study.meta.ego)} and {quoted_name(name)}"] = [str(first) for first in firsts]
-    objective = Objective.of_study(study.meta)
-    if study.meta.critical is not None and not objective.pareto:
-        facts["critical"] = [str(one) for one in objective.critical_of(study).tolist()]
+    if study.critical is not None and not study.meta.pareto:
+        facts["critical"] = [str(one) for one in Objective.of_study(study.meta).critical_of(study).tolist()]
     return {name: values for name, values in facts.items() if len(set(values)) > 1}
 
 
@@ -139,3 +138,23 @@ def agree_with_facts(labels: IntArray, facts: Mapping[str, Sequence[str]]) -> di
     from sklearn.metrics import adjusted_mutual_info_score
 
     return {name: float(adjusted_mutual_info_score(list(values), labels)) for name, values in facts.items()}
+
+
+def agree_with_critical(study: Study, ids: IntArray, labels: IntArray) -> dict[str, float]:
+    """Measure how much a clustering says of what is critical.
+
+    Parameters
+    ----------
+    study : Study
+        Says what is critical.
+    ids, labels : ndarray of int64, shape (n,)
+        Scenarios, and the cluster of each.
+
+    Returns
+    -------
+    dict of str to float
+        As `agree_with_facts`, by ``"critical"``; empty where all scenarios or none are critical.
+    """
+    found = dict(zip((row.id for row in study.done()), Objective.of_study(study.meta).critical_of(study), strict=True))
+    critical = [str(bool(found[one])) for one in ids.tolist()]
+    return agree_with_facts(labels, {"critical": critical}) if len(set(critical)) > 1 else {}

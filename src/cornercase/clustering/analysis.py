@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.typing import FloatArray, IntArray
+from cornercase.clustering.agreement import agree_with_critical
 from cornercase.clustering.clusters import Candidate, Clustering
 from cornercase.clustering.places import Distances, PlacedDistances
 from cornercase.clustering.profiles import Profile
@@ -96,12 +97,14 @@ class Analysis:
 
 
 def stored_analysis(
-    analysis: Analysis, compared: FloatArray, distances: Distances
+    study: Study, analysis: Analysis, compared: FloatArray, distances: Distances
 ) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
     """Give what a study stores of an analysis.
 
     Parameters
     ----------
+    study : Study
+        That it is of.
     analysis : Analysis
         What was found.
     compared : ndarray of float64, shape (n, n) or (m, m)
@@ -143,6 +146,8 @@ def stored_analysis(
     }
     if analysis.inexact is not None:
         info |= {"every": analysis.every, "inexact": analysis.inexact}
+    if study.critical != study.meta.critical:
+        info["critical threshold"] = study.critical
     return arrays, info
 
 
@@ -189,7 +194,12 @@ def read_analysis(study: Study, by: str) -> Analysis:
         every, inexact = int(info.get("every", 1)), info.get("inexact")
         require(every >= 1, "no instants that were compared")
         inexact = None if inexact is None else float(inexact)
-        return Analysis(by, info["unit"], window, ids, found, fitted, profiles, tells, every, inexact)
+        analysis = Analysis(by, info["unit"], window, ids, found, fitted, profiles, tells, every, inexact)
+        threshold = info.get("critical threshold", study.meta.critical)
+    if not tells or threshold == study.critical:
+        return analysis
+    facts = {fact: mutual for fact, mutual in tells.items() if fact != "critical"}
+    return replace(analysis, tells=facts | agree_with_critical(study, ids, labels))
 
 
 def _numbers(plain: list[int]) -> IntArray:

@@ -62,6 +62,7 @@ def analyze(
     method: ClusteringMethod | None = None,
     window: float | None = None,
     keep: bool = False,
+    critical: float | None = None,
     workers: int = 1,
     cluster: str | Client | None = None,
     memory: str | float = DEFAULT_MEMORY,
@@ -94,6 +95,9 @@ def analyze(
     keep : bool, default False
         Keep the clusters that the study has, and let the scenarios that were run since join them, as in
         `ScenarioClustering.predict`.
+    critical : float, optional
+        Score from which a scenario is critical, for what the clusters say of that; by default that of the study, which
+        stays as it is.
     workers : int, default 1
         Processes of a local cluster.
     cluster : str or distributed.Client, optional
@@ -129,7 +133,7 @@ def analyze(
     model.require_settings()
     limit = MemoryLimit.of(memory)
     chosen = None if by is None else tuple(dict.fromkeys(texts("by", by)))
-    with open_study(study) as opened:
+    with open_study(study, critical=critical) as opened:
         aspects = default_aspects(opened) if chosen is None else chosen
         for one in aspects:
             require_aspect(opened, one)
@@ -196,7 +200,7 @@ def _analyzed(
         tells = agree_with_facts(found.labels, facts)
         unit = unit_of(study, by)
         results[by] = Analysis(by, unit, within, ids, found, fitted, profiles, tells, every[by], inexact)
-        to_store[by] = stored_analysis(results[by], stored, known)
+        to_store[by] = stored_analysis(study, results[by], stored, known)
         spent["compare"] += comparing.seconds
         spent["cluster"] += time.monotonic() - begun - comparing.seconds
     outcomes = {i: one.text for i, one in zip(ids.tolist(), seen.outcomes, strict=True)}

@@ -135,7 +135,7 @@ class Objective:
         -------
         ndarray of bool, shape (n,)
         """
-        return self.critical(self._scores(study), study.meta.critical)
+        return self.critical(self._scores(study), study.critical)
 
     @property
     def text(self) -> str:

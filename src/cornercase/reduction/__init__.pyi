@@ -10,6 +10,7 @@ from .exposing import choose_exposing as choose_exposing
 from .exposure import ExposingChoice as ExposingChoice
 from .exposure import Exposure as Exposure
 from .exposure import Grade as Grade
+from .grading import grade_anew as grade_anew
 from .held_out import HeldOut as HeldOut
 from .held_out import HeldOutCritical as HeldOutCritical
 from .manifest import MANIFEST_FORMAT as MANIFEST_FORMAT

@@ -33,6 +33,6 @@ def find_critical_clusters(study: Study, analysis: Analysis) -> list[int]:
     clusters = list(range(analysis.clustering.n_clusters))
     medians = {label: float(np.median(oriented[labels == label])) for label in clusters}
     critical = clusters
-    if meta.critical is not None and not objective.weights and not objective.pareto:
-        critical = [label for label in clusters if medians[label] <= objective.flip(meta.critical)]
+    if study.critical is not None and not objective.weights and not objective.pareto:
+        critical = [label for label in clusters if medians[label] <= objective.flip(study.critical)]
     return [min(clusters, key=medians.__getitem__)] if critical == clusters and clusters else critical

@@ -13,8 +13,9 @@ from cornercase.clustering import Analysis, Distances, read_analyses, read_dista
 from cornercase.evidence import CriticalSet
 from cornercase.exploration import Objective
 from cornercase.reduction.coverage import Coverage, Gaps, measure_coverage, measure_gaps, redrawn
-from cornercase.reduction.critical_coverage import CriticalCoverage, distance_alike, judge_gaps
+from cornercase.reduction.critical_coverage import WITHIN, CriticalCoverage, distance_alike, judge_gaps
 from cornercase.reduction.held_out import HeldOutGaps, Trial, judge, measure_held_out_gaps
+from cornercase.reduction.reduced_set import ReducedSet
 from cornercase.study import Row, Study
 
 
@@ -155,6 +156,7 @@ def grade_critical(
     held_out: Mapping[str, HeldOutGaps | None],
     within: float,
     gaps: Mapping[str, Gaps] | None = None,
+    alike: Mapping[str, float] | None = None,
 ) -> dict[str, CriticalCoverage]:
     """Measure how well kept scenarios represent the critical ones.
 
@@ -170,6 +172,8 @@ def grade_critical(
         Share of the median distance within clusters up to which two scenarios are alike.
     gaps : mapping of str to Gaps, optional
         As `find_gaps` gives it; the random choices are drawn by the seed of the study.
+    alike : mapping of str to float, optional
+        By aspect the distance up to which two scenarios are alike, where it is known already.
 
     Returns
     -------
@@ -178,10 +182,10 @@ def grade_critical(
     """
     meta, space = ran.study.meta, ran.study.space
     objective = Objective.of_study(meta)
-    if meta.critical is None or objective.pareto or not kept:
+    if ran.study.critical is None or objective.pareto or not kept:
         return {}
     oriented = dict(zip(ran.rows, objective.oriented_of(ran.study).tolist(), strict=True))
-    threshold = objective.flip(meta.critical)
+    threshold = objective.flip(ran.study.critical)
     found: dict[str, CriticalCoverage] = {}
     known: dict[tuple[int, ...], CriticalSet] = {}
     for name, one in ran.analyses.items():
@@ -194,7 +198,7 @@ def grade_critical(
         if ids not in known:
             with suppress(ValueError):
                 known[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
-        alike = distance_alike(distances, one.labels, within)
+        near = alike[name] if alike and name in alike else distance_alike(distances, one.labels, within)
         mine = measure_gaps(distances, index) if gaps is None else gaps[name]
         found[name] = judge_gaps(
             space,
@@ -202,9 +206,29 @@ def grade_critical(
             scores,
             threshold,
             redrawn(mine, distances, index, meta.seed),
-            alike,
+            near,
             seed=meta.seed,
             critical_set=known.get(ids),
-            held_out=held_out[name],
+            held_out=held_out.get(name),
         )
     return found
+
+
+def grade_anew(study: Study, reduced: ReducedSet) -> ReducedSet:
+    """Grade a reduced set by what the study is asked to call critical, where it was chosen by another threshold.
+
+    Parameters
+    ----------
+    study : Study
+        That was reduced.
+    reduced : ReducedSet
+
+    Returns
+    -------
+    ReducedSet
+        The same scenarios. Nothing is said of scenarios that were held out: they judged choices by the other threshold.
+    """
+    if reduced.threshold == study.critical or not reduced.kept:
+        return reduced
+    alike = {name: one.within for name, one in reduced.critical.items()}
+    return replace(reduced, critical=grade_critical(read_ran(study), reduced.ids, {}, WITHIN, alike=alike))

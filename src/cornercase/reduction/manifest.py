@@ -50,29 +50,38 @@ def make_manifest(
         What ``manifest.json`` holds.
     """
     meta = study.meta
-    return {
-        "format": MANIFEST_FORMAT,
-        "version": __version__,
-        "scenario": meta.file_name,
-        "fingerprint": meta.fingerprint,
-        "study": study.path.name,
-        "simulator": meta.simulator,
-        "settings": dict(meta.settings),
-        "ego": meta.ego,
-        "other": meta.other if isinstance(meta.other, str) else list(meta.other),
-        "metrics": list(meta.metrics),
-        "critical threshold": meta.critical,
-        "space": meta.space.to_json(),
-        "by": reduced.by,
-        "run": reduced.run,
-        "kept": len(reduced.kept),
-        "graded": _GRADED,
-        "scenarios": [_of_kept(one) | {"kind": kinds.get(one.cluster, "")} for one in reduced.kept],
-        "shapes": [_of_shape(one) for one in reduced.shapes],
-        "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
-        "critical": {name: asdict(one) for name, one in reduced.critical.items()},
-        "files": dict(files),
-    } | ({} if reduced.exposing is None else {"exposing": reduced.exposing.to_json()})
+    return (
+        {
+            "format": MANIFEST_FORMAT,
+            "version": __version__,
+            "scenario": meta.file_name,
+            "fingerprint": meta.fingerprint,
+            "study": study.path.name,
+            "simulator": meta.simulator,
+            "settings": dict(meta.settings),
+            "ego": meta.ego,
+            "other": meta.other if isinstance(meta.other, str) else list(meta.other),
+            "metrics": list(meta.metrics),
+            "critical threshold": study.critical,
+            "space": meta.space.to_json(),
+            "by": reduced.by,
+            "run": reduced.run,
+            "kept": len(reduced.kept),
+            "graded": _GRADED,
+            "scenarios": [_of_kept(one) | {"kind": kinds.get(one.cluster, "")} for one in reduced.kept],
+            "shapes": [_of_shape(one) for one in reduced.shapes],
+            "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
+            "critical": {name: asdict(one) for name, one in reduced.critical.items()},
+            "files": dict(files),
+        }
+        | _asked(study)
+        | ({} if reduced.exposing is None else {"exposing": reduced.exposing.to_json()})
+    )
+
+
+def _asked(study: Study) -> dict[str, float | None]:
+    """Say which threshold the study has, where another one was asked."""
+    return {} if study.critical == study.meta.critical else {"critical threshold of the study": study.meta.critical}
 
 
 def save_reduction(study: Study, reduced: ReducedSet) -> None:
@@ -94,6 +103,8 @@ def save_reduction(study: Study, reduced: ReducedSet) -> None:
         "critical": {name: asdict(one) for name, one in reduced.critical.items()},
         "hulls": {str(cluster): [list(facet) for facet in facets] for cluster, facets in reduced.hulls.items()},
     } | ({} if reduced.exposing is None else {"exposing": reduced.exposing.to_json()})
+    if study.critical != study.meta.critical:
+        info["critical threshold"] = study.critical
     study.save_analysis("reduction", {}, info)
 
 
@@ -124,6 +135,7 @@ def read_reduction(study: Study) -> ReducedSet | None:
             critical={name: _critical(one) for name, one in info["critical"].items()},
             hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
             exposing=_exposing(info["exposing"]) if info.get("exposing") else None,
+            threshold=_number(info.get("critical threshold", study.meta.critical)),
         )
         corners = {one for facets in reduced.hulls.values() for facet in facets for one in facet}
         for one in reduced.kept:
@@ -142,6 +154,10 @@ def _kept(plain: Mapping[str, Any]) -> KeptScenario:
     require(all(isinstance(one, float | int | str) for one in kept.values.values()), "a kept scenario without values")
     require(all(isinstance(one, float | int) for one in kept.scores.values()), "a kept scenario without scores")
     return kept
+
+
+def _number(plain: float | None) -> float | None:
+    return None if plain is None else float(plain)
 
 
 def _of_kept(one: KeptScenario) -> dict[str, Any]:

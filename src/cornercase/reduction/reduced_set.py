@@ -70,6 +70,8 @@ class ReducedSet:
         by the ids of the scenarios at its corners.
     exposing : ExposingChoice or None
         What mutants chose, and what that is worth; None where none did.
+    threshold : float or None
+        Score from which a scenario was critical when they were chosen; None where nothing said it.
     """
 
     by: str
@@ -80,6 +82,7 @@ class ReducedSet:
     critical: Mapping[str, CriticalCoverage]
     hulls: Mapping[int, tuple[tuple[int, ...], ...]]
     exposing: ExposingChoice | None = None
+    threshold: float | None = None
 
     def __len__(self) -> int:
         return len(self.kept)

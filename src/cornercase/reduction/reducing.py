@@ -62,6 +62,7 @@ def reduce(
     archetypes: int | Literal["auto"] | None = None,
     archetypes_by: ArchetypeMethod = "auto",
     within: float = WITHIN,
+    critical: float | None = None,
     exposure: Exposure | None = None,
     scenario: Path | str | Scenario | None = None,
     memory: str | float = DEFAULT_MEMORY,
@@ -96,6 +97,9 @@ def reduce(
     within : float, default 0.5
         Share of the median distance within clusters up to which two scenarios are alike; for the coverage of the
         critical scenarios.
+    critical : float, optional
+        Score from which a scenario is critical, to choose and to grade by; by default that of the study, which stays
+        as it is.
     exposure : Exposure, optional
         Which scenarios expose which mutants of the driver, as `cornercase.suite.find_exposure` finds it: scenarios that
         expose as many as possible are kept first, as in `cornercase.reduction.exposing.choose_exposing`, and then those
@@ -144,7 +148,7 @@ def reduce(
     by = None if by is None else text("by", by)
     folder = require_folder("folder", folder)
     limit = MemoryLimit.of(memory)
-    with bars_wanted(progress), open_study(study) as opened:
+    with bars_wanted(progress), open_study(study, critical=critical) as opened:
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
         begun = time.monotonic()
         # Looked at before anything is written or takes time.
@@ -227,6 +231,7 @@ def _described(ran: Ran, analysis: Analysis, material: Material, wish: Wish, wit
         coverage=grade(ran, kept_ids, held_out, gaps),
         critical=grade_critical(ran, kept_ids, held_out, within, gaps),
         hulls={one.shape.cluster: _facets(material.points, one.parts, ids) for one in shaped},
+        threshold=ran.study.critical,
     )
 
 

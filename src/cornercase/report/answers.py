@@ -16,8 +16,10 @@ from cornercase.report.references import tell_references
 from cornercase.report.words import (
     find_reasons,
     percent,
+    tell_asked,
     tell_beginning,
     tell_beside,
+    tell_chosen,
     tell_compared,
     tell_criterion,
     tell_front,
@@ -178,6 +180,8 @@ def _of_share(data: ReportData) -> Answer:
     else:
         ran = f"None of the {summary.run} scenarios{ran_them} is critical ({criterion})."
     ran += tell_references(summary.references)
+    if asked := tell_asked(summary):
+        ran += f" {asked}"
     if of_set is None:
         return Answer(name, question, f"{ran} Too few different scores are known to say something of all others.")
     space = "the space, as far as it can be run," if data.failed else "the space"
@@ -307,6 +311,8 @@ def _of_kept(data: ReportData) -> Answer:
     said = [f"Keep {len(reduced.kept)} of the {reduced.run} scenarios: {counts or 'none'}."]
     if later := data.summary.run - reduced.run:
         said.append(f"{_scenarios(later)} run since.")
+    if chosen := tell_chosen(data.summary):
+        said.append(chosen)
     return Answer(name, question, " ".join([*said, *_left_out(data, reduced)]))
 
 
@@ -320,6 +326,9 @@ def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
         yield (
             f"Tested on scenarios that had no part in the choice, {which} like a kept one by {by} ({alike} of {count})."
         )
+    elif reduced.by in reduced.critical and (share := reduced.critical[reduced.by].critical) is not None:
+        # Judged by another threshold than they were chosen by.
+        yield f"{_about(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."
     judged = {name: one.held_out for name, one in reduced.coverage.items() if one.held_out is not None}
     by = reduced.by if reduced.by in judged else next(iter(judged), None)
     if by is not None and by in data.summary.analyses:

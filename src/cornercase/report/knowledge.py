@@ -200,10 +200,9 @@ def find_knowledge(study: Study) -> Knowledge:
 
 
 def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> CriticalKnowledge | None:
-    meta = study.meta
-    if meta.critical is None:
+    if study.critical is None:
         return None
-    threshold = objective.flip(meta.critical)
+    threshold = objective.flip(study.critical)
     audits = study.audits()
     known, missed = None, None
     with suppress(ValueError):
@@ -224,7 +223,7 @@ def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> Cr
     drawn = int(audits.sum())
     audit = AuditKnowledge(drawn, hits, bounds_of_share(hits, drawn), missed) if drawn else None
     return CriticalKnowledge(
-        threshold=float(meta.critical),
+        threshold=float(study.critical),
         lower_is_critical=objective.lower_is_critical,
         unit=objective.unit,
         scenarios=int((oriented <= threshold).sum()),

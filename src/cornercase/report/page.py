@@ -96,6 +96,7 @@ def write_report(
     *,
     figures: Path | str | bool = False,
     scenario: Path | str | Scenario | None = None,
+    critical: float | None = None,
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
 ) -> Path:
@@ -114,6 +115,9 @@ def write_report(
     scenario : path or Scenario, optional
         File that was explored, whose road is drawn. By default it is looked for beside the study and in the current
         folder, and known by its fingerprint; where it is not found the page says so, and draws no road.
+    critical : float, optional
+        Score from which a scenario is critical, in the unit of what was searched; by default that of the study, which
+        stays as it is.
     memory : str or float, default "4 GB"
         Memory that the process may take, as ``"500 MB"`` or in bytes.
     progress : bool, default False
@@ -137,7 +141,7 @@ def write_report(
     path = arguments.path("path", path)
     folder = path.with_name(f"{path.stem}-figures") if figures is True else figures
     limit = MemoryLimit.of(memory)
-    with open_study(study, readonly=True) as opened:
+    with open_study(study, readonly=True, critical=critical) as opened:
         require_other_file(path, opened.path)
         if path.suffix.lower() not in _ENDINGS:
             raise InputError(f"`path` {path}: the report is a page; name a file that ends with .html.")

@@ -10,7 +10,6 @@ from typing import Any, Final
 from cornercase.clustering import EVERYWHERE, Analysis, Profile, Rule
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOut, HeldOutCritical, ReducedSet
-from cornercase.report.knowledge import Knowledge
 from cornercase.report.summary import MetricSummary, Summary
 from cornercase.report.words import (
     judge_clusters,
@@ -18,8 +17,10 @@ from cornercase.report.words import (
     name_criterion,
     name_joining,
     name_range,
+    tell_asked,
     tell_beginning,
     tell_beside,
+    tell_chosen,
     tell_unforetold,
 )
 
@@ -87,7 +88,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         **({"began from": tell_beginning(meta)} if meta.elsewhere else {}),
         **({"rounds": "none: each scenario was proposed as soon as one had ended"} if meta.asynchronous else {}),
     }
-    plain |= _knowledge(summary.knowledge, summary.searched)
+    plain |= _knowledge(summary)
     plain["agreement"] = {
         f"{one} and {two}": {
             "adjusted rand": agreement.rand,
@@ -103,7 +104,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         }
     if summary.probability is not None:
         plain["probability"] = dict(summary.probability)
-    return plain | (_reduced(summary.reduced) if summary.reduced is not None else {})
+    return plain | (_reduced(summary, summary.reduced) if summary.reduced is not None else {})
 
 
 def _beside(summary: Summary) -> dict[str, Any]:
@@ -176,13 +177,14 @@ def _named(profile: Profile) -> dict[str, Any]:
     }
 
 
-def _knowledge(known: Knowledge, searched: str) -> dict[str, Any]:
-    plain: dict[str, Any] = {}
+def _knowledge(summary: Summary) -> dict[str, Any]:
+    known, plain = summary.knowledge, dict[str, Any]()
     if known.front is not None:
         plain["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in known.front.items()}
     if known.critical is not None:
         plain["critical"] = {
-            "is": name_criterion(known.critical, searched),
+            "is": name_criterion(known.critical, summary.searched),
+            **({"asked": asked} if (asked := tell_asked(summary)) else {}),
             "scenarios": known.critical.scenarios,
         }
         if (of_set := known.critical.known) is not None:
@@ -229,12 +231,13 @@ def _sensitivity(found: Sensitivity) -> dict[str, Any]:
     return plain
 
 
-def _reduced(reduced: ReducedSet) -> dict[str, Any]:
+def _reduced(summary: Summary, reduced: ReducedSet) -> dict[str, Any]:
     coverage = {name: _labelled(one, _COVERAGE) for name, one in reduced.coverage.items()}
     for name, one in reduced.critical.items():
         coverage.setdefault(name, {})["critical scenarios"] = _labelled(one, _CRITICAL)
     return {
         "kept": len(reduced.kept),
+        **({"chosen": chosen} if (chosen := tell_chosen(summary)) else {}),
         "shapes": {name_cluster(one.cluster): _shape(one) for one in reduced.shapes},
         "coverage": coverage,
     }

@@ -14,7 +14,7 @@ from cornercase.clustering import Agreement, Analysis, compare_clusterings, read
 from cornercase.exploration import Objective, tell_alike
 from cornercase.metrics import METRICS
 from cornercase.recordings import Collision
-from cornercase.reduction import ReducedSet, read_reduction
+from cornercase.reduction import ReducedSet, grade_anew, read_reduction
 from cornercase.report.knowledge import Knowledge, find_knowledge
 from cornercase.report.references import ReferenceCount, count_references
 from cornercase.scenario import Value
@@ -124,13 +124,15 @@ class Summary:
         return f"Summary({', '.join(found)})"
 
 
-def summarize(study: Study | Path | str) -> Summary:
+def summarize(study: Study | Path | str, *, critical: float | None = None) -> Summary:
     """Say what was run in a study, and what was found.
 
     Parameters
     ----------
     study : Study or path
         Open, or the file; it is only read.
+    critical : float, optional
+        Score from which a scenario is critical, in the unit of what was searched; by default that of the study.
 
     Returns
     -------
@@ -140,13 +142,13 @@ def summarize(study: Study | Path | str) -> Summary:
     Raises
     ------
     InputError
-        There is no such study.
+        There is no such study, or it says by no one score what is critical and `critical` is given.
 
     See Also
     --------
     cornercase.write_report : The same with figures, for a person.
     """
-    with open_study(study, readonly=True) as opened:
+    with open_study(study, readonly=True, critical=critical) as opened:
         touched = [touched_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
         return summarize_with(opened, touched)
 
@@ -188,6 +190,7 @@ def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
     states = [row.state for row in study.rows()]
     others = frozenset(study.meta.others)
     names, alike = study.meta.metrics, tell_alike(study)
+    reduced = read_reduction(study)
     return Summary(
         meta=study.meta,
         searched=Objective.of_study(study.meta).text,
@@ -201,7 +204,7 @@ def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
         agreements=compare_clusterings(study),
         seconds=study.elapsed(),
         knowledge=find_knowledge(study),
-        reduced=read_reduction(study),
+        reduced=None if reduced is None else grade_anew(study, reduced),
         probability=_probability(study),
         references=count_references(study),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 from cornercase._common.texts import first_line
@@ -223,6 +224,50 @@ def tell_criterion(known: CriticalKnowledge, searched: str) -> str:
         ``"wttc ≤ 1 s"``.
     """
     return with_signs(name_criterion(known, searched))
+
+
+def tell_asked(summary: Summary) -> str:
+    """Say that what is critical was asked of a study afterwards, by another threshold than it was searched with.
+
+    Parameters
+    ----------
+    summary : Summary
+        The summary.
+
+    Returns
+    -------
+    str
+        A sentence; empty where the study's own threshold holds.
+    """
+    known, own = summary.knowledge.critical, summary.meta.critical
+    if known is None or known.threshold == own:
+        return ""
+    if own is None:
+        return "This threshold is asked of the study afterwards: it has none of its own."
+    searched = tell_criterion(replace(known, threshold=own), summary.searched)
+    return f"This threshold is asked of the study afterwards: its own is {searched}."
+
+
+def tell_chosen(summary: Summary) -> str:
+    """Say that the kept scenarios were chosen by another threshold than the one that is asked.
+
+    Parameters
+    ----------
+    summary : Summary
+        The summary.
+
+    Returns
+    -------
+    str
+        A sentence; empty where it is the same, or nothing was reduced.
+    """
+    known, reduced = summary.knowledge.critical, summary.reduced
+    if known is None or reduced is None or reduced.threshold == known.threshold:
+        return ""
+    by = "without any threshold"
+    if reduced.threshold is not None:
+        by = f"by {tell_criterion(replace(known, threshold=reduced.threshold), summary.searched)}"
+    return f"They were chosen {by}; 'cornercase reduce' with --critical {known.threshold:g} chooses anew."
 
 
 def with_signs(criterion: str) -> str:

@@ -21,6 +21,7 @@ from cornercase.study.arrays import read_arrays
 from cornercase.study.damage import damage_told, loaded, require
 from cornercase.study.elsewhere import digest_of_scores
 from cornercase.study.export import write_scenarios, write_table
+from cornercase.study.repeated_runs import shares_of_runs
 from cornercase.study.scenarios import ScenarioContents
 from cornercase.study.schema import TABLES
 from cornercase.study.table import scenario_table
@@ -55,6 +56,27 @@ class StudyContents(ScenarioContents):
         What is varied.
     """
 
+    @property
+    def critical(self) -> float | None:
+        """Score from which a scenario is critical: that of the study, or the one that it is asked with."""
+        return self.meta.critical if self._asked is None else self._asked
+
+    def ask(self, critical: float | None) -> float | None:
+        """Count other scenarios as critical from now on; the file stays as it is.
+
+        Parameters
+        ----------
+        critical : float or None
+            Score from which a scenario is critical, in the unit of what is searched; None for that of the study.
+
+        Returns
+        -------
+        float or None
+            What was asked before.
+        """
+        before, self._asked = self._asked, critical
+        return before
+
     def __enter__(self) -> Self:
         return self
 
@@ -79,6 +101,24 @@ class StudyContents(ScenarioContents):
             metric = METRICS.create(self.meta.metrics[0])
             table = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable")
         return f"<p>{escape(repr(self))}</p>{table.head(_SHOWN).to_html(index=False)}"
+
+    def critical_runs(self) -> FloatArray | None:
+        """Probability that a run of each scenario is critical, where each was run several times.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, 3), or None
+            Share of its runs that were critical, and its 90 % interval: whether a scenario is critical is open where
+            that holds 0.5. None where each was run once, or nothing says of one score what is critical.
+        """
+        if self.critical is None or self.meta.weights or self.meta.pareto:
+            return None
+        metric = METRICS.create(self.meta.metrics[0])
+        if (runs := self._runs(metric.name)) is None:
+            return None
+        with damage_told(self.path):
+            scores = [[metric.oriented(float(score)) for score in one] for one in runs]
+            return shares_of_runs(scores, metric.oriented(self.critical))
 
     def elsewhere(self) -> tuple[FloatArray, FloatArray] | None:
         """Read what the study that the search began from knew.

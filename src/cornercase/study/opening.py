@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from cornercase._common.arguments import path
+from cornercase._common.arguments import number, path
 from cornercase._common.errors import InputError
+from cornercase.metrics import condition_of
 from cornercase.study.store import Study
 
 
 @contextmanager
-def open_study(study: Study | Path | str, readonly: bool = False) -> Iterator[Study]:
+def open_study(study: Study | Path | str, readonly: bool = False, critical: float | None = None) -> Iterator[Study]:
     """Give a study that is open already, or open the one at a path for as long as the block lasts.
 
     Parameters
@@ -20,6 +21,9 @@ def open_study(study: Study | Path | str, readonly: bool = False) -> Iterator[St
     study : Study or path
     readonly : bool, default False
         Whether reading is enough.
+    critical : float, optional
+        Score from which a scenario is critical as long as the block lasts, in place of the one that the study holds,
+        which stays as it is.
 
     Yields
     ------
@@ -28,12 +32,37 @@ def open_study(study: Study | Path | str, readonly: bool = False) -> Iterator[St
     Raises
     ------
     InputError
-        As `Study.open`; or a study that is to be written is open for reading only.
+        As `Study.open`; a study that is to be written is open for reading only; or what is critical cannot be asked of
+        it by a score.
     """
+    threshold = None if critical is None else number("critical", critical)
     if isinstance(study, Study):
         if study.readonly and not readonly:
             raise InputError(f"{study.path}: is open for reading only; open it with readonly=False, or give its path.")
-        yield study
+        with _asked(study, threshold):
+            yield study
         return
-    with Study.open(path("study", study), readonly) as opened:
+    with Study.open(path("study", study), readonly) as opened, _asked(opened, threshold):
         yield opened
+
+
+@contextmanager
+def _asked(study: Study, threshold: float | None) -> Iterator[None]:
+    """Let a study answer with another threshold."""
+    if threshold is None:
+        yield
+        return
+    meta = study.meta
+    if condition := condition_of(meta.metrics):
+        raise InputError(f"{study.path}: the condition '{condition}' says what is critical; leave `critical` out.")
+    if meta.pareto:
+        raise InputError(f"{study.path}: no one score of a Pareto front says what is critical; leave `critical` out.")
+    if study.estimate() is not None:
+        raise InputError(
+            f"{study.path}: holds the probability of what was critical when it was made; `estimate` takes `critical`."
+        )
+    before = study.ask(threshold)
+    try:
+        yield
+    finally:
+        study.ask(before)

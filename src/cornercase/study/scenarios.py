@@ -12,14 +12,12 @@ from cornercase._common.arguments import whole_number
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import ReferenceOutcome
-from cornercase.metrics import METRICS
 from cornercase.recordings import Collision, Recording
 from cornercase.study.codec import unpack_arrays, unpack_collisions, unpack_recording
 from cornercase.study.damage import damage_told, loaded, require
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
 from cornercase.study.notes import LONGEST_NOTE
-from cornercase.study.repeated_runs import shares_of_runs
 from cornercase.study.second_runs import read_reference, row_name
 from cornercase.study.table import Row
 
@@ -49,6 +47,7 @@ class ScenarioContents:
         self.path = database.path
         self.meta = self.stored_meta()
         self.space = self.meta.space
+        self._asked: float | None = None
         self._known: tuple[tuple[int, int], list[Row]] | None = None
 
     @property
@@ -380,24 +379,6 @@ class ScenarioContents:
             return None
         with damage_told(self.path):
             return [loaded(found[row.id]) for row in done]
-
-    def critical_runs(self) -> FloatArray | None:
-        """Probability that a run of each scenario is critical, where each was run several times.
-
-        Returns
-        -------
-        ndarray of float64, shape (n, 3), or None
-            Share of its runs that were critical, and its 90 % interval: whether a scenario is critical is open where
-            that holds 0.5. None where each was run once, or nothing says of one score what is critical.
-        """
-        if self.meta.critical is None or self.meta.weights or self.meta.pareto:
-            return None
-        metric = METRICS.create(self.meta.metrics[0])
-        if (runs := self._runs(metric.name)) is None:
-            return None
-        with damage_told(self.path):
-            scores = [[metric.oriented(float(score)) for score in one] for one in runs]
-            return shares_of_runs(scores, metric.oriented(self.meta.critical))
 
     def course(self, scenario: int, metric: str) -> FloatArray:
         """Course of a metric in one scenario.

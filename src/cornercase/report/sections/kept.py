@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from html import escape
 
 from cornercase.reduction import ReducedSet
 from cornercase.report import tables
 from cornercase.report.data import ReportData
 from cornercase.report.sections.part import Part, make_part
-from cornercase.report.words import format_value, name_axis
+from cornercase.report.words import format_value, name_axis, tell_chosen
 
 
 def show_kept(data: ReportData) -> Iterator[Part]:
@@ -28,7 +29,7 @@ def show_kept(data: ReportData) -> Iterator[Part]:
     if reduced is None or not reduced.kept:
         return
     yield make_part("kept", "The few to keep", _tell_kept(data, reduced))
-    yield make_part("left-out", "What the kept ones leave out", _tell_left_out(reduced))
+    yield make_part("left-out", "What the kept ones leave out", _tell_left_out(reduced, tell_chosen(data.summary)))
 
 
 def _tell_kept(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
@@ -64,7 +65,7 @@ def _tell_kept(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
         )
 
 
-def _tell_left_out(reduced: ReducedSet) -> Iterator[str]:
+def _tell_left_out(reduced: ReducedSet, chosen: str) -> Iterator[str]:
     yield tables.tell_coverage(reduced.coverage)
     yield (
         "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"
@@ -79,6 +80,8 @@ def _tell_left_out(reduced: ReducedSet) -> Iterator[str]:
             " in that one clustering.</p>"
         )
     if reduced.critical:
+        if chosen:
+            yield f"<p>{escape(chosen)}</p>"
         yield tables.tell_critical_coverage(reduced.critical)
         yield (
             "<p>Two scenarios are alike where they are closer than a share of what is usual in a cluster. Held out:"

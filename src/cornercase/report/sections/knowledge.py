@@ -10,7 +10,7 @@ from cornercase.report.data import ReportData
 from cornercase.report.knowledge import CriticalKnowledge
 from cornercase.report.sections.part import Part, make_part
 from cornercase.report.tables import make_table
-from cornercase.report.words import format_value, name_axis, name_criterion, tell_front, tell_unforetold
+from cornercase.report.words import format_value, name_axis, name_criterion, tell_asked, tell_front, tell_unforetold
 
 
 def show_knowledge(data: ReportData) -> Iterator[Part]:
@@ -31,7 +31,7 @@ def show_knowledge(data: ReportData) -> Iterator[Part]:
         yield make_part("front", "The Pareto front", _tell_front(data, known.front))
     if known.critical is not None and known.critical.known is not None:
         criterion = name_criterion(known.critical, searched)
-        lines = _tell_critical(known.critical, criterion, data.summary.run)
+        lines = _tell_critical(known.critical, criterion, data.summary.run, tell_asked(data.summary))
         yield make_part("critical", "What is known of the critical set", lines)
     if known.sensitivity is not None:
         yield make_part("sensitivity", "Which parameters matter", _tell_sensitivity(known.sensitivity, searched))
@@ -53,14 +53,15 @@ def _tell_front(data: ReportData, front: Mapping[int, Mapping[str, float]]) -> I
     )
 
 
-def _tell_critical(known: CriticalKnowledge, criterion: str, run: int) -> Iterator[str]:
+def _tell_critical(known: CriticalKnowledge, criterion: str, run: int, asked: str) -> Iterator[str]:
     found = known.known
     assert found is not None
 
     def share(estimate: Estimate, given: bool = True) -> list[str]:
         return [f"{estimate.value:.2%}", f"{estimate.low:.2%} to {estimate.high:.2%}" if given else "not given"]
 
-    yield f"<p>A scenario is critical where {escape(criterion)}: {known.scenarios} of the {run} that were run.</p>"
+    yield f"<p>A scenario is critical where {escape(criterion)}: {known.scenarios} of the {run} that were run."
+    yield f"{f' {escape(asked)}' if asked else ''}</p>"
     yield make_table(
         ["what", "estimate", "90 % interval"],
         [
