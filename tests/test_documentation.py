@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import itertools
 import pkgutil
 import re
 import shlex
@@ -126,7 +127,8 @@ def command_line() -> Any:
 
 def parsed(line: str) -> dict[str, Any]:
     """Arguments and options of the command that a line calls."""
-    name, *given = [word for word in shlex.split(line, comments=True)[1:] if word != "…"]
+    words = itertools.takewhile(lambda word: word != ">", shlex.split(line, comments=True)[1:])
+    name, *given = [word for word in words if word != "…"]
     command = command_line().commands[name]
     try:
         return dict(command.make_context(name, given).params)
@@ -137,7 +139,11 @@ def parsed(line: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda value: getattr(value, "place", None))
-def test_the_command_line_takes_the_commands(block, line):
+def test_the_command_line_takes_the_commands(block, line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for other in blocks_of(block.page):
+        if other.language == "toml" and other.text.startswith("scenario"):
+            (tmp_path / "study.toml").write_text(other.text, encoding="utf-8")
     given = parsed(line)
     for option, registry in (("metric", METRICS), ("optimizer", OPTIMIZERS), ("simulator", SIMULATORS)):
         names = given.get(option) or ()

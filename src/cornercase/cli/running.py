@@ -40,6 +40,7 @@ from cornercase.cli.options import (
     tell_ending,
 )
 from cornercase.cli.profiling import Profile
+from cornercase.cli.study_file import Config
 
 
 @app.command()
@@ -142,6 +143,7 @@ def explore(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Run the study's scenarios that failed once more, then go on.")
     ] = False,
+    config: Config = None,
     profile: Profile = None,
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
@@ -157,6 +159,7 @@ def explore(
           --space examples/t_intersection/t_intersection.space.xosc \\
           --ego Ego --other C --metric wttc --driver Ego=normal --optimizer committee \\
           --critical-if "collision and not reference:cautious" -o preventable.db
+      cornercase explore --config study.toml --budget 200 -o study.db
     """
     from cornercase import exploration
     from cornercase.scenario import LogicalScenario

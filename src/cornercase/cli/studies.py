@@ -407,6 +407,9 @@ def show(
     *,
     critical: CriticalAnew = None,
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    config: Annotated[
+        bool, typer.Option("--config", help="Print the file that makes it again: cornercase explore --config FILE.toml")
+    ] = False,
 ) -> None:
     """Tell what was run and what was found.
 
@@ -414,9 +417,15 @@ def show(
     Example:
       cornercase show study.db
       cornercase show study.db --critical 0.5
+      cornercase show study.db --config > study.toml
     """
-    from cornercase.report import put_in_words, summarize
+    from cornercase.report import put_in_words, summarize, tell_study_file
 
+    if config:
+        if as_json or critical is not None:
+            raise InputError("--config: tells how the study was made; leave --json and --critical out.")
+        sys.stdout.write(tell_study_file(study))
+        return
     words = put_in_words(summarize(study, critical=critical))
     if as_json:
         sys.stdout.write(json_text(words) + "\n")

@@ -17,6 +17,7 @@ SIMULATOR_OPTIONS: Final = {"time_step": "--time-step", "duration": "--duration"
 
 _SPACE: Final = "SPACE.xosc"
 _BOOLEANS: Final = ("false", "true")
+_FLAGS: Final = ("--pareto", "--asynchronous")
 _ESTIMATE: Final = "importance-sampling:"
 
 
@@ -42,6 +43,30 @@ def name_command(meta: StudyMeta) -> str:
     else:
         words = ["explore", meta.file_name, *_ranges(meta), *_measures(meta), *_search(meta), *_simulator(meta)]
     return shlex.join(["cornercase", *words, "-o", "study.db"])
+
+
+def explore_options(meta: StudyMeta) -> dict[str, list[str]] | None:
+    """Give the options of `explore` that make a study again.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        What the study is about.
+
+    Returns
+    -------
+    dict of str to list of str, or None
+        Values by the name of the option, none of a flag. None where another command made the study.
+    """
+    if meta.optimizer.startswith(_ESTIMATE) or meta.simulator == IMPORTED or meta.suite:
+        return None
+    words = iter([*_ranges(meta), *_measures(meta), *_search(meta), *_simulator(meta)])
+    found: dict[str, list[str]] = {}
+    for option in words:
+        values = found.setdefault(option.removeprefix("--"), [])
+        if option not in _FLAGS:
+            values.append(next(words))
+    return found
 
 
 def tell_limits(meta: StudyMeta, run: int) -> Iterator[str]:

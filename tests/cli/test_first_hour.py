@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+import tomllib
 import warnings
 
 import pytest
@@ -200,3 +201,54 @@ def test_stumble_04_where_no_score_says_what_is_critical_that_is_said(tmp_path):
         assert done.returncode == 2
         assert words in done.stderr
     assert cornercase("show", study, "--critical", "nan").returncode == 2
+
+
+def test_stumble_10_a_study_file_stands_for_many_options(searched, tmp_path, monkeypatch):
+    shutil.copytree(X.parent, tmp_path / "x")
+    study = tmp_path / "study.db"
+    shutil.copy(searched, study)
+    monkeypatch.chdir(tmp_path)
+    told = cornercase("show", study, "--config").stdout
+    plain = tomllib.loads(told)
+    assert plain["scenario"] == f"x/{X.name}"
+    assert plain["space"] == f"x/{SPACE.name}"
+    assert (plain["critical"], plain["budget"], plain["metric"]) == (1, 24, ["wttc"])
+    # Paths are relative to the file, wherever one is.
+    (tmp_path / "study.toml").write_text(told, encoding="utf-8")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    done = cornercase("explore", "--config", "../study.toml", "--budget", "26", "-o", study)
+    assert done.returncode == 0
+    assert "26 scenarios in" in done.stdout
+    assert cornercase("explore", "--config", "../study.toml", "--budget", "4", "-o", "again.db").returncode == 0
+    first = [row["wttc"] for row in rows_of(study, tmp_path / "one")][:4]
+    assert [row["wttc"] for row in rows_of("again.db", tmp_path / "two")] == first
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('mteric = ["wttc"]', "has 'mteric', which is not known; did you mean 'metric'?"),
+        ('driver = ["Ego=mine:Driver"]', "code, which no file names: give it on the command line, --driver Ego="),
+        ('driver = ["Ego=normal:horizon=x"]', "in a file, options are numbers"),
+        ('simulator = "carla:port=1"', "has options, which may name programs"),
+        ('cluster = "tcp://10.0.0.1:8786"', "'cluster' is not for a file; give --cluster on the command line"),
+        ('output = "../study.db"', "'output' is not for a file"),
+        ('budget = "3"', "'budget' is no whole number"),
+        ("critical = true", "'critical' is no number"),
+        ("ego = 3", "'ego' is no text"),
+        ("metric = [3]", "'metric' is no list of texts"),
+        ('pareto = "yes"', "'pareto' is neither true nor false"),
+        ("ego = ", "is no TOML"),
+    ],
+)
+def test_stumble_10_a_study_file_names_no_code_and_nothing_unknown(line, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("raise SystemExit('it was run')")
+    file = tmp_path / "study.toml"
+    file.write_text(line, encoding="utf-8")
+    done = cornercase("explore", X, "--config", file, "-o", "study.db")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"cornercase: {file}: ")
+    assert words in done.stderr
+    assert not (tmp_path / "study.db").exists()
