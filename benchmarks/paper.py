@@ -278,8 +278,9 @@ def beyond(x: Experiment) -> list[tuple[str, str, bool]]:
         (f"{len(reduced)} kept leave a smaller largest gap and mean of others than random choices",
          f"of 100: {text} (95 %)",
          min(map(min, better.values())) >= 0.95),
-        (f"the same in the critical clusters by {by}, than k-medoids", f"largest {ratios[0]:.2f}, mean {ratios[1]:.2f} of"
-         " theirs (1)" + ("" if part else ", but all is one cluster"), max(ratios) <= 1.0 + 1e-9 or not part),
+        (f"the same in the critical clusters by {by}, than k-medoids",
+         f"largest {ratios[0]:.2f}, mean {ratios[1]:.2f} of theirs (1)"
+         + ("" if part else ", but all is one cluster"), max(ratios) <= 1.0 + 1e-9 or not part),
         ("another order gives the same clusters", f"adjusted Rand {_listed(again)} (0.9)", min(again.values()) >= 0.9),
         ("adding the last 10 % of the scenarios gives the same clusters", f"adjusted Rand {_listed(before)} (0.9)",
          min(before.values()) >= 0.9),
