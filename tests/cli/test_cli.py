@@ -248,6 +248,10 @@ BAD = {
     "unknown metric": ((*EXPLORE, "--metric", "wtc", "-o", "{tmp}/s.db"), "did you mean 'wttc'"),
     "unknown optimizer": ((*EXPLORE, "--optimizer", "bays", "-o", "{tmp}/s.db"), "did you mean 'bayes'"),
     "unknown simulator": ((*EXPLORE, "--simulator", "bultin", "-o", "{tmp}/s.db"), "did you mean 'builtin'"),
+    "unknown simulator of one": (
+        ("simulate", X, "--simulator", "bultin", "-o", "{tmp}/r.csv"),
+        "did you mean 'builtin'",
+    ),
     "unknown driver": ((*EXPLORE, "--driver", "Ego=norml", "-o", "{tmp}/s.db"), "did you mean 'normal'"),
     "unknown example": (("demo", "y-intersection", "-o", "{tmp}"), "y-intersection"),
     "no study": (("report", "{tmp}/absent.db", "-o", "{tmp}/r.html"), "no such study"),

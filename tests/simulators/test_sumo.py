@@ -13,12 +13,14 @@ import numpy as np
 import psutil
 import pytest
 
+import cornercase as cc
 from command_line import cornercase
-from conftest import at_night, ran
+from conftest import at_night, ran, same_recording
 from cornercase._common.errors import InputError
 from cornercase.exploration import demonstration
+from cornercase.recordings import read_recording
 from cornercase.scenario import ConcreteScenario, Scenario
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, availabilities
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, availabilities, start_simulator
 from cornercase.simulators.sumo.network import sumo_network
 from cornercase.study import Study
 
@@ -169,6 +171,16 @@ def test_the_list_says_what_is_here():
     assert shown.returncode == 0
     assert "sumo" in shown.stdout
     assert json.loads(cornercase("simulators", "--json").stdout)["sumo"]["missing"] == ""
+
+
+@pytest.mark.slow
+def test_one_scenario_is_recorded_as_in_an_exploration(tmp_path):
+    recording = cc.simulate(T, simulator="sumo", duration=5.0)
+    with start_simulator("sumo", {"duration": 5.0}) as simulator:
+        (expected,) = simulator.run([ConcreteScenario(T, {})])
+    assert same_recording(recording, expected)
+    ended = cornercase("simulate", T, "--simulator", "sumo", "--duration", "5", "-o", tmp_path / "r.csv")
+    assert (ended.returncode, read_recording(tmp_path / "r.csv").names) == (0, recording.names)
 
 
 COMMON = [

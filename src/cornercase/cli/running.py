@@ -299,6 +299,9 @@ def simulate(
     duration: Duration = 60.0,
     on_collision: OnCollision = "continue",
     driver: Drivers = None,
+    simulator: SimulatorName = "builtin",
+    ego: Annotated[str, typer.Option(help="Entity under test, for a simulator that needs to know it.")] = "Ego",
+    timeout: Timeout = None,
 ) -> None:
     """Run one concrete scenario and write its recording.
 
@@ -317,6 +320,9 @@ def simulate(
         duration=duration,
         on_collision=on_collision,
         drivers=parsing.pairs(driver or (), "--driver"),
+        simulator=simulator,
+        ego=ego,
+        timeout=timeout,
     )
     recording.to_csv(output)
     out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")

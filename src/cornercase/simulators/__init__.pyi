@@ -3,7 +3,6 @@ from .base import Simulator as Simulator
 from .base import checked_settings as checked_settings
 from .builtin.checking import Check as Check
 from .builtin.checking import check as check
-from .builtin.simulating import simulate as simulate
 from .builtin.simulator import BuiltinSimulator as BuiltinSimulator
 from .carla.openscenario_1_0 import Conversion as Conversion
 from .carla.openscenario_1_0 import convert as convert
@@ -14,6 +13,7 @@ from .esmini.simulator import EsminiSimulator as EsminiSimulator
 from .outcomes import outcomes_of as outcomes_of
 from .registry import SIMULATORS as SIMULATORS
 from .registry import availabilities as availabilities
+from .simulating import simulate as simulate
 from .starting import start_simulator as start_simulator
 from .streams import SimulatorStream as SimulatorStream
 from .sumo.simulator import SumoSimulator as SumoSimulator

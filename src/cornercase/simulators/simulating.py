@@ -1,4 +1,4 @@
-"""One concrete scenario in the builtin simulator."""
+"""One concrete scenario in a simulator."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from cornercase._common.arguments import numbers_or_texts
 from cornercase._common.errors import InputError
 from cornercase._common.ledger import warn_of
-from cornercase.drivers import Driver, named_driver
+from cornercase.drivers import Driver, told_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
-from cornercase.simulators.builtin.effect import notices_after_reading
-from cornercase.simulators.builtin.simulator import BuiltinSimulator
+from cornercase.simulators.registry import SIMULATORS
+from cornercase.simulators.starting import start_simulator
 
 
 def simulate(
@@ -23,6 +23,9 @@ def simulate(
     duration: float = 60.0,
     on_collision: str = "continue",
     drivers: Mapping[str, str | Driver] | None = None,
+    simulator: str = "builtin",
+    ego: str = "Ego",
+    timeout: float | None = None,
 ) -> Recording:
     """Run one concrete scenario.
 
@@ -40,6 +43,12 @@ def simulate(
         Whether entities pass through each other, or the run ends. The file's own stop trigger holds either way.
     drivers : mapping of str to str or Driver, optional
         Who drives which entity: a name as on the command line, or a driver. Beats the file's controller properties.
+    simulator : str, default "builtin"
+        What runs it: a registered name, with options behind a colon if need be (``"esmini:seed=3"``).
+    ego : str, default "Ego"
+        Entity under test, for a simulator that needs to know it.
+    timeout : float, optional
+        s after which the run is given up.
 
     Returns
     -------
@@ -48,7 +57,7 @@ def simulate(
     Raises
     ------
     InputError
-        The scenario cannot be run, an option is out of range, or a driver or parameter does not exist.
+        The scenario cannot be run, an option is out of range, or a simulator, driver or parameter does not exist.
 
     Warns
     -----
@@ -57,7 +66,7 @@ def simulate(
 
     See Also
     --------
-    BuiltinSimulator : Runs many at once.
+    start_simulator : Makes a simulator that runs many.
 
     Examples
     --------
@@ -69,17 +78,16 @@ def simulate(
     file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
     given = numbers_or_texts("values", values)
     file.require_parameters(list(given))
-    simulator = BuiltinSimulator(
-        time_step=time_step,
-        duration=duration,
-        on_collision=on_collision,
-        drivers={
-            entity: named_driver(driver) if isinstance(driver, str) else driver
-            for entity, driver in (drivers or {}).items()
-        },
-    )
-    (result,) = simulator.run([ConcreteScenario(file.path, given, file)])
+    options = {
+        "time_step": time_step,
+        "duration": duration,
+        "on_collision": on_collision,
+        "drivers": {entity: told_driver(driver) for entity, driver in (drivers or {}).items()},
+    }
+    with start_simulator(simulator, options, ego=ego, timeout=timeout) as started:
+        started.require_means(file)
+        (result,) = started.run([ConcreteScenario(file.path, given, file)])
     if isinstance(result, Exception):
         raise InputError(f"{file.path}: {result}.")
-    warn_of(notices_after_reading(file))
+    warn_of(SIMULATORS.class_of(simulator).notices(file, given))
     return result
