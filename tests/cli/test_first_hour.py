@@ -9,7 +9,9 @@ import subprocess
 import sys
 import tomllib
 import warnings
+from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from command_line import SPACE, X, cornercase
@@ -19,6 +21,8 @@ from cornercase.scenario import ParameterSpace
 from cornercase.simulators.carmaker import simulator as carmaker
 
 SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--budget", "2", "--batch", "2")
+
+PARQUET = ("scenarios", "recordings", "courses")
 
 
 @pytest.fixture
@@ -187,6 +191,35 @@ def rows_of(study, folder):
     cornercase("export", study, "-o", folder)
     with (folder / "scenarios.csv").open(encoding="utf-8", newline="") as text:
         return list(csv.DictReader(text))
+
+
+def test_stumble_12_columns_have_no_spaces_and_parquet_holds_courses_and_recordings(searched, tmp_path):
+    assert cornercase("export", searched, "-o", tmp_path / "csv").returncode == 0
+    head = (tmp_path / "csv" / "scenarios.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert "cluster_by_wttc" in head
+    assert " " not in head
+    # The package may be there and refuse NumPy.
+    pytest.importorskip("pyarrow", exc_type=ImportError)
+    assert cornercase("export", searched, "--parquet", "-o", tmp_path / "parquet").returncode == 0
+    rows = {name: pd.read_parquet(tmp_path / "parquet" / f"{name}.parquet") for name in PARQUET}
+    assert list(rows["scenarios"]) == head.split(",")
+    for name in ("recordings", "courses"):
+        for scenario, part in rows[name].groupby("scenario"):
+            plain = pd.read_csv(tmp_path / "csv" / name / f"{scenario:05}.csv", keep_default_na=False)
+            pd.testing.assert_frame_equal(
+                part.drop(columns="scenario").reset_index(drop=True), plain, check_dtype=False
+            )
+    assert set(rows["courses"]["scenario"]) == set(rows["scenarios"]["id"])
+
+
+def test_stumble_12_what_fits_to_each_other_is_installed():
+    extras = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    extras = extras["project"]["optional-dependencies"]
+    # pyarrow itself does not say which NumPy it runs with: from 26 on it refuses those before 2.
+    assert any(one.startswith("numpy>=2") for one in extras["parquet"])
+    assert any(one.startswith("asam-qc-opendrive") for one in extras["dev"]), "else the bound below can go"
+    (bound,) = [one for one in extras["dev"] if one.startswith("pyarrow")]
+    assert bound.endswith(",<26")
 
 
 def test_stumble_04_where_no_score_says_what_is_critical_that_is_said(tmp_path):

@@ -400,7 +400,7 @@ def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
         assert "Each was run 3 times" in (tmp_path / "r.html").read_text()
         study.export(tmp_path / "csv")
         head = (tmp_path / "csv" / "scenarios.csv").read_text().splitlines()[0]
-        assert "lowest distance,highest distance" in head
+        assert "lowest_distance,highest_distance" in head
 
 
 def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):

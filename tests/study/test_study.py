@@ -262,7 +262,7 @@ def test_tables_hold_everything(study, tmp_path):
     assert [row["state"] for row in rows] == ["done", "failed", "done"]
     assert [(float(r["a"]), float(r["b"])) for r in rows] == [(v["a"], v["b"]) for v in SPACE.values(POINTS)]
     assert [r["wttc"] for r in rows] == ["0.5", "", "1.5"]
-    assert [r["cluster by wttc"] for r in rows] == ["0", "", "-1"]
+    assert [r["cluster_by_wttc"] for r in rows] == ["0", "", "-1"]
     assert rows[1]["error"] == "the road ends"
     assert same_recording(read_recording(tmp_path / "tables" / "recordings" / "00003.csv"), recording(1))
     with open(tmp_path / "tables" / "courses" / "00001.csv", newline="", encoding="utf-8") as file:

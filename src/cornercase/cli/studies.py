@@ -439,7 +439,9 @@ def export(
     study: StudyFile,
     *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the tables.")],
-    parquet: Annotated[bool, typer.Option("--parquet", help="Write the table of scenarios as Parquet too.")] = False,
+    parquet: Annotated[
+        bool, typer.Option("--parquet", help="Write tables of scenarios, recordings and courses as Parquet too.")
+    ] = False,
 ) -> None:
     """Write everything in a study as tables.
 

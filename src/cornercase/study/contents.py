@@ -299,9 +299,11 @@ class StudyContents(ScenarioContents):
         Parameters
         ----------
         folder : path
-            Gets ``scenarios.csv`` as in `table`, ``recordings/ID.csv`` and ``courses/ID.csv``.
+            Gets ``scenarios.csv`` as in `table`, with underscores for spaces in names of columns, and for each scenario
+            ``recordings/ID.csv`` and ``courses/ID.csv``.
         parquet : bool, default False
-            Write ``scenarios.parquet`` too.
+            Write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` too: those of all scenarios,
+            with their ids in the column ``scenario``.
 
         Raises
         ------
@@ -316,7 +318,7 @@ class StudyContents(ScenarioContents):
             pass
         with written_together():
             write_table(folder, table, parquet)
-            write_scenarios(folder, self.recorded())
+            write_scenarios(folder, self.recorded(), parquet)
 
     def recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
         """Read what is known over time of each scenario that was run.

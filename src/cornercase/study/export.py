@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
@@ -25,6 +26,7 @@ def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> Non
     folder : Path
         Gets ``scenarios.csv``; texts in it that a spreadsheet would take for formulas have an apostrophe before them.
     table : DataFrame
+        In names of columns, underscores are written for spaces.
     parquet : bool, default False
         Write ``scenarios.parquet`` too.
 
@@ -33,18 +35,47 @@ def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> Non
     InputError
         The folder cannot be written, or the package that writes Parquet is not installed.
     """
+    named = table.set_axis(names_without_spaces(map(str, table.columns)), axis="columns")
     if parquet:
         path = folder / "scenarios.parquet"
-        try:
-            importlib.import_module("pyarrow")
-        except ImportError:
-            raise InputError(
-                f"{path}: Parquet needs pyarrow; install it with 'pip install cornercase[parquet]'."
-            ) from None
+        _require_pyarrow(path)
         with written_whole(path) as temporary:
-            table.to_parquet(temporary, engine="pyarrow", index=False)
+            named.to_parquet(temporary, engine="pyarrow", index=False)
     with written_whole(folder / "scenarios.csv") as temporary:
-        _as_cells(table).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+        _as_cells(named).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+
+
+def names_without_spaces(names: Iterable[str]) -> list[str]:
+    """Write underscores for spaces, and keep names apart.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Of columns.
+
+    Returns
+    -------
+    list of str
+        Each another one.
+    """
+    found: list[str] = []
+    for name in names:
+        plain = "_".join(name.split()) or "_"
+        while plain in found:
+            plain += "_"
+        found.append(plain)
+    return found
+
+
+def _require_pyarrow(path: Path) -> None:
+    try:
+        importlib.import_module("pyarrow")
+    except ImportError as error:
+        # Also one that is there and does not fit to NumPy.
+        why = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
+        raise InputError(
+            f"{path}: Parquet needs pyarrow{why}; install it with 'pip install cornercase[parquet]'."
+        ) from None
 
 
 def _as_cells(table: pd.DataFrame) -> pd.DataFrame:
@@ -56,7 +87,9 @@ def _as_cells(table: pd.DataFrame) -> pd.DataFrame:
     return written.set_axis([cell_text(str(name)) for name in table.columns], axis="columns")
 
 
-def write_scenarios(folder: Path, scenarios: Iterable[tuple[int, Recording, Mapping[str, FloatArray]]]) -> None:
+def write_scenarios(
+    folder: Path, scenarios: Iterable[tuple[int, Recording, Mapping[str, FloatArray]]], parquet: bool = False
+) -> None:
     """Write recording and courses of each scenario.
 
     Parameters
@@ -65,12 +98,58 @@ def write_scenarios(folder: Path, scenarios: Iterable[tuple[int, Recording, Mapp
         Gets ``recordings/ID.csv`` and ``courses/ID.csv``.
     scenarios : iterable of (int, Recording, mapping of str to ndarray of float64, shape (T,))
         Id, recording, and courses by metric.
+    parquet : bool, default False
+        Write ``recordings.parquet`` and ``courses.parquet`` too, those of all scenarios, each with its id in the column
+        ``scenario``, in a row group of its own.
 
     Raises
     ------
     InputError
-        The folder cannot be written.
+        The folder cannot be written, or the package that writes Parquet is not installed.
     """
-    for number, recording, courses in scenarios:
-        recording.to_csv(folder / "recordings" / f"{number:05}.csv")
-        write_courses(folder / "courses" / f"{number:05}.csv", recording.time, courses)
+    if not parquet:
+        for number, recording, courses in scenarios:
+            _write_one(folder, number, recording, courses)
+        return
+    with (
+        _parquet(folder / "recordings.parquet") as add_recording,
+        _parquet(folder / "courses.parquet") as add_courses,
+    ):
+        for number, recording, courses in scenarios:
+            _write_one(folder, number, recording, courses)
+            table = recording.table()
+            add_recording({"scenario": [number] * len(table)} | {name: table[name].tolist() for name in table.columns})
+            names = names_without_spaces(["scenario", "time", *courses])
+            columns = [[number] * len(recording.time), recording.time, *courses.values()]
+            add_courses(dict(zip(names, columns, strict=True)))
+
+
+def _write_one(folder: Path, number: int, recording: Recording, courses: Mapping[str, FloatArray]) -> None:
+    recording.to_csv(folder / "recordings" / f"{number:05}.csv")
+    write_courses(folder / "courses" / f"{number:05}.csv", recording.time, courses)
+
+
+@contextmanager
+def _parquet(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+    """Write tables one below the other, so that one at a time is held."""
+    _require_pyarrow(path)
+    import pyarrow
+    from pyarrow import parquet
+
+    writer: Any = None
+    with written_whole(path) as temporary:
+
+        def add(columns: Mapping[str, Any]) -> None:
+            nonlocal writer
+            table = pyarrow.table(dict(columns))
+            if writer is None:
+                writer = parquet.ParquetWriter(temporary, table.schema)
+            writer.write_table(table)
+
+        try:
+            yield add
+        finally:
+            if writer is not None:
+                writer.close()
+        if writer is None:
+            parquet.write_table(pyarrow.table({}), temporary)
