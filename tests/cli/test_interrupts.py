@@ -14,18 +14,27 @@ from cornercase._common.interrupts import hear_requests
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it asks as Unix does")
 
-# Its first argument is a signal, the second a function at whose first call the signal comes.
+# Its first argument is a signal, the second a function at whose first call the signal comes; where it begins with ~, the
+# signal comes while an object is cleared up, where Python ignores exceptions.
 PROGRAM = """
-import signal, sys
+import signal, sys, time
 from importlib import import_module
 from cornercase.cli import main
 
 number, (place, name), sys.argv[1:] = int(sys.argv[1]), sys.argv[2].split(":"), sys.argv[3:]
-module = import_module(place)
+module = import_module(place.removeprefix("~"))
 was = getattr(module, name)
 
+class ClearedUp:
+    def __del__(self):
+        signal.raise_signal(number)
+
 def asked(*given, **more):
-    signal.raise_signal(number)
+    if place.startswith("~"):
+        ClearedUp()
+        time.sleep(10)
+    else:
+        signal.raise_signal(number)
     return was(*given, **more)
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -58,6 +67,9 @@ def asked(number, place, *command, cwd):
         (signal.SIGINT, "cornercase.clustering.analyzing:_clustered", ("analyze",), "Interrupted;"),
         (signal.SIGTERM, "cornercase.report.page:written_whole", ("report", "-o", "page.html"), "by SIGTERM;"),
         (signal.SIGHUP, "cornercase.report.summary:summarize", ("show",), "by SIGHUP;"),
+        (signal.SIGTERM, "typer.core:_main", ("show",), "by SIGTERM;"),
+        (signal.SIGINT, "~cornercase.report.summary:summarize", ("show",), "Interrupted;"),
+        (signal.SIGTERM, "~cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),
     ],
 )
 def test_stumble_8_an_interrupted_command_says_a_word(number, place, command, words, study, tmp_path):

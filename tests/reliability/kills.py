@@ -16,6 +16,7 @@ import argparse
 import json
 import os
 import random
+import re
 import secrets
 import shutil
 import signal
@@ -46,6 +47,11 @@ PATIENCE = 5.0
 OF_THE_CLOCK = ("elapsed", "lease", "sqlite_")
 # What may lie beside a study that was killed.
 BESIDE = {"study.db", "study.db-wal", "study.db-shm", "study.db.lock"}
+# What Python says in a process whose starter was killed before it had told it what it is for.
+NEVER_TOLD = re.compile(
+    r'Traceback [^\n]*\n  File "<string>", line 1, in <module>\n(?:  File "[^"\n]*multiprocessing/spawn\.py"[^\n]*\n(?:    [^\n]*\n)*)+'
+    r"EOFError: Ran out of input\n"
+)
 SIGNALS = {"asked": signal.SIGTERM, "hung up": signal.SIGHUP, "Ctrl-C": signal.SIGINT}
 
 
@@ -139,15 +145,21 @@ class Run:
         self.temporary.mkdir(exist_ok=True)
         self.log = folder.parent / f"{folder.name}.log"
         sys.stdout.flush()
+        reader, writer = os.pipe()
         self.number = os.fork()
         self.code: int | None = None
         if self.number == 0:
-            self._become(command)
+            self._become(command, writer)
+        os.close(writer)
+        # Only once its group is there can it be killed.
+        os.read(reader, 1)
+        os.close(reader)
 
-    def _become(self, command: list[str]) -> None:
+    def _become(self, command: list[str], writer: int) -> None:
         code = 99
         try:
             os.setsid()
+            os.close(writer)
             os.nice(0)
             log = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             for number in (1, 2):
@@ -243,7 +255,7 @@ class Kills:
             self._look_at_what_is_left(case, run)
             stored = self._look_at_what_is_stored(case, folder, stored)
             log = run.log.read_text(encoding="utf-8", errors="replace")
-            if "Traceback" in log:
+            if "Traceback" in NEVER_TOLD.sub("", log):
                 self._fault(case, f"a traceback in command {number}: {log[:3000]}")
             if run.code == 0:
                 break
@@ -299,7 +311,8 @@ class Kills:
                     os.killpg(run.number, signal.SIGKILL)
                     run.wait(10.0)
                 elif run.code not in (0, 128 + SIGNALS[word], -SIGNALS[word]):
-                    self._fault(case, f"{word}, it ended with exit code {run.code}")
+                    said = run.log.read_text(encoding="utf-8", errors="replace")
+                    self._fault(case, f"{word}, it ended with exit code {run.code}: {said[-1000:]}")
                 return kills
             if how == "worker":
                 workers = run.workers()
@@ -360,7 +373,7 @@ class Kills:
             if differ := [name for name in undisturbed if undisturbed[name] != found.get(name)]:
                 self._fault(case, f"{differ} differ from those of the undisturbed study")
             return
-        states = Counter(row[4] for row in found["scenarios"])
+        states = Counter(row[4] for row in found.get("scenarios", ()))
         if states != {"done": case.budget}:
             self._fault(case, f"its scenarios are {dict(states)}")
         again = Run(folder, [*case.command(), "--replay"])

@@ -8,8 +8,10 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from contextlib import closing
+import time
+from contextlib import closing, suppress
 from dataclasses import replace
+from multiprocessing import current_process
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +96,23 @@ def test_a_worker_that_is_killed_costs_nothing(on_cluster, client):
         found = [*first, *there.run(concretes[2:])]
         for one, other in zip(here.run(concretes), found, strict=True):
             assert same_recording(one, other)
+
+
+def about_its_process():
+    return os.getpid(), current_process().daemon, "CORNERCASE_GUARDIAN" in os.environ
+
+
+def test_a_worker_that_is_started_again_may_start_processes_and_is_guarded(client):
+    before = set(client.run(os.getpid).values())
+    os.kill(min(before), signal.SIGKILL)
+    found: list[tuple[int, bool, bool]] = []
+    deadline = time.monotonic() + 60.0
+    while len(found) < 2 or {number for number, *_ in found} == before:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+        with suppress(OSError):
+            found = list(client.run(about_its_process).values())
+    assert all(not daemon and guarded for _, daemon, guarded in found)
 
 
 def test_a_scenario_that_kills_two_workers_is_failed_and_costs_no_third(on_cluster, tmp_path):

@@ -31,8 +31,10 @@ LOCAL: Final = "local"
 _ANSWERS, _FIRST_WORKER, _LOOKS = 20.0, 120.0, 1.0
 # How often a local cluster is started whose workers are ended meanwhile.
 _STARTS: Final = 5
-# Who removes the folders of the workers of a local cluster.
-_GUARDIANS: Final[WeakKeyDictionary[Any, Guardian]] = WeakKeyDictionary()
+# Those of clusters whose start was interrupted.
+_UNENDED: Final[list[Guardian]] = []
+# What has to be closed after the connection with a local cluster.
+_HELD: Final[WeakKeyDictionary[Any, ExitStack]] = WeakKeyDictionary()
 
 
 def cluster_argument(cluster: object) -> str | Client:
@@ -113,6 +115,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     # What of it concerns a user is told by cornercase.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
+    logging.getLogger("asyncio").addFilter(_is_told)
     if cluster == LOCAL:
         return _begin_here(workers)
     try:
@@ -125,6 +128,13 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
         ) from error
 
 
+def _is_told(record: logging.LogRecord) -> bool:
+    """Whether a record of asyncio is of something else than a connection of Dask that was lost."""
+    from distributed.comm.core import CommClosedError
+
+    return not (record.exc_info and isinstance(record.exc_info[1], CommClosedError))
+
+
 def _begin_here(workers: int) -> Client:
     """Start a cluster of processes on this machine, and connect with it."""
     import dask
@@ -132,30 +142,49 @@ def _begin_here(workers: int) -> Client:
 
     # A worker that is being started anew as this time is over would be given up for good.
     dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"})
+    guardian = Guardian()
     with ExitStack() as stack:
-        guardian = stack.enter_context(Guardian())
-        # Simulators may run in processes of their own, which daemons cannot have.
+        stack.push(lambda kind, *_: _leave_guardian(guardian, kind))
+        # Simulators may run in processes of their own, which daemons cannot have, nor may a worker that is started
+        # again be one.
         own = {"distributed.worker.daemon": False, "temporary-directory": str(guardian.new_folder())}
-        with dask.config.set(own), interrupts_kept(), guardian.watch_all():
-            cluster = _started_cluster(workers)
-            stack.callback(cluster.close)
+        stack.enter_context(dask.config.set(own))
+        with interrupts_kept():
+            cluster = _started_cluster(workers, guardian)
+            begun = stack.enter_context(ExitStack())
+            begun.callback(cluster.close)
             client = Client(cluster)
-            stack.callback(client.close)
-        client.register_plugin(_part_of_this_process())
-        _GUARDIANS[client] = guardian
-        stack.pop_all()
+            begun.callback(client.close)
+        _register(client, _part_of_this_process())
+        begun.pop_all()
+        _HELD[client] = stack.pop_all()
     return client
 
 
-def _started_cluster(workers: int) -> LocalCluster:
-    from distributed import LocalCluster
+def _leave_guardian(guardian: Guardian, kind: type[BaseException] | None) -> None:
+    if kind is not None and not issubclass(kind, Exception):
+        # Threads of Dask go on with what they had begun until this process ends, and so does the guardian.
+        _UNENDED.append(guardian)
+    else:
+        guardian.close()
+
+
+def _started_cluster(workers: int, guardian: Guardian) -> LocalCluster:
+    from distributed import LocalCluster, Nanny
+
+    class GuardedNanny(Nanny):
+        """Starts a worker, and another one where it was ended, which are ended with this process."""
+
+        async def instantiate(self) -> Any:
+            with guardian.watch_all():
+                return await super().instantiate()
 
     for tries in range(_STARTS):
         try:
             return LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
-                processes=True,
+                worker_class=GuardedNanny,
                 # Only a free port is none that somebody else may want.
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
@@ -173,11 +202,24 @@ def _started_cluster(workers: int) -> LocalCluster:
     raise AssertionError
 
 
+def _register(client: Client, plugin: WorkerPlugin) -> None:
+    for tries in range(_STARTS):
+        try:
+            client.register_plugin(plugin)
+            return
+        except OSError as error:
+            # Also where only a worker was ended while it was told.
+            if tries + 1 == _STARTS or client.status != "running":
+                raise disconnected(client) from error
+
+
 def _part_of_this_process() -> WorkerPlugin:
     """What makes workers leave Ctrl-C to the process that ends them, and temporary files where it removes them."""
     from distributed import WorkerPlugin
 
     class PartOfAnotherProcess(WorkerPlugin):
+        name = "cornercase"
+
         def setup(self, worker: Any) -> None:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             keep_temporary_files_in(Path(worker.local_directory))
@@ -198,8 +240,8 @@ def leave(client: Client) -> None:
         client.close()
     if local is not None:
         local.close()
-    if (guardian := _GUARDIANS.pop(client, None)) is not None:
-        guardian.close()
+    if (held := _HELD.pop(client, None)) is not None:
+        held.close()
 
 
 @contextmanager

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 _GRACE, _LOOKS, _REMOVES = 2.5, 0.1, 1.0
 # The environment variable of those that are started within `Guardian.watch_all`.
 _MARK: Final = "CORNERCASE_GUARDIAN"
+_ENVIRONMENT: Final = threading.Lock()
 # It finds the package where this process did.
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv[1]); from cornercase._common.guardian import guard; guard()"
 
@@ -55,6 +56,7 @@ class Guardian:
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._guarded: set[tuple[str, str]] = set()
+        self._mark, self._watching = secrets.token_hex(12), 0
         # Threads of their own start the workers of a search without rounds.
         self._lock = threading.Lock()
 
@@ -80,20 +82,30 @@ class Guardian:
 
     @contextmanager
     def watch_all(self) -> Iterator[None]:
-        """Have all processes ended, and all that they start, that are started within the block.
+        """Have all processes ended, and all that they start, that are started within the block, in any thread.
+
+        Blocks may overlap.
 
         Yields
         ------
         None
         """
-        mark = secrets.token_hex(12)
-        self._tell("mark", mark, guarded=True)
+        self._tell("mark", self._mark, guarded=True)
         # They are known by it whatever becomes of who has started them.
-        os.environ[_MARK] = mark
+        self._count_watching(1)
         try:
             yield
         finally:
-            del os.environ[_MARK]
+            self._count_watching(-1)
+
+    def _count_watching(self, change: int) -> None:
+        with _ENVIRONMENT:
+            self._watching += change
+            others = [one for one in os.environ.get(_MARK, "").split() if one != self._mark]
+            if marks := others + [self._mark] * bool(self._watching):
+                os.environ[_MARK] = " ".join(marks)
+            else:
+                del os.environ[_MARK]
 
     def new_folder(self) -> Path:
         """Make a temporary folder.
@@ -224,7 +236,7 @@ def _marked(marks: set[str]) -> list[int]:
     for one in psutil.process_iter() if marks else ():
         # Those of other users do not tell.
         with suppress(psutil.Error, OSError):
-            if one.pid != os.getpid() and one.environ().get(_MARK) in marks:
+            if one.pid != os.getpid() and marks.intersection(one.environ().get(_MARK, "").split()):
                 found.append(one.pid)
     return found
 

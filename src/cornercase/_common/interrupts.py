@@ -1,23 +1,33 @@
-"""Ctrl-C and other requests to end, of which none is lost in compiled code."""
+"""Ctrl-C and other requests to end, of which none is lost in compiled code or where Python ignores exceptions."""
 
 from __future__ import annotations
 
+import _thread
 import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import Any, Final
 
 from cornercase._common.platform import ending_signals
 
 _last: int = signal.SIGINT
+# Whether an interrupt was lost, and is to come again; s after which it does.
+_owed = False
+_AGAIN: Final = 0.005
 
 
 def hear_requests() -> None:
     """Take what asks a program to end as it takes Ctrl-C: as `KeyboardInterrupt`, so that it clears up.
 
-    What is ignored here, as by ``nohup``, stays so. To be called in the main thread of a program.
+    One that falls where Python ignores exceptions, as into the clearing up of an object, comes again. What is ignored
+    here, as by ``nohup``, stays so. To be called in the main thread of a program.
     """
+    if not isinstance(sys.unraisablehook, _HookForLostInterrupts):
+        sys.unraisablehook = _HookForLostInterrupts(sys.unraisablehook)
     for number in ending_signals():
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _interrupt)
@@ -35,9 +45,33 @@ def last_request() -> signal.Signals:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    global _last
-    _last = number
+    global _last, _owed
+    _last, _owed = number, False
     raise KeyboardInterrupt
+
+
+class _HookForLostInterrupts:
+    """Has an interrupt come again that Python ignored, and tells of other exceptions as before."""
+
+    def __init__(self, usual: Callable[[Any], object]) -> None:
+        self._usual = usual
+
+    def __call__(self, ignored: Any) -> None:
+        global _owed
+        if not issubclass(ignored.exc_type, KeyboardInterrupt):
+            self._usual(ignored)
+            return
+        _owed = True
+        # Raised here, it would be ignored again. `threading` is not used, as the main thread may hold its locks here.
+        with suppress(RuntimeError):
+            _thread.start_new_thread(_come_again, ())
+
+
+def _come_again() -> None:
+    time.sleep(_AGAIN)
+    # Meanwhile it may have been heard.
+    if _owed:
+        _thread.interrupt_main(last_request())
 
 
 @contextmanager
@@ -59,9 +93,10 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
         usual[signal.Signals(number)](number, frame)
 
     def check() -> None:
+        global _owed
         nonlocal noted
         if noted:
-            noted = False
+            noted = _owed = False
             raise KeyboardInterrupt
 
     alone = threading.current_thread() is threading.main_thread()
@@ -78,3 +113,29 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
     finally:
         for number in ours:
             signal.signal(number, usual[number])
+
+
+@contextmanager
+def held_interrupts() -> Iterator[None]:
+    """Let interrupts come at the end of the block.
+
+    A mask of signals alone does not do that: the system gives a signal to any thread that lets it through, and Python
+    raises it in the main thread.
+
+    Yields
+    ------
+    None
+    """
+    held: list[int] = []
+    alone = threading.current_thread() is threading.main_thread()
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, *ending_signals()) if alone}
+    ours = {number: handler for number, handler in usual.items() if callable(handler)}
+    for number in ours:
+        signal.signal(number, lambda number, frame: held.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in ours.items():
+            signal.signal(number, handler)
+        for one in held[:1]:
+            signal.raise_signal(one)

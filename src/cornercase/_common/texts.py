@@ -13,6 +13,7 @@ from typing import Any, Final
 _ORDERS: Final = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
+_HALF: Final = re.compile("[\ud800-\udfff]")
 # What a spreadsheet takes for a formula, and what was escaped already.
 _FORMULA: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 # A name of such characters alone cannot be taken for the words around it.
@@ -211,6 +212,46 @@ def json_text(value: object) -> str:
     """
     text = json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False)
     return _ORDERS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def loaded_json(text: str) -> Any:
+    """Read JSON, whose texts can all be written and shown.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    object
+        Plain values.
+
+    Raises
+    ------
+    ValueError
+        It is none, or a text in it holds half a character, which JSON can say but no file can hold.
+    RecursionError
+        It is nested too deep.
+    """
+    plain = json.loads(text)
+    require_whole(json.dumps(plain, ensure_ascii=False))
+    return plain
+
+
+def require_whole(text: str) -> None:
+    r"""Refuse a text that no file can hold.
+
+    Parameters
+    ----------
+    text : str
+
+    Raises
+    ------
+    ValueError
+        It holds half a character: of JSON (``"\ud800"``), or of a name of a file that is not in UTF-8.
+    """
+    if (found := _HALF.search(text)) is not None:
+        raise ValueError(f"'{plain_text(shorten(text[max(found.start() - 20, 0) :], 40))}' holds half a character")
 
 
 def _finite(value: Any) -> Any:

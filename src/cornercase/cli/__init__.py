@@ -21,8 +21,12 @@ __all__ = ["app", "comparing", "estimating", "main", "running", "studies", "test
 
 def main() -> None:
     """Run the command line; whatever goes wrong becomes one sentence and an exit code."""
+    sys.exit(exit_code_of(_command))
+
+
+def _command() -> object:
     forgive_narrow_output()
     show_notices()
     hear_requests()
     debugging.set(False)
-    sys.exit(exit_code_of(lambda: app(standalone_mode=False)))
+    return app(standalone_mode=False)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -16,12 +18,13 @@ import typer
 
 from cornercase._common.errors import InputError, StudyLostError
 from cornercase._common.texts import in_one_line, shorten
-from cornercase.cli.interrupting import exit_code
+from cornercase.cli.interrupting import exit_code, tell_of_interrupt
 from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
 from cornercase.cli.options import debugging, err
 
 # typer may hold click's classes under other names.
 _Usage: Final = cast("type[Any]", typer.BadParameter.__mro__[1])
+_HALF: Final = re.compile("[\ud800-\udfff]")
 _PACKAGE: Final = Path(__file__).parents[1]
 
 
@@ -52,6 +55,7 @@ def exit_code_of(command: Callable[[], Any]) -> int:
         return int(error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
         # Before or after the command itself, which says so.
+        tell_of_interrupt()
         return exit_code()
     except Exception as error:
         if debugging.get():
@@ -61,7 +65,8 @@ def exit_code_of(command: Callable[[], Any]) -> int:
             return 1
         _tell(_sentence(error))
         return 1 if isinstance(error, StudyLostError) else 2
-    return code if isinstance(code, int) else 0
+    # Between its parts typer takes each interrupt for Ctrl-C.
+    return exit_code() if code == 128 + signal.SIGINT else code if isinstance(code, int) else 0
 
 
 def _tell(sentence: str) -> None:
@@ -82,6 +87,9 @@ def _sentence(error: Exception) -> str:
     whose = f"{file}: " if file else ""
     if isinstance(error, MemoryError):
         return f"{whose}needs more memory than there is; give fewer or smaller files, or a machine with more memory."
+    if isinstance(error, UnicodeEncodeError) and _HALF.search(error.object):
+        what = shorten(error.object[max(error.start - 30, 0) :], 60)
+        return f"{whose}'{what}' holds half a character, which no file can hold; rename what is called so."
     if isinstance(error, OSError) and error.strerror:
         named = error.filename if isinstance(error.filename, str) else "the output, or a temporary file"
         return f"{named}: cannot be read or written ({error.strerror}); make room, or choose another place."

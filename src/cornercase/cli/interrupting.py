@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import typer
@@ -13,6 +15,26 @@ from cornercase._common.interrupts import last_request
 
 class InterruptedGroup(TyperGroup):
     """Commands that say so in a sentence when they are interrupted."""
+
+    def make_context(self, *given: Any, **more: Any) -> Any:
+        """Read the words of the command.
+
+        Parameters
+        ----------
+        *given, **more
+            As click has them.
+
+        Returns
+        -------
+        click.Context
+
+        Raises
+        ------
+        typer.Exit
+            It was interrupted, with `exit_code`.
+        """
+        with _told():
+            return super().make_context(*given, **more)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command that was asked for.
@@ -31,16 +53,27 @@ class InterruptedGroup(TyperGroup):
         typer.Exit
             It was interrupted, with `exit_code`.
         """
-        try:
+        with _told():
             return super().invoke(ctx)
-        except KeyboardInterrupt as error:
-            number = last_request()
-            by = "" if number == signal.SIGINT else f" by {number.name}"
-            typer.echo(
-                f"Interrupted{by}; what was not finished is not written, and the same command can be given again.",
-                err=True,
-            )
-            raise typer.Exit(exit_code()) from error
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Else typer takes each interrupt for Ctrl-C, and says nothing."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        tell_of_interrupt()
+        raise typer.Exit(exit_code()) from error
+
+
+def tell_of_interrupt() -> None:
+    """Say that the command was interrupted, and by what."""
+    number = last_request()
+    by = "" if number == signal.SIGINT else f" by {number.name}"
+    typer.echo(
+        f"Interrupted{by}; what was not finished is not written, and the same command can be given again.", err=True
+    )
 
 
 def exit_code() -> int:

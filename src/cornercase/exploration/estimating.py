@@ -25,7 +25,7 @@ from cornercase.exploration.drawing import ProbabilityEstimator
 from cornercase.exploration.estimation import Estimation
 from cornercase.exploration.exploring import configured_simulator
 from cornercase.scenario import Scenario
-from cornercase.study import Study
+from cornercase.study import Study, begun_study
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -132,7 +132,7 @@ def estimate(
         require_same_runs(file, source.meta, running)
         guess = guessed_proposal(about.logical.space, points, scores, threshold, seed)
         sampling = ImportanceSampling(about.logical.space, _EVENTS, learn, seed, guess)
-        with Study.open(made, readonly=False) if made.exists() else Study.create(made, meta) as opened:
+        with begun_study(made, meta) as opened:
             opened.continue_with(meta)
             opened.add_elapsed("files", time.monotonic() - begun)
             found = ProbabilityEstimator(about, running, sampling, opened, encounter).run(progress)

@@ -24,7 +24,7 @@ from cornercase.exploration.replaying import replay_proposals
 from cornercase.optimizers import Optimizer, create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import SIMULATORS, Simulator, start_simulator
-from cornercase.study import Study
+from cornercase.study import Study, begun_study
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -277,7 +277,7 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
         simulator.require_runnable([one.logical.concrete(values) for values in some])
         warn_of(_notices(one))
         meta = one.meta(objective, simulator.settings, None if known is None else known.about)
-        with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as study:
+        with begun_study(path, meta) as study:
             if known is None:
                 # What it began from is in the study.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final, get_args
 
+from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
 from cornercase.evidence import Estimate
 from cornercase.reduction.cluster_shapes import ClusterShape
@@ -56,7 +57,7 @@ def make_manifest(
             "version": __version__,
             "scenario": meta.file_name,
             "fingerprint": meta.fingerprint,
-            "study": study.path.name,
+            "study": plain_text(study.path.name),
             "simulator": meta.simulator,
             "settings": dict(meta.settings),
             "ego": meta.ego,

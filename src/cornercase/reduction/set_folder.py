@@ -21,6 +21,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase._common.pending_files import force_all, made_folders, unwritten
 from cornercase._common.platform import force_folder, new_file_mode, replace_file
+from cornercase._common.texts import loaded_json
 
 MANIFEST: Final = "manifest.json"
 """Name of the file that says what is kept."""
@@ -270,7 +271,7 @@ def _write(path: Path, content: bytes, target: Path) -> None:
 def _read(manifest: Path) -> dict[str, Any]:
     """What a manifest holds; nothing where it is none."""
     try:
-        plain = json.loads(read_file(manifest).decode())
+        plain = loaded_json(read_file(manifest).decode())
     except (ValueError, RecursionError):
         return {}
     return plain if isinstance(plain, dict) else {}

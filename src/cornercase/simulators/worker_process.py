@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError
 from cornercase._common.guardian import Guardian
+from cornercase._common.interrupts import held_interrupts
 from cornercase._common.lifeline import end_with_parent, keep_temporary_files_in
 from cornercase._common.platform import (
     end_process_tree,
@@ -125,10 +126,11 @@ class Worker:
             self.connection, theirs = context.Pipe()
             # As bytes, so that the process looks for a driver of one's own where this one did.
             given = theirs, self._name, pickle.dumps(self._options), self._folder
-            self._process = context.Process(target=_serve, args=given, daemon=True)
+            process = context.Process(target=_serve, args=given, daemon=True)
             # One that came in the middle would leave a process that nobody knows.
-            with interrupts_kept(*ending_signals()):
-                self._process.start()
+            with held_interrupts(), interrupts_kept(*ending_signals()):
+                process.start()
+                self._process = process
             self._guardian.watch(self._process.pid)
             theirs.close()
         self.task, self.waiting = task, list(task.indices)
@@ -236,9 +238,9 @@ def _serve(connection: Connection, name: str, options: bytes, folder: Path) -> N
     try:
         simulator = SIMULATORS.create(name, **unpickled_options(options))
     except InputError as error:
-        connection.send(error)
+        _send(connection, error)
         return
-    connection.send(None)
+    _send(connection, None)
     with simulator:
         while True:
             try:
@@ -281,8 +283,12 @@ def _answer(connection: Connection, simulator: Simulator, concretes: list[Concre
             found = Raised(f"the simulator failed ({type(error).__name__}: {error})", outside)
         if found is None:
             return
-        # Where nobody listens any more, this process is about to be ended.
-        with suppress(BrokenPipeError, ConnectionResetError):
-            connection.send(found)
+        _send(connection, found)
         if isinstance(found, InputError | Raised):
             return
+
+
+def _send(connection: Connection, found: Outcome | InputError | Raised | None) -> None:
+    # Where nobody listens any more, this process is about to be ended.
+    with suppress(BrokenPipeError, ConnectionResetError):
+        connection.send(found)

@@ -11,6 +11,7 @@ from .meta import StudyMeta as StudyMeta
 from .meta import count_audits as count_audits
 from .notes import LONGEST_NOTE as LONGEST_NOTE
 from .notes import write_note as write_note
+from .opening import begun_study as begun_study
 from .opening import open_study as open_study
 from .rebuilding import Remains as Remains
 from .rebuilding import rebuild as rebuild

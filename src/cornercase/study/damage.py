@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ from types import NoneType, UnionType
 from typing import Any, Final, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from cornercase._common.errors import InputError
+from cornercase._common.texts import loaded_json
 
 T = TypeVar("T")
 
@@ -109,9 +109,7 @@ def loaded(text: str) -> Any:
     ValueError
         It is none, or a text in it is none that a file can hold: half a character.
     """
-    plain = json.loads(text)
-    json.dumps(plain, ensure_ascii=False).encode("utf-8")
-    return plain
+    return loaded_json(text)
 
 
 def made(kind: type[T], plain: Mapping[str, Any]) -> T:

@@ -61,7 +61,8 @@ class Database:
         self._closed = self._writing = False
         # Why it is not ours any more.
         self._lost = ""
-        (_, _, file), *_ = connection.execute("PRAGMA database_list").fetchall()
+        # Its name may be no text.
+        ((file,),) = connection.execute("SELECT length(file) FROM pragma_database_list WHERE name = 'main'").fetchall()
         # A migrated copy has no name; what is immutable is not looked at again.
         self._sees_others = bool(file) and not is_out_of_reach(path)
         self._forced = -math.inf

@@ -24,6 +24,7 @@ from cornercase.metrics import EVERYBODY, METRICS, Metric, measured, name_others
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study.meta import StudyMeta
+from cornercase.study.opening import begun_study
 from cornercase.study.store import Study
 from cornercase.study.table import Row
 
@@ -130,7 +131,7 @@ def import_recordings(
     if not path.exists():
         # A study of a name that is misspelt would have to be removed before the right one can be made.
         _require_measurable([folder / file for file in files], built, ego, others)
-    with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as opened:
+    with begun_study(path, meta) as opened:
         # The table may lie elsewhere now; the fingerprint tells whether it is the same.
         opened.continue_with(replace(meta, settings=opened.meta.settings))
         rows = opened.rows() or opened.propose(1, meta.space.points(values), values)

@@ -1,14 +1,16 @@
-"""A study, or the path of one, as what functions take for a study."""
+"""A study, or the path of one, as what functions take for a study, and studies that are begun."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cornercase._common.arguments import number, path
 from cornercase._common.errors import InputError
 from cornercase.metrics import condition_of
+from cornercase.study.connecting import remove_log
+from cornercase.study.meta import StudyMeta
 from cornercase.study.store import Study
 
 
@@ -66,3 +68,41 @@ def _asked(study: Study, threshold: float | None) -> Iterator[None]:
         yield
     finally:
         study.ask(before)
+
+
+@contextmanager
+def begun_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
+    """Open a study for writing for as long as the block lasts; where there is none, make it.
+
+    One that was made is removed again where the block ends by `InputError` and no scenario of it was run.
+
+    Parameters
+    ----------
+    path : Path
+    meta : StudyMeta
+        What one that is made is about.
+
+    Yields
+    ------
+    Study
+
+    Raises
+    ------
+    InputError
+        As `Study.open` and `Study.create`.
+    """
+    if path.exists():
+        with Study.open(path, readonly=False) as study:
+            yield study
+        return
+    with Study.create(path, meta) as study:
+        try:
+            yield study
+        except InputError:
+            # Whatever keeps it from being removed is not what the command failed of.
+            with suppress(InputError, OSError):
+                if not study.done():
+                    study.close()
+                    path.unlink()
+                    remove_log(path)
+            raise

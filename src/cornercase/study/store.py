@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.texts import require_whole
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import ReferenceOutcome
 from cornercase.metrics import Measured
@@ -75,6 +76,12 @@ class Study(StudyContents):
         """
         plain = sorted(meta.to_json().items())
         rows = [(key, json.dumps(value, sort_keys=True)) for key, value in plain]
+        try:
+            require_whole(json.dumps(plain, ensure_ascii=False))
+        except ValueError as error:
+            raise InputError(
+                f"{path}: cannot be made, since {error}, which no file can hold; rename what is called so."
+            ) from error
         return cls(Database.create(Path(path), rows, *_more_tables(meta)))
 
     @classmethod

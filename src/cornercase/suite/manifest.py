@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
+from cornercase._common.texts import loaded_json
 from cornercase.metrics import METRICS
 from cornercase.reduction import MANIFEST, MANIFEST_FORMAT, finish_set
 from cornercase.scenario import ParameterSpace, Scenario
@@ -65,7 +65,7 @@ def read_manifest(path: Path) -> SuiteContents:
 
 def _loaded(path: Path) -> dict[str, Any]:
     try:
-        plain = json.loads(read_file(path).decode("utf-8"))
+        plain = loaded_json(read_file(path).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise

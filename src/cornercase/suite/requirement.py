@@ -10,6 +10,7 @@ from typing import Final, Literal
 
 from cornercase._common.arguments import text
 from cornercase._common.errors import InputError
+from cornercase._common.texts import loaded_json, require_whole
 from cornercase.metrics import Formula
 
 Kind = Literal["no collision", "no collision with", "no collision at fault", "no collision unless", "reach", "formula"]
@@ -99,6 +100,10 @@ class Requirement:
         'for *-00012.xosc: reach 60,-1.75,2 within 20'
         """
         given = " ".join(text("require", requirement).split())
+        try:
+            require_whole(given)
+        except ValueError as error:
+            raise InputError(f"`require` {given}: {error}, which no file can hold.") from error
         found = _FOR.fullmatch(requirement)
         by_kind, pattern, body = (bool(found[1]), _unquoted(found[2], given), found[3]) if found else (False, "", given)
         body = " ".join(body.split())
@@ -152,7 +157,7 @@ def _unquoted(pattern: str, given: str) -> str:
     if not pattern.startswith('"'):
         return pattern
     try:
-        found = str(json.loads(pattern))
+        found = str(loaded_json(pattern))
     except ValueError:
         found = ""
     if not found.strip():

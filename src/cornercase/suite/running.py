@@ -12,7 +12,7 @@ from cornercase._common.ledger import Notice, warn_of
 from cornercase._common.progress import ProgressBar
 from cornercase.metrics import METRICS, Metric, measured
 from cornercase.simulators import SIMULATORS, Simulator, outcomes_of
-from cornercase.study import Row, Study, StudyMeta
+from cornercase.study import Row, Study, StudyMeta, begun_study
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 
 
@@ -50,7 +50,7 @@ def run_suite(
     simulator.require_runnable([one.concrete for one in suite.scenarios])
     _warn(suite, simulator)
     metrics = [METRICS.create(name) for name in meta.metrics]
-    with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as study:
+    with begun_study(path, meta) as study:
         study.continue_with(meta)
         values = [dict(one.values) for one in suite.scenarios]
         rows = study.rows() or study.propose(1, meta.space.points(values), values)
