@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
+import re
+import sys
 from functools import partial
 from importlib.util import find_spec
 
@@ -9,6 +13,7 @@ import pytest
 
 from command_line import cornercase, process_of_all
 from conftest import ROAD, at_night, car, scenario_file, speed_action, teleport
+from cornercase.study import Study
 
 INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("10")}</Private>'
 
@@ -224,3 +229,58 @@ def test_no_other_command_takes_it_or_leaves_anything_behind(tmp_path, name):
         assert len(result.stderr) < 1500
     assert not out.exists()
     assert not list(tmp_path.rglob("harm"))
+
+
+def driving(folder):
+    """A scenario whose cars begin at places of the world, and not of a lane."""
+    init = "".join(
+        f'<Private entityRef="{name}"><PrivateAction><TeleportAction><Position><WorldPosition x="{x}" y="-2"/></Position>'
+        f"</TeleportAction></PrivateAction>{speed_action(v)}</Private>"
+        for name, x, v in (("Ego", "10", "$v"), ("B", "60", "8"))
+    )
+    return scenario_file(folder, init=init, parameters=declared("1"), entities=car("Ego") + car("B"))
+
+
+def explored(folder, path, *options):
+    return cornercase(
+        "explore", path, "--ego", "Ego", "--other", "B", "--metric", "distance", "--range", "v=1:2", "--optimizer", "sobol",
+        "--budget", "2", "--duration", "1", *options, "-o", folder / "s.db",
+    )  # fmt: skip
+
+
+def test_a_command_that_fails_because_of_what_it_reads_leaves_no_empty_study(tmp_path):
+    path = driving(tmp_path)
+    (tmp_path / "road.xodr").write_text(re.sub("<(left|right)>.*?</(left|right)>", "", ROAD, flags=re.DOTALL))
+    refused = explored(tmp_path, path)
+    assert refused.returncode == 2
+    assert refused.stderr.splitlines()[-1].startswith("cornercase: ")
+    assert not list(tmp_path.glob("s.db*"))
+    # What is there already stays, with what was run.
+    (tmp_path / "road.xodr").write_text(ROAD)
+    assert explored(tmp_path, path).returncode == 0
+    assert explored(tmp_path, path, "--metric", "ttc").returncode == 2
+    with Study.open(tmp_path / "s.db") as study:
+        assert len(study.done()) == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are texts elsewhere")
+def test_names_that_are_no_text_are_refused_or_written_out(tmp_path):
+    half = os.fsdecode(b"\xff")
+    path = driving(tmp_path)
+    strange = path.rename(path.with_name(f"{half}.xosc"))
+    refused = explored(tmp_path, strange)
+    assert refused.returncode == 2
+    assert "holds half a character" in refused.stderr
+    assert "please report" not in refused.stderr
+    assert not list(tmp_path.glob("s.db*"))
+    path = strange.rename(path)
+    study = tmp_path / f"{half}.db"
+    assert explored(tmp_path, path).returncode == 0
+    (tmp_path / "s.db").rename(study)
+    assert cornercase("analyze", study).returncode == 0
+    assert cornercase("reduce", study, "--size", "2", "-o", tmp_path / "set").returncode == 0
+    assert json.loads((tmp_path / "set" / "manifest.json").read_text())["study"] == "\\udcff.db"
+    for command in (("show", study), ("export", study, "-o", tmp_path / "out"), ("verify", study)):
+        assert cornercase(*command).returncode == 0
+    page = cornercase("report", study, "-o", tmp_path / "r.html")
+    assert (page.returncode, "please report" in page.stderr) == (2, False)

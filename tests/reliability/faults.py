@@ -165,7 +165,7 @@ def _tables(file: Path) -> str:
 
 def prepare(folder: Path) -> None:
     """Make what the commands are run on."""
-    folder.mkdir()
+    folder.mkdir(parents=True)
     for one in EXAMPLE.iterdir():
         if one.is_file():
             shutil.copy(one, folder)
@@ -261,6 +261,8 @@ def torture(
                     {"command": name, "turn": turn, "error": error, "order": ended.failed, "wrong": wrong,
                      "said": ended.said[-1500:]}
                 )  # fmt: skip
+                print(counted.wrong[-1], file=sys.stderr, flush=True)
+        print(f"{name}: {counted.tried[name]} tried of {undisturbed.given} orders", file=sys.stderr, flush=True)
     return counted
 
 

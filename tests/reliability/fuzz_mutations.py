@@ -6,6 +6,7 @@ import copy
 import json
 import re
 import sqlite3
+import sys
 from contextlib import closing, suppress
 
 from lxml import etree
@@ -127,10 +128,16 @@ def mutated_json(data: bytes, rng) -> bytes:
     """Values made extreme or of another type, removed, doubled, or nested deep."""
     if rng.random() < 0.15:
         return mutated_bytes(data, rng)
-    value = json.loads(data)
-    for _ in range(rng.choice((1, 1, 2))):
-        value = _changed(value, rng)
-    return json.dumps(value).encode("utf-8", "surrogatepass")
+    usual = sys.getrecursionlimit()
+    # What is nested deep is copied and written here, but read with the limit that users have.
+    sys.setrecursionlimit(20 * usual)
+    try:
+        value = json.loads(data)
+        for _ in range(rng.choice((1, 1, 2))):
+            value = _changed(value, rng)
+        return json.dumps(value).encode("utf-8", "surrogatepass")
+    finally:
+        sys.setrecursionlimit(usual)
 
 
 def strange_value(rng):

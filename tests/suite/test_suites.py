@@ -410,6 +410,7 @@ BAD = {
     "a file elsewhere": (lambda f: spoilt(f, files={"../../secret": "0"}), "is no file in its folder"),
     "no JSON": (lambda f: (f / "manifest.json").write_text("{"), "is no JSON"),
     "no manifest": (lambda f: (f / "manifest.json").write_text("[]"), "is no manifest"),
+    "half a character": (lambda f: spoilt(f, study="\ud800.db"), "holds half a character"),
     "nothing in it": (lambda f: spoilt(f, space=None), "cannot be used as a manifest"),
     "no texts": (lambda f: spoilt(f, ego=3), "cannot be used as a manifest"),
     "a driver of somebody's own": (
@@ -444,6 +445,8 @@ def test_a_suite_that_cannot_be_used_is_refused_in_a_sentence(case, reduced, tmp
         ({"require": ["tcc > 1.5"]}, "ttc"),
         ({"require": ["no collision with Pedestrian"]}, "has no entity 'Pedestrian'"),
         ({"require": ["no collision with Ego"]}, "is the ego itself"),
+        ({"require": ['for "\\ud800": no collision']}, "no pattern of names"),
+        ({"require": ["no collision with \udcff"]}, "holds half a character"),
         ({"require": ["for x*.xosc: no collision"]}, "none of the files"),
         ({"metrics": ["tcc"]}, "did you mean 'ttc'"),
         ({"drivers": {"Ego": "agressive"}}, "did you mean 'aggressive'"),
