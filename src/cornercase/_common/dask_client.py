@@ -115,7 +115,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     # What of it concerns a user is told by cornercase.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    logging.getLogger("asyncio").addFilter(_is_told)
+    logging.getLogger("asyncio").addFilter(_concerns_others)
     if cluster == LOCAL:
         return _begin_here(workers)
     try:
@@ -128,7 +128,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
         ) from error
 
 
-def _is_told(record: logging.LogRecord) -> bool:
+def _concerns_others(record: logging.LogRecord) -> bool:
     """Whether a record of asyncio is of something else than a connection of Dask that was lost."""
     from distributed.comm.core import CommClosedError
 

@@ -33,7 +33,7 @@ class InterruptedGroup(TyperGroup):
         typer.Exit
             It was interrupted, with `exit_code`.
         """
-        with _told():
+        with _end_in_a_sentence():
             return super().make_context(*given, **more)
 
     def invoke(self, ctx: Any) -> Any:
@@ -53,12 +53,12 @@ class InterruptedGroup(TyperGroup):
         typer.Exit
             It was interrupted, with `exit_code`.
         """
-        with _told():
+        with _end_in_a_sentence():
             return super().invoke(ctx)
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _end_in_a_sentence() -> Iterator[None]:
     """Else typer takes each interrupt for Ctrl-C, and says nothing."""
     try:
         yield
