@@ -52,12 +52,12 @@ STUDIES = {
     ),
 }  # fmt: skip
 # What a manifest says of how its files are run again; the tests of suites hold it.
-RUN_AGAIN = ("format", "version", "ego", "other", "metrics", "critical threshold", "space", "files")
+RUN_AGAIN = ("format", "version", "ego", "other", "metrics", "critical_threshold", "space", "files")
 SEARCHES = ("bayes", "level-set", "evolutionary")
 
 # Relative and absolute.
 STRICT, FITTED, DRAWN = (1e-6, 1e-9), (3e-4, 1e-5), (3e-4, 2.01 / 400)
-SURROGATE = ("/summary/critical/", "/summary/sensitivity/", "/one of the space is unlike all kept/", "/unlike/")
+SURROGATE = ("/summary/critical/", "/summary/sensitivity/", "/one_of_the_space_is_unlike_all_kept/", "/unlike/")
 
 
 def run(*arguments) -> str:

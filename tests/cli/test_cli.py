@@ -105,7 +105,7 @@ def test_show_and_export(demo, tmp_path):
         assert study.recording(7).collisions
         assert same_recording(read_recording(tmp_path / "recordings" / "00007.csv"), study.recording(7))
         assert [float(row["wttc"]) for row in rows] == study.scores("wttc").tolist()
-        assert summary["metrics"]["wttc"]["most critical"] == study.scores("wttc").min()
+        assert summary["metrics"]["wttc"]["most_critical"] == study.scores("wttc").min()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a test cannot press Ctrl-C there")

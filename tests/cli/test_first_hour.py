@@ -177,14 +177,14 @@ def test_stumble_04_what_is_critical_is_asked_anew_of_a_study_that_stays_as_it_i
     options = ("--critical", str(threshold), "--scenario", X, "-o", kept)
     assert cornercase("reduce", study, *options).returncode == 0
     manifest = json.loads((kept / "manifest.json").read_text(encoding="utf-8"))
-    assert manifest["critical threshold"] == threshold
-    assert manifest["critical threshold of the study"] == 1
+    assert manifest["critical_threshold"] == threshold
+    assert manifest["critical_threshold_of_the_study"] == 1
     assert "chosen" not in shown("--critical", str(threshold))
     # Without it, the study is asked by its own again.
     again = shown()
     assert again["critical"] == own["critical"]
     assert f"They were chosen by wttc ≤ {threshold:g} s" in again["chosen"]
-    assert again["clusters"]["wttc"]["mutual information with"] == own["clusters"]["wttc"]["mutual information with"]
+    assert again["clusters"]["wttc"]["mutual_information_with"] == own["clusters"]["wttc"]["mutual_information_with"]
 
 
 def rows_of(study, folder):

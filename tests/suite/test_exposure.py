@@ -73,7 +73,7 @@ def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp
     count = int(exposure.rows_of([first.id]).sum())
     assert (first.role, first.why[:30]) == ("exposing", f"exposes {count} of 15 mutants of normal"[:30])
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    assert manifest["exposing"]["held out"]["exposed"] == choice.held_out.exposed
+    assert manifest["exposing"]["held_out"]["exposed"] == choice.held_out.exposed
     assert manifest["scenarios"][0]["why"] == first.why
     with cc.Study.open(study, readonly=True) as opened:
         assert read_reduction(opened) == reduced
@@ -98,7 +98,7 @@ def test_the_command_line_tells_what_is_exposed(study, tmp_path):
     assert "of 5 mutants of normal are exposed" in told.stdout
     assert "mutation" in told.stdout
     as_json = cornercase("test", tmp_path / "r", "--mutants", 5, "--json", "-o", tmp_path / "run.db")
-    assert len(json.loads(as_json.stdout)["mutants"]["by mutant"]) == 5
+    assert len(json.loads(as_json.stdout)["mutants"]["by_mutant"]) == 5
 
 
 def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):

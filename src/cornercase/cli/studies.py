@@ -10,6 +10,7 @@ import typer
 from rich.table import Column, Table
 
 from cornercase._common.errors import InputError
+from cornercase._common.json_keys import with_identifiers
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.texts import json_text
 from cornercase.cli import parsing
@@ -419,7 +420,7 @@ def show(
       cornercase show study.db --critical 0.5
       cornercase show study.db --config > study.toml
     """
-    from cornercase.report import put_in_words, summarize, tell_study_file
+    from cornercase.report import NAMED, put_in_words, summarize, tell_study_file
 
     if config:
         if as_json or critical is not None:
@@ -428,7 +429,7 @@ def show(
         return
     words = put_in_words(summarize(study, critical=critical))
     if as_json:
-        sys.stdout.write(json_text(words) + "\n")
+        sys.stdout.write(json_text(with_identifiers(words, NAMED)) + "\n")
         return
     for key, value in words.items():
         _show(key, value)

@@ -147,7 +147,7 @@ def stored_analysis(
     if analysis.inexact is not None:
         info |= {"every": analysis.every, "inexact": analysis.inexact}
     if study.critical != study.meta.critical:
-        info["critical threshold"] = study.critical
+        info["critical_threshold"] = study.critical
     return arrays, info
 
 
@@ -195,7 +195,7 @@ def read_analysis(study: Study, by: str) -> Analysis:
         require(every >= 1, "no instants that were compared")
         inexact = None if inexact is None else float(inexact)
         analysis = Analysis(by, info["unit"], window, ids, found, fitted, profiles, tells, every, inexact)
-        threshold = info.get("critical threshold", study.meta.critical)
+        threshold = info.get("critical_threshold", study.meta.critical)
     if not tells or threshold == study.critical:
         return analysis
     facts = {fact: mutual for fact, mutual in tells.items() if fact != "critical"}

@@ -121,13 +121,13 @@ class Exposure:
             "mutants": total,
             "exposed": count,
             "share": count / total,
-            "interval of 95 %": list(clopper_pearson(count, total, _TAIL)),
-            "failed with the driver": [one for one, failed in zip(self.scenarios, self.failed, strict=True) if failed],
-            "by mutant": [
+            "interval_95": list(clopper_pearson(count, total, _TAIL)),
+            "failed_with_the_driver": [one for one, failed in zip(self.scenarios, self.failed, strict=True) if failed],
+            "by_mutant": [
                 {
                     "driver": one.driver,
                     "mutation": one.mutation,
-                    "exposed by": [self.scenarios[i] for i in np.flatnonzero(exposed)],
+                    "exposed_by": [self.scenarios[i] for i in np.flatnonzero(exposed)],
                 }
                 for one, exposed in zip(self.mutants, self.exposed.T, strict=True)
             ],
@@ -175,7 +175,7 @@ class Grade:
             "possible": self.possible,
             "exposed": self.exposed,
             "share": self.share if self.possible else None,
-            "interval of 95 %": list(self.interval),
+            "interval_95": list(self.interval),
         }
 
 
@@ -233,7 +233,7 @@ class ExposingChoice:
             "driver": self.driver,
             "requirements": list(self.requirements),
             "candidates": self.candidates,
-            "chosen by": self.chosen_by.to_json(),
-            "held out": None if self.held_out is None else self.held_out.to_json(),
+            "chosen_by": self.chosen_by.to_json(),
+            "held_out": None if self.held_out is None else self.held_out.to_json(),
             "without": None if self.without is None else self.without.to_json(),
         }

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final, get_args
 
+from cornercase._common.json_keys import with_identifiers
 from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
 from cornercase.evidence import Estimate
@@ -19,7 +20,7 @@ from cornercase.reduction.kept import Role
 from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.study import Study, damage_told, made, require
 
-MANIFEST_FORMAT: Final = 1
+MANIFEST_FORMAT: Final = 2
 """Version of what it holds."""
 
 _GRADED: Final = (
@@ -63,7 +64,7 @@ def make_manifest(
             "ego": meta.ego,
             "other": meta.other if isinstance(meta.other, str) else list(meta.other),
             "metrics": list(meta.metrics),
-            "critical threshold": study.critical,
+            "critical_threshold": study.critical,
             "space": meta.space.to_json(),
             "by": reduced.by,
             "run": reduced.run,
@@ -82,7 +83,7 @@ def make_manifest(
 
 def _asked(study: Study) -> dict[str, float | None]:
     """Say which threshold the study has, where another one was asked."""
-    return {} if study.critical == study.meta.critical else {"critical threshold of the study": study.meta.critical}
+    return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
 
 
 def save_reduction(study: Study, reduced: ReducedSet) -> None:
@@ -105,7 +106,7 @@ def save_reduction(study: Study, reduced: ReducedSet) -> None:
         "hulls": {str(cluster): [list(facet) for facet in facets] for cluster, facets in reduced.hulls.items()},
     } | ({} if reduced.exposing is None else {"exposing": reduced.exposing.to_json()})
     if study.critical != study.meta.critical:
-        info["critical threshold"] = study.critical
+        info["critical_threshold"] = study.critical
     study.save_analysis("reduction", {}, info)
 
 
@@ -136,7 +137,7 @@ def read_reduction(study: Study) -> ReducedSet | None:
             critical={name: _critical(one) for name, one in info["critical"].items()},
             hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
             exposing=_exposing(info["exposing"]) if info.get("exposing") else None,
-            threshold=_number(info.get("critical threshold", study.meta.critical)),
+            threshold=_number(info.get("critical_threshold", study.meta.critical)),
         )
         corners = {one for facets in reduced.hulls.values() for facet in facets for one in facet}
         for one in reduced.kept:
@@ -177,14 +178,15 @@ def _of_shape(one: ClusterShape) -> dict[str, Any]:
     return {
         "cluster": one.cluster,
         "convexity": one.convexity,
-        "convexity in kernel space": one.kernel_convexity,
-        "archetypes by": one.method,
+        "convexity_in_kernel_space": one.kernel_convexity,
+        "archetypes_by": one.method,
         "parts": one.parts,
     }
 
 
 def _shape(plain: Mapping[str, Any]) -> ClusterShape:
-    shape = {"kernel_convexity": plain["convexity in kernel space"], "method": plain["archetypes by"]}
+    plain = with_identifiers(plain, {})
+    shape = {"kernel_convexity": plain["convexity_in_kernel_space"], "method": plain["archetypes_by"]}
     shape |= {name: plain[name] for name in ("cluster", "convexity", "parts")}
     require(shape["method"] in ("hull", "pcha", "parts", "kernel"), "a cluster whose archetypes nobody finds")
     return made(ClusterShape, shape)
@@ -206,11 +208,12 @@ def _critical(plain: Mapping[str, Any]) -> CriticalCoverage:
 
 
 def _exposing(plain: Mapping[str, Any]) -> ExposingChoice:
+    plain = with_identifiers(plain, {})
     grades = {
         name: None
-        if plain[key] is None
-        else Grade(*(int(plain[key][one]) for one in ("mutants", "possible", "exposed")))
-        for name, key in (("chosen_by", "chosen by"), ("held_out", "held out"), ("without", "without"))
+        if plain[name] is None
+        else Grade(*(int(plain[name][one]) for one in ("mutants", "possible", "exposed")))
+        for name in ("chosen_by", "held_out", "without")
     }
     require(grades["chosen_by"] is not None, "mutants that chose nothing")
     for one in filter(None, grades.values()):

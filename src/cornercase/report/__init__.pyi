@@ -1,5 +1,6 @@
 from .live.watching import watch as watch
 from .page import write_report as write_report
+from .plain import NAMED as NAMED
 from .plain import put_in_words as put_in_words
 from .replays.writing import replay as replay
 from .study_files import tell_study_file as tell_study_file

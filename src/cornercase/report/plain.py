@@ -24,6 +24,12 @@ from cornercase.report.words import (
     tell_unforetold,
 )
 
+NAMED: Final = {
+    "parameters": 1, "metrics": 1, "at": 1, "clusters": 1, "collisions not measured against": 1, "scenarios against": 1,
+    "mutual information with": 1, "outcomes": 1, "median": 1, "front": 2, "agreement": 1, "references": 1,
+    "coverage": 1,
+}  # fmt: skip
+"""Below these keys the keys of so many levels are names: of metrics, parameters, aspects."""
 _COVERAGE: Final = {
     "largest": "largest distance to a kept one",
     "mean": "mean distance",
@@ -65,7 +71,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
     Returns
     -------
     dict of str to object
-        What ``cornercase show --json`` prints.
+        What ``cornercase show`` prints; with ``--json`` keys are identifiers.
     """
     meta = summary.meta
     plain: dict[str, Any] = {

@@ -81,6 +81,9 @@ def _loaded(path: Path) -> dict[str, Any]:
             f"{path}: an earlier version of cornercase wrote it, without what it takes to run it again; run `reduce`"
             " again."
         )
+    if plain["format"] == 1:
+        # It had words as keys.
+        plain = plain | {"format": MANIFEST_FORMAT, "critical_threshold": plain.get("critical threshold")}
     if plain["format"] != MANIFEST_FORMAT:
         raise InputError(
             f"{path}: has the format {str(plain['format'])[:20]}, and this version of cornercase reads"
@@ -120,7 +123,7 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
     metrics = tuple(METRICS.create(_text(name)).name for name in plain["metrics"])
     time_step, duration, on_collision = (settings.get(name, usual) for name, usual in _SETTINGS.items())
     checked_settings(time_step, duration, on_collision, None)
-    critical = plain["critical threshold"]
+    critical = plain["critical_threshold"]
     return SuiteContents(
         place=path,
         scenarios=tuple(scenarios),

@@ -169,7 +169,7 @@ class SuiteResult:
             "failed": self.count("failed"),
             "inconclusive": self.count("inconclusive"),
             "errors": self.count("error"),
-            "ran before": self.ran_before,
+            "ran_before": self.ran_before,
             "against": None if self.against is None else str(self.against),
             "scenarios": [asdict(one) | {"reason": one.reason} for one in self.scenarios],
         } | ({} if self.exposure is None else {"mutants": self.exposure.to_json()})

@@ -1,0 +1,88 @@
+"""What programs read is as its JSON schema says; schemas name the keys one by one."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from importlib import resources
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from command_line import SPACE, X, cornercase
+
+SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--seed", "1")
+
+
+def validate(name, text):
+    schema = json.loads(resources.files("cornercase").joinpath("schemas", f"{name}.schema.json").read_bytes())
+    Draft202012Validator.check_schema(schema)
+    found = json.loads(text)
+    errors = [f"{one.json_path}: {one.message[:300]}" for one in Draft202012Validator(schema).iter_errors(found)]
+    assert not errors, "\n".join(errors)
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("schemas")
+    study = folder / "study.db"
+    more = ("--metric", "trajectory-distance", "--optimizer", "sobol", "--budget", "24", "--audit", "0.25")
+    for command in (
+        (*SEARCH, *more, "--driver", "Ego=normal", "-o", study),
+        ("analyze", study),
+        ("reduce", study, "--scenario", X, "--size", "4", "--expose", "2", "-o", folder / "reduced"),
+    ):
+        assert cornercase(*command).returncode == 0
+    return folder
+
+
+def test_show(folder):
+    found = validate("show", cornercase("show", folder / "study.db", "--json").stdout)
+    assert found["metrics"]["trajectory-distance"]["critical_is"] == "low"
+    assert found["critical"]["audit"]["scenarios"] == 6
+    asked = validate("show", cornercase("show", folder / "study.db", "--critical", "0.1", "--json").stdout)
+    assert asked["critical"]["asked"]
+    # Names stay as they are; the rest are identifiers.
+    assert set(found["clusters"]) >= {"ego-trajectory", "trajectory-distance"}
+    assert all(key.isidentifier() for key in (*found, *found["critical"], *found["sensitivity"]))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--metric", "distance", "--pareto", "--optimizer", "random", "--asynchronous"),
+        ("--critical-if", "collision and not reference:cautious", "--optimizer", "random"),
+        ("--optimizer", "random", "--repeats", "2"),
+        ("--optimizer", "random", "--other", "C"),
+    ],
+)
+def test_show_of_other_searches(options, tmp_path):
+    assert cornercase(*SEARCH, *options, "--budget", "3", "-o", tmp_path / "study.db").returncode == 0
+    validate("show", cornercase("show", tmp_path / "study.db", "--json").stdout)
+
+
+def test_manifest_and_test(folder, tmp_path):
+    manifest = validate("manifest", (folder / "reduced" / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["exposing"]["chosen_by"]["mutants"] == 2
+    run = ("test", folder / "reduced", "--require", "no collision", "--require", "wttc > 5", "--json")
+    found = validate("test", cornercase(*run, "--mutants", "2", "-o", tmp_path / "run.db").stdout)
+    assert found["failed"] > 0
+    assert len(found["mutants"]["by_mutant"]) == 2
+
+
+def test_a_manifest_of_the_first_format_is_run(folder, tmp_path):
+    shutil.copytree(folder / "reduced", tmp_path / "reduced")
+    file = tmp_path / "reduced" / "manifest.json"
+    plain = json.loads(file.read_text(encoding="utf-8"))
+    plain["critical threshold"] = plain.pop("critical_threshold")
+    file.write_text(json.dumps(plain | {"format": 1}), encoding="utf-8")
+    done = cornercase("test", tmp_path / "reduced", "--json", "-o", tmp_path / "run.db")
+    assert done.returncode in (0, 1), done.stderr
+    validate("test", done.stdout)
+
+
+def test_verify(folder, tmp_path):
+    study = tmp_path / "study.db"
+    shutil.copy(folder / "study.db", study)
+    assert validate("verify", cornercase("verify", study, "--json").stdout)["sound"]
