@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -16,9 +17,12 @@ import pytest
 
 from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError, NoticeWarning
+from cornercase._common.progress import words_of_seconds
+from cornercase.exploration import Objective, demonstration, explore_configuration
 from cornercase.optimizers.grid import GridOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.simulators.carmaker import simulator as carmaker
+from cornercase.study import Study
 
 SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--budget", "2", "--batch", "2")
 
@@ -33,7 +37,7 @@ def notices():
         yield
 
 
-def test_stumble_7_nothing_is_taken_for_markup_and_no_carmaker_is_here_that_is_not(monkeypatch):
+def test_stumble_07_nothing_is_taken_for_markup_and_no_carmaker_is_here_that_is_not(monkeypatch):
     monkeypatch.setattr(carmaker, "has_cmapi", lambda: False)
     monkeypatch.setattr(carmaker, "_listens", lambda: False)
     found = json.loads(cornercase("simulators", "--json").stdout)
@@ -46,7 +50,7 @@ def test_stumble_7_nothing_is_taken_for_markup_and_no_carmaker_is_here_that_is_n
 
 
 @pytest.mark.parametrize("names", [["a"], ["a", "b", "c"]])
-def test_stumble_9_a_grid_of_a_billion_is_refused_at_once(names):
+def test_stumble_09_a_grid_of_a_billion_is_refused_at_once(names):
     space = ParameterSpace.from_ranges([f"{name}=0:1" for name in names])
     with pytest.raises(InputError, match=r"`budget` 1000000000: its grid has more than 1000000 points"):
         GridOptimizer(space, 0, budget=1_000_000_000)
@@ -116,7 +120,7 @@ def test_stumble_10_other_settings_are_told_with_both_values_and_quiet_is_quiet(
     assert "settings at most" in cornercase("-v", "analyze", tmp_path / "study.db", "--by", "wttc").stderr
 
 
-def test_stumble_6_fewer_than_asked_for_is_said(tmp_path, notices):
+def test_stumble_06_fewer_than_asked_for_is_said(tmp_path, notices):
     search = (*SEARCH, "--metric", "wttc", "--optimizer", "sobol", "-o", tmp_path / "study.db")
     for command in (search, ("analyze", tmp_path / "study.db", "--by", "wttc")):
         assert cornercase(*command).returncode == 0
@@ -285,3 +289,70 @@ def test_stumble_10_a_study_file_names_no_code_and_nothing_unknown(line, words, 
     assert done.stderr.startswith(f"cornercase: {file}: ")
     assert words in done.stderr
     assert not (tmp_path / "study.db").exists()
+
+
+def test_stumble_01_who_follows_the_readme_has_the_command_on_the_path():
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    tour = readme[readme.index("## A tour") :]
+    # tests/test_documentation.py and tests/test_pages_in_order.py run what is told.
+    assert tour.index(". .venv/bin/activate") < tour.index("cd demo") < tour.index("    cornercase explore")
+
+
+def test_stumble_02_where_nothing_critical_was_run_an_upper_bound_holds(searched, tmp_path):
+    done = cornercase("show", searched, "--critical", "-1", "--json")
+    found = json.loads(done.stdout)["critical"]
+    assert found["scenarios"] == 0
+    # With a share of one tenth, none of 24 scenarios that fill the space would be critical in 8 of 100 cases.
+    assert found["share"]["high"] > 0.05
+    page = tmp_path / "report.html"
+    assert cornercase("report", searched, "--critical", "-1", "--scenario", X, "-o", page).returncode == 0
+    text = page.read_text(encoding="utf-8")
+    assert "None of the 24 scenarios that were run is critical" in text
+    assert "Nothing critical was found, so whatever is critical was missed." in text
+
+
+def test_stumble_05_where_all_runs_fail_that_is_no_success(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lost_driver.py").write_text(
+        "import numpy as np\nfrom cornercase.drivers import Driver\n\n\nclass Lost(Driver):\n"
+        "    def acceleration(self, situation):\n        return np.full_like(situation.speed, np.nan)\n",
+        encoding="utf-8",
+    )
+    search = (*SEARCH, "--metric", "wttc", "--optimizer", "sobol", "--driver", "Ego=lost_driver:Lost", "-o", "study.db")
+    done = cornercase(*search, cwd=tmp_path)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "2 of which failed" in done.stdout
+    assert "  2 failed: " in done.stdout
+    assert json.loads(cornercase("show", "study.db", "--json").stdout)["failed"] == 2
+
+
+def test_stumble_08_times_are_told_as_people_do():
+    assert [words_of_seconds(one) for one in (42, 7500)] == ["42 s", "2 h 5 min"]
+
+
+def test_stumble_11_a_study_that_is_read_blocks_nobody(searched, tmp_path):
+    study = tmp_path / "study.db"
+    shutil.copy(searched, study)
+    with Study.open(study) as one, Study.open(study) as two:
+        assert one.readonly
+        assert two.readonly
+        assert cornercase("analyze", study, "--by", "wttc").returncode == 0
+        assert one.analyses() == ["wttc"]
+
+
+def test_stumble_13_what_takes_long_runs_at_night():
+    root = Path(__file__).parents[2]
+    settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
+    assert "not slow" in settings["addopts"]
+    makefile = (root / "Makefile").read_text(encoding="utf-8")
+    assert '-m "not torture"' in makefile[makefile.index("test-all:") : makefile.index("durations:")]
+    assert "-m" not in makefile[makefile.index("\ntest:") : makefile.index("\ntest-all:")].replace("-m pytest", "")
+
+
+@pytest.mark.parametrize("name", ["x-intersection", "t-intersection"])
+def test_stumble_03_what_the_demonstration_calls_critical_divides(name, tmp_path):
+    configuration = replace(demonstration(name), budget=64, optimizer="sobol")
+    explore_configuration(configuration, tmp_path / "study.db")
+    with Study.open(tmp_path / "study.db") as study:
+        critical = Objective.of_study(study.meta).critical_of(study)
+    assert 0.02 < critical.mean() < 0.5

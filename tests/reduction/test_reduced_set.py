@@ -261,7 +261,7 @@ def test_the_manifest_tells_the_shape_of_each_cluster_and_what_is_unlike_all_kep
     assert [one["cluster"] for one in manifest["shapes"]] == list(range(labels.max() + 1))
     for one in manifest["shapes"]:
         assert 0.0 <= one["convexity"] <= 1.0
-        assert one["archetypes by"] in ("hull", "parts", "kernel")
+        assert one["archetypes_by"] in ("hull", "parts", "kernel")
     assert {"ego-trajectory", "wttc"} <= set(manifest["critical"]) == set(manifest["coverage"])
     assert "judges a set that was chosen in the same way from the other four" in manifest["graded"]
     for found in manifest["critical"].values():
@@ -288,10 +288,10 @@ def test_the_page_and_the_summary_tell_it_too(explored):
     told = summary["coverage"]["wttc"]
     # Not what the set leaves of those that chose it.
     assert "random subsets with a larger mean" not in told
-    assert told["held out"]["scenarios"] == 120
-    assert told["held out"]["random subsets with a larger mean"] >= 0.9
-    assert told["critical scenarios"]["held out"]["critical scenarios"] > 0
-    assert "one of the space is unlike all kept" in told["critical scenarios"]
+    assert told["held_out"]["scenarios"] == 120
+    assert told["held_out"]["random subsets with a larger mean"] >= 0.9
+    assert told["critical_scenarios"]["held_out"]["critical_scenarios"] > 0
+    assert "one of the space is unlike all kept" in told["critical_scenarios"]
     assert summary["shapes"]["cluster 0"]["convexity"] <= 1.0
 
 
@@ -311,7 +311,7 @@ def test_the_papers_way_keeps_archetypes_alone(explored):
     assert done.returncode == 0, done.stderr
     manifest = json.loads((folder / "paper" / "manifest.json").read_text())
     assert {one["role"] for one in manifest["scenarios"]} == {"prototype", "archetype"}
-    assert {one["archetypes by"] for one in manifest["shapes"]} == {"hull"}
+    assert {one["archetypes_by"] for one in manifest["shapes"]} == {"hull"}
 
 
 def test_new_scenarios_join_the_clusters_that_are_kept(explored, tmp_path):
