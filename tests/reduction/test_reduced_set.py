@@ -289,9 +289,9 @@ def test_the_page_and_the_summary_tell_it_too(explored):
     # Not what the set leaves of those that chose it.
     assert "random subsets with a larger mean" not in told
     assert told["held_out"]["scenarios"] == 120
-    assert told["held_out"]["random subsets with a larger mean"] >= 0.9
+    assert told["held_out"]["random_subsets_with_a_larger_mean"] >= 0.9
     assert told["critical_scenarios"]["held_out"]["critical_scenarios"] > 0
-    assert "one of the space is unlike all kept" in told["critical_scenarios"]
+    assert "one_of_the_space_is_unlike_all_kept" in told["critical_scenarios"]
     assert summary["shapes"]["cluster 0"]["convexity"] <= 1.0
 
 
