@@ -162,7 +162,7 @@ def test_stumble_04_what_is_critical_is_asked_anew_of_a_study_that_stays_as_it_i
     assert own["critical"]["scenarios"] == sum(one <= 1 for one in scores)
     assert asked["critical"]["scenarios"] == sum(one <= threshold for one in scores) < own["critical"]["scenarios"]
     assert "asked" not in own["critical"]
-    assert "its own is wttc ≤ 1 s" in asked["critical"]["asked"]
+    assert "the study's own is wttc ≤ 1 s" in asked["critical"]["asked"]
     assert asked["critical"]["share"]["value"] < own["critical"]["share"]["value"]
     # What is told of the reduced set is of this threshold too, and says by which it was chosen.
     assert "They were chosen by wttc ≤ 1 s" in asked["chosen"]
@@ -173,7 +173,7 @@ def test_stumble_04_what_is_critical_is_asked_anew_of_a_study_that_stays_as_it_i
     page = tmp_path / "report.html"
     assert cornercase("report", study, "--critical", str(threshold), "--scenario", X, "-o", page).returncode == 0
     text = page.read_text(encoding="utf-8")
-    assert "This threshold is asked of the study afterwards: its own is wttc" in text
+    assert "This threshold was chosen afterwards: the study's own is wttc" in text
     assert "--critical 1 " in text, "the command that makes the study again has its own threshold"
 
     assert cornercase("analyze", study, "--by", "wttc", "--critical", str(threshold)).returncode == 0

@@ -195,7 +195,7 @@ def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
 def test_what_kinds_tell_is_said_in_a_sentence(path, tells, words):
     kinds = summarize(path).analyses["distance"]
     assert judge_clusters(replace(kinds, tells=tells)) == f"The kinds by distance {words}"
-    assert "All scenarios end alike" in judge_clusters(replace(kinds, tells={}))
+    assert "All scenarios end in the same way" in judge_clusters(replace(kinds, tells={}))
     # Of a study of an early version.
     assert judge_clusters(replace(kinds, tells={}, profiles=())) == ""
 

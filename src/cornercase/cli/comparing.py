@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 @app.command()
 def compare(
     old: Annotated[Path, typer.Argument(metavar="OLD.db", help="Study of the old version.")],
-    new: Annotated[Path, typer.Argument(metavar="NEW.db", help="Study of the new one, of the same scenario.")],
+    new: Annotated[Path, typer.Argument(metavar="NEW.db", help="Study of the new version, of the same scenario.")],
     *,
     metric: Annotated[
         list[str] | None, typer.Option("--metric", metavar="NAME", help="Metric to compare by; default: all.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write, with replays.")
     ] = None,
@@ -32,9 +32,10 @@ def compare(
         typer.Option(metavar="FILE.xosc", help="Scenario that was explored, for the page; default: beside the study."),
     ] = None,
 ) -> None:
-    """Tell what changed between two versions, by the studies of both.
+    """Compare two versions of a system, by a study of each.
 
-    Compares what ran with the same parameters one by one; explore both versions with the same seed to have such pairs.
+    It compares scenarios with the same parameters one by one. To get such pairs, explore both versions with the same
+    seed.
     Exit code 0: no change; 1: something changed; 2: bad input.
 
     \b

@@ -33,36 +33,39 @@ if TYPE_CHECKING:
 def estimate(
     study: StudyFile,
     *,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="ESTIMATE.db", help="Study to write or go on with.")
-    ],
-    budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=100)] = 2000,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="ESTIMATE.db", help="Study to write or continue.")],
+    budget: Annotated[
+        int, typer.Option(metavar="N", help="Number of concrete scenarios to run in all.", min=100)
+    ] = 2000,
     critical: Annotated[
         float | None,
         typer.Option(metavar="X", help="Score from which a scenario is critical; default: as in the study."),
     ] = None,
     encounter: Annotated[
-        float, typer.Option(metavar="M", help="The two have an encounter where their gap is at most so many m.", min=0)
+        float, typer.Option(metavar="M", help="The two meet if their gap is at most this many m.", min=0)
     ] = 10.0,
     seed: Seed = 0,
     scenario: Annotated[
         Path | None,
-        typer.Option(metavar="SCENARIO.xosc", help="File that was explored; default: the one beside the study."),
+        typer.Option(metavar="SCENARIO.xosc", help="Scenario that was explored; default: the file beside the study."),
     ] = None,
     simulator: Annotated[
-        str | None, typer.Option("--simulator", metavar="NAME", help="What runs the scenarios; default: as the study.")
+        str | None,
+        typer.Option(
+            "--simulator", metavar="NAME", help="Simulator that runs the scenarios; default: that of the study."
+        ),
     ] = None,
     workers: Workers = 1,
     cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
     driver: Drivers = None,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Estimate how probable critical scenarios and collisions are.
 
-    Runs new scenarios, drawn where critical ones are frequent, and weighs them by the distributions of the space. The
-    same command again goes on where it stopped.
+    It draws new scenarios where critical ones are frequent, runs them, and weights them by the distributions of the
+    space. The same command again goes on where it stopped.
 
     \b
     Example:

@@ -46,7 +46,7 @@ debugging: ContextVar[bool] = ContextVar("debugging", default=False)
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
 SpaceFile = Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")]
-StudyOutput = Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or go on with.")]
+StudyOutput = Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or continue.")]
 Critical = Annotated[
     float | None,
     typer.Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own."),
@@ -56,7 +56,7 @@ CriticalAnew = Annotated[
     typer.Option(
         "--critical",
         metavar="X",
-        help="Score from which a scenario is critical, asked anew; default: the study's, which stays as it is.",
+        help="Use another threshold: score from which a scenario is critical. The study keeps its own.",
     ),
 ]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
@@ -65,12 +65,16 @@ Other = Annotated[
     list[str],
     typer.Option(
         metavar="NAME|*",
-        help="Entity it is measured against; several times for several, '*' for all others. The most critical counts.",
+        help="Other entity; repeat it for several, '*' for all others. The most critical one counts.",
     ),
 ]
 Metrics = Annotated[
     list[str],
-    typer.Option("--metric", metavar="NAME", help="Criticality metric, all are stored; the first is searched."),
+    typer.Option(
+        "--metric",
+        metavar="NAME",
+        help="Criticality metric. Repeat it for several: all are stored, the first is searched.",
+    ),
 ]
 Seed = Annotated[int, typer.Option(help="Same seed, same result.", min=0)]
 TimeStep = Annotated[float, typer.Option(metavar="S", help="Time step in s.")]
@@ -81,7 +85,7 @@ Drivers = Annotated[
     typer.Option(
         "--driver",
         metavar="ENTITY=NAME",
-        help="As normal, normal:horizon=4, or package.module:Class.",
+        help="Driver of an entity: normal, normal:horizon=4, or package.module:Class.",
     ),
 ]
 Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
@@ -90,46 +94,48 @@ By = Annotated[
     typer.Option(
         "--by",
         metavar="ASPECT|METRIC",
-        help="What to cluster by; default: ego-trajectory, bearing, interaction, metrics.",
+        help="What to compare; default: ego-trajectory, bearing, interaction and all metrics.",
     ),
 ]
 Gamma = Annotated[str, typer.Option(metavar="X|auto", help="Kernel width parameter.")]
 Eps = Annotated[str, typer.Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
 MinSamples = Annotated[str, typer.Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
-SimulatorName = Annotated[str, typer.Option("--simulator", metavar="NAME", help="What runs the scenarios.")]
-Timeout = Annotated[float | None, typer.Option(metavar="S", help="Give a scenario up after this time in s.")]
+SimulatorName = Annotated[str, typer.Option("--simulator", metavar="NAME", help="Simulator that runs the scenarios.")]
+Timeout = Annotated[float | None, typer.Option(metavar="S", help="Give up a scenario after this time in s.")]
 Retries = Annotated[
     int,
     typer.Option(
         metavar="N",
-        help="Run a scenario again so often after the simulator died or hung, or a worker was lost.",
+        help="How often to run a scenario again if the simulator died or hung, or a worker was lost.",
         min=0,
     ),
 ]
-LocalWorkers = Annotated[int, typer.Option("--workers", metavar="N", help="Processes of --cluster local.", min=1)]
+LocalWorkers = Annotated[
+    int, typer.Option("--workers", metavar="N", help="Number of processes of --cluster local.", min=1)
+]
 Cluster = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS|local",
-        help="Run on a Dask cluster: address of its scheduler, or the file that it wrote; local for --workers here.",
+        help="Run on a Dask cluster: address or file of its scheduler; local starts --workers on this machine.",
     ),
 ]
-Memory = Annotated[str, typer.Option(metavar="SIZE", help="Memory that the command may take, as 4GB or 500MB.")]
-Workers = Annotated[int, typer.Option(metavar="N", help="Simulators that run side by side.", min=1)]
+Memory = Annotated[str, typer.Option(metavar="SIZE", help="Memory that the command may use, such as 4GB or 500MB.")]
+Workers = Annotated[int, typer.Option(metavar="N", help="Number of simulators that run side by side.", min=1)]
 
 
 @app.callback(invoke_without_command=True)
 def _main(
-    version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False,
+    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
     debug: Annotated[
         bool,
-        typer.Option("--debug", envvar="CORNERCASE_DEBUG", help="Show tracebacks too: cornercase --debug explore …"),
+        typer.Option("--debug", envvar="CORNERCASE_DEBUG", help="Also show tracebacks: cornercase --debug explore …"),
     ] = False,
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Neither bars nor notices: cornercase -q explore …")
+        bool, typer.Option("--quiet", "-q", help="Show no bars and no notices: cornercase -q explore …")
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Bars for short steps too: cornercase -v analyze …")
+        bool, typer.Option("--verbose", "-v", help="Also show bars for short steps: cornercase -v analyze …")
     ] = False,
 ) -> None:
     debugging.set(debug)

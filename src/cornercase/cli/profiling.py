@@ -49,7 +49,5 @@ def _profiled(file: Path) -> Iterator[None]:
 
 Profile = Annotated[
     Path | None,
-    typer.Option(
-        "--profile", metavar="FILE.txt", help="Write where the time goes, function by function.", callback=_begin
-    ),
+    typer.Option("--profile", metavar="FILE.txt", help="Write how much time each function takes.", callback=_begin),
 ]

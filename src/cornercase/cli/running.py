@@ -47,7 +47,7 @@ from cornercase.cli.study_file import Config
 def explore(
     scenario: Annotated[
         Path | None,
-        typer.Argument(metavar="[SCENARIO.xosc]", help="OpenSCENARIO file; may be left to --space."),
+        typer.Argument(metavar="[SCENARIO.xosc]", help="OpenSCENARIO file; may be omitted if --space names it."),
     ] = None,
     *,
     ego: Ego,
@@ -57,10 +57,10 @@ def explore(
     space: SpaceFile = None,
     ranges: Annotated[
         list[str] | None,
-        typer.Option("--range", metavar="NAME=LOW:HIGH[:STEP]", help="Adds or replaces a parameter."),
+        typer.Option("--range", metavar="NAME=LOW:HIGH[:STEP]", help="Add or replace a parameter."),
     ] = None,
     continuous: Annotated[
-        bool, typer.Option("--continuous", help="Search ranges that have steps as intervals.")
+        bool, typer.Option("--continuous", help="Search ranges with steps as continuous intervals.")
     ] = False,
     optimizer: Annotated[
         str,
@@ -76,8 +76,8 @@ def explore(
         typer.Option(
             "--critical-if",
             metavar="CONDITION",
-            help="What is critical instead, and searched: 'collision and not reference:cc-human' is what this driver"
-            " would have prevented; with bounds on scores ('ttc < 1'), and, or, not, brackets.",
+            help="Search a condition instead: 'collision and not reference:cc-human' is what this driver"
+            " would have prevented; bounds on scores ('ttc < 1'), and, or, not, brackets.",
         ),
     ] = None,
     weight: Annotated[
@@ -90,22 +90,23 @@ def explore(
         typer.Option(
             "--stop-when",
             metavar="WHAT<X",
-            help="Stop when so much is known of the critical set: missed<0.01, interval<0.05,"
-            " overlooked(0.01)<0.05, unvisited(0.01)<0.05, audited-missed<0.1; of several all.",
+            help="Stop when enough is known about the critical set: missed<0.01, interval<0.05,"
+            " overlooked(0.01)<0.05, unvisited(0.01)<0.05, audited-missed<0.1; with several, when all hold.",
         ),
     ] = None,
-    budget: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios to run in all.", min=1)] = 200,
-    batch: Annotated[int, typer.Option(metavar="N", help="Concrete scenarios per round.", min=1)] = 10,
+    budget: Annotated[int, typer.Option(metavar="N", help="Number of concrete scenarios to run in all.", min=1)] = 200,
+    batch: Annotated[int, typer.Option(metavar="N", help="Number of concrete scenarios in a round.", min=1)] = 10,
     asynchronous: Annotated[
-        bool, typer.Option("--asynchronous", help="No rounds: propose the next scenario as soon as one has ended.")
+        bool,
+        typer.Option("--asynchronous", help="Work without rounds: propose the next scenario as soon as one has ended."),
     ] = False,
     patience: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Stop after N rounds without anything new; without rounds, as many scenarios.", min=1
+            metavar="N", help="Stop after N rounds without anything new (asynchronous: after as many scenarios).", min=1
         ),
     ] = None,
-    max_seconds: Annotated[float | None, typer.Option(metavar="S", help="Stop after this time.")] = None,
+    max_seconds: Annotated[float | None, typer.Option(metavar="S", help="Stop after this time in s.")] = None,
     seed: Seed = 0,
     simulator: SimulatorName = "builtin",
     workers: Workers = 1,
@@ -119,7 +120,7 @@ def explore(
         float,
         typer.Option(
             metavar="SHARE",
-            help="Share of the scenarios that are drawn at random and kept from the search, to judge what it found.",
+            help="Share of scenarios drawn at random and hidden from the search, to judge what it found.",
         ),
     ] = 0.0,
     time_step: TimeStep = 0.05,
@@ -128,9 +129,7 @@ def explore(
     driver: Drivers = None,
     replay: Annotated[
         bool,
-        typer.Option(
-            "--replay", help="Simulate nothing; say whether the study's results give the same proposals again."
-        ),
+        typer.Option("--replay", help="Simulate nothing; test whether the stored results lead to the same proposals."),
     ] = False,
     from_study: Annotated[
         Path | None,
@@ -141,14 +140,15 @@ def explore(
         ),
     ] = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Run the study's scenarios that failed once more, then go on.")
+        bool, typer.Option("--retry-failed", help="First run the failed scenarios of the study once more.")
     ] = False,
     config: Config = None,
     profile: Profile = None,
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
 
-    The same command again goes on where it stopped. With --replay it ends with exit code 1 where a proposal is another.
+    The same command again goes on where it stopped. With --replay, exit code 1 means that a
+    proposal differs.
 
     \b
     Example:
@@ -208,9 +208,9 @@ def check(
     *,
     space: SpaceFile = None,
 ) -> None:
-    """Tell what scenario files hold, what of them has no effect here, and whether they are valid and can be run.
+    """Check scenario files: what they hold, what has no effect here, and whether they are valid and can run.
 
-    It ends with exit code 1 where one of them is not valid or cannot be run.
+    The exit code is 1 if one of them is not valid or cannot run.
 
     \b
     Example:
@@ -275,7 +275,7 @@ def convert_(
 ) -> None:
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 
-    Says what is not quite the same there, and refuses what cannot be said.
+    It reports what is not exactly the same there, and refuses what OpenSCENARIO 1.0 cannot express.
 
     \b
     Example:
@@ -382,7 +382,7 @@ def import_(
     ] = None,
     critical: Critical = None,
 ) -> None:
-    """Make a study of recordings that were made elsewhere, to cluster and reduce them.
+    """Make a study from existing recordings, to cluster and reduce them.
 
     Reads what measure reads: cornercase's and esmini's CSV, SUMO's floating car data, CarMaker's ERG, CARLA's recorder
     files, ASAM OSI traces, CommonRoad scenarios.
@@ -405,12 +405,12 @@ def import_(
 def metrics(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME]…", help="Say how these are defined, and what options they take."),
+        typer.Argument(metavar="[NAME]…", help="Metrics to define, with their options."),
     ] = None,
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
-    """List the criticality metrics, also those of other packages, or say how some of them are defined.
+    """List the criticality metrics, with those of other packages, or print definitions.
 
     A metric takes options behind a colon, those of its class in the documentation: --metric ttc:accelerating=true
 
@@ -440,7 +440,7 @@ def metrics(
 @app.command()
 def simulators(
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """List the simulators, whether they can run here, and what they can do.
 

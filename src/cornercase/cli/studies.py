@@ -53,22 +53,20 @@ def analyze(
     eps: Eps = "auto",
     min_samples: MinSamples = "auto",
     method: Annotated[
-        str | None, typer.Option(metavar="dbscan|hdbscan", help="What finds the clusters; default: dbscan.")
+        str | None, typer.Option(metavar="dbscan|hdbscan", help="How to find clusters; default: dbscan.")
     ] = None,
     window: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Match only instants that are so far apart at most, in s; default: any."),
+        typer.Option(metavar="S", help="Match only instants at most this many s apart; default: any."),
     ] = None,
-    keep: Annotated[
-        bool, typer.Option("--keep", help="Keep the clusters that are there; new scenarios join them.")
-    ] = False,
+    keep: Annotated[bool, typer.Option("--keep", help="Keep existing clusters; new scenarios join them.")] = False,
     workers: LocalWorkers = 1,
     cluster: Cluster = None,
     critical: CriticalAnew = None,
     memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
-    """Cluster what was run, by behaviour and by criticality.
+    """Cluster the scenarios of a study, by behaviour and by criticality.
 
     Aspects: ego-trajectory, ego-speed, ego-motion, behaviour (the ego's way over time), interaction, relative, bearing
     (of the other, as the ego sees it), those of other packages, and each metric.
@@ -126,53 +124,60 @@ def reduce(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
     by: Annotated[
         str | None,
-        typer.Option("--by", metavar="ASPECT|METRIC", help="Which clusters; default: the searched metric's."),
+        typer.Option(
+            "--by", metavar="ASPECT|METRIC", help="Aspect whose clusters are used; default: the searched metric."
+        ),
     ] = None,
     archetypes: Annotated[
         str | None,
         typer.Option(
-            metavar="N|auto", help="Keep nothing but prototypes and so many archetypes a cluster, as the paper."
+            metavar="N|auto",
+            help="As in the paper, keep only prototypes and this number of archetypes for each cluster.",
         ),
     ] = None,
     archetypes_by: Annotated[
         str,
         typer.Option(
             metavar="auto|hull|pcha|parts|kernel",
-            help="How archetypes are found; auto goes by each cluster's convexity.",
+            help="How to find archetypes; auto depends on the convexity of each cluster.",
         ),
     ] = "auto",
-    size: Annotated[int | None, typer.Option(metavar="N", help="Keep so many in all.", min=1)] = None,
-    share: Annotated[float | None, typer.Option(metavar="X", help="Keep such a share of all; default 0.1.")] = None,
+    size: Annotated[int | None, typer.Option(metavar="N", help="Number of scenarios to keep.", min=1)] = None,
+    share: Annotated[float | None, typer.Option(metavar="X", help="Share of scenarios to keep; default: 0.1.")] = None,
     cover: Annotated[
         float | None,
         typer.Option(
             metavar="X",
-            help="Keep as few as possible with every scenario within this share of the largest distance of a kept one.",
+            help="Keep as few as possible; none is farther from a kept one than this share of the largest distance.",
         ),
     ] = None,
     within: Annotated[
         float,
-        typer.Option(metavar="X", help="Scenarios are alike up to this share of the median distance within clusters."),
+        typer.Option(
+            metavar="X", help="Two scenarios are alike within this share of the median distance inside clusters."
+        ),
     ] = 0.5,
     expose: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="First keep what exposes most of so many mutants of the ego's driver.",
+            help="First keep the scenarios that expose most of N mutants of the ego's driver.",
             min=1,
         ),
     ] = None,
     require: Annotated[
         list[str] | None,
         typer.Option(
-            "--require", metavar="EXPRESSION", help="What a mutant has to fail, as of test; default: no collision."
+            "--require",
+            metavar="EXPRESSION",
+            help="Requirement that a mutant has to fail, as for test; default: no collision.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the mutants: same seed, same mutants.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the mutants: same seed, same mutants.", min=0)] = 0,
     scenario: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
+            metavar="FILE.xosc", help="Scenario that was explored; default: found beside the study or in this folder."
         ),
     ] = None,
     workers: LocalWorkers = 1,
@@ -181,7 +186,7 @@ def reduce(
     memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
-    """Keep the few concrete scenarios that matter, as files that run by themselves.
+    """Keep the few concrete scenarios that matter, as files that run on their own.
 
     \b
     Example:
@@ -243,7 +248,10 @@ def report(
     *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write.")],
     figures: Annotated[
-        bool, typer.Option("--figures", help="Write figures for a paper too, as PNG and SVG, in a folder beside it.")
+        bool,
+        typer.Option(
+            "--figures", help="Also write figures for a paper, as PNG and SVG, into a folder beside the page."
+        ),
     ] = False,
     figures_in: Annotated[
         Path | None, typer.Option("--figures-in", metavar="DIR", help="Write these figures into another folder.")
@@ -251,14 +259,14 @@ def report(
     scenario: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
+            metavar="FILE.xosc", help="Scenario that was explored; default: found beside the study or in this folder."
         ),
     ] = None,
     critical: CriticalAnew = None,
     memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
-    """Write one self-contained page.
+    """Write the report: one page that holds everything.
 
     \b
     Example:
@@ -281,23 +289,24 @@ def report(
 
 @app.command()
 def watch(
-    study: Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, which need not be there yet.")],
+    study: Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study; it need not exist yet.")],
     *,
-    port: Annotated[int, typer.Option(metavar="N", help="Where the page is served; default: a free one.", min=0)] = 0,
+    port: Annotated[int, typer.Option(metavar="N", help="Port of the page; default: a free one.", min=0)] = 0,
     host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Interface; another one lets other machines ask.")
+        str, typer.Option(metavar="ADDRESS", help="Network interface; any other one lets other machines connect.")
     ] = "127.0.0.1",
     scenario: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
+            metavar="FILE.xosc", help="Scenario that was explored; default: found beside the study or in this folder."
         ),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
 ) -> None:
-    """Serve the page of a study on this machine, and let it grow while explore runs.
+    """Serve the report of a study on this machine; it grows while explore runs.
 
-    It needs the extra live. Only who knows the address can read the page, and write notes on it. Ctrl-C ends it.
+    It needs the extra live. The address is the password: with it, people can read the page and write notes. Ctrl-C ends
+    it.
 
     \b
     Example:
@@ -318,17 +327,17 @@ def replay(
         int | None, typer.Option(metavar="ID", help="Another scenario, shown beside it on the same clock.", min=1)
     ] = None,
     fps: Annotated[
-        float | None, typer.Option(metavar="N", help="Frames per second of a film; default: 25, of a GIF 10.")
+        float | None, typer.Option(metavar="N", help="Frames per second of a film; default: 25, for a GIF 10.")
     ] = None,
     speed: Annotated[float, typer.Option(metavar="X", help="How fast a film runs: 0.5 is slow motion.")] = 1.0,
     scenario: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.xosc", help="Scenario that was explored; default: looked for beside the study and here."
+            metavar="FILE.xosc", help="Scenario that was explored; default: found beside the study or in this folder."
         ),
     ] = None,
 ) -> None:
-    """Show how a scenario went, as a page to play or as a film.
+    """Replay a scenario, as a page or as a film.
 
     \b
     Example:
@@ -345,20 +354,20 @@ def replay(
 
 @app.command()
 def demo(
-    name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Which of the examples.")],
+    name: Annotated[str, typer.Argument(metavar="x-intersection|t-intersection", help="Name of the example.")],
     *,
     budget: Annotated[
         int | None,
         typer.Option(metavar="N", help="Concrete scenarios to run; default: as in the paper.", min=1),
     ] = None,
     seed: Seed = 0,
-    driver: Annotated[str | None, typer.Option(metavar="NAME", help="Who drives the ego.")] = None,
+    driver: Annotated[str | None, typer.Option(metavar="NAME", help="Driver of the ego.")] = None,
     simulator: SimulatorName = "builtin",
     workers: Workers = 1,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="DIR", help="Folder to write.")] = None,
     profile: Profile = None,
 ) -> None:
-    """Explore, cluster, reduce and report one of the examples; of the t-intersection, keep a suite of tests too.
+    """Explore, cluster, reduce and report an example; the t-intersection also gets a suite of tests.
 
     \b
     Example:
@@ -407,12 +416,12 @@ def show(
     study: StudyFile,
     *,
     critical: CriticalAnew = None,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     config: Annotated[
-        bool, typer.Option("--config", help="Print the file that makes it again: cornercase explore --config FILE.toml")
+        bool, typer.Option("--config", help="Print a study file for cornercase explore --config")
     ] = False,
 ) -> None:
-    """Tell what was run and what was found.
+    """Show what was run and what was found.
 
     \b
     Example:
@@ -441,7 +450,7 @@ def export(
     *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the tables.")],
     parquet: Annotated[
-        bool, typer.Option("--parquet", help="Write tables of scenarios, recordings and courses as Parquet too.")
+        bool, typer.Option("--parquet", help="Also write tables of scenarios, recordings and courses as Parquet.")
     ] = False,
 ) -> None:
     """Write everything in a study as tables.

@@ -120,8 +120,8 @@ Config = Annotated[
     typer.Option(
         "--config",
         metavar="STUDY.toml",
-        help="File with options of this command by their names, as 'show --config' writes it; options that are given"
-        " beside it count instead.",
+        help="Study file: options of this command by their names, as 'show --config' prints it; options"
+        " on the command line override it.",
         is_eager=True,
         callback=_read,
     ),

@@ -39,38 +39,41 @@ def test_(
         typer.Argument(metavar="DIR|manifest.json", help="What reduce wrote, or a folder of concrete scenarios."),
     ],
     *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.db", help="Study to write or go on with.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.db", help="Study to write or continue.")],
     require: Annotated[
         list[str] | None,
         typer.Option(
             "--require",
             metavar="EXPRESSION",
-            help="What each scenario has to fulfil: 'no collision', 'no collision with NAME', 'no collision at fault',"
+            help="Requirement on each scenario: 'no collision', 'no collision with NAME', 'no collision at fault',"
             " 'no collision unless cc-human collides' with this driver at the wheel, 'reach X,Y[,R] within T', or a"
             " formula such as 'ttc > 1.5' and 'ego.acceleration > -4'.",
         ),
     ] = None,
     requirements: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml|yaml", help="More of them: lists called require, and by file or kind."),
+        typer.Option(
+            metavar="FILE.toml|yaml", help="File with more requirements: lists called require, and by file or kind."
+        ),
     ] = None,
-    strict: Annotated[bool, typer.Option("--strict", help="What is inconclusive has not passed.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Inconclusive scenarios have not passed.")] = False,
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE.xml", help="JUnit file to write, for Jenkins, GitLab or GitHub.")
     ] = None,
     summary: Annotated[
         Path | None, typer.Option(metavar="FILE.md", help="Table in Markdown to write, for GitHub's job summary.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     against: Annotated[
         Path | None,
         typer.Option(
             metavar="STUDY.db",
-            help="Study with earlier recordings; default: the one that was reduced, where it lies beside the manifest.",
+            help="Study with earlier recordings; default: the one that was reduced, if it lies beside the manifest.",
         ),
     ] = None,
     simulator: Annotated[
-        str | None, typer.Option(metavar="NAME", help="What runs the scenarios; default: as in the manifest.")
+        str | None,
+        typer.Option(metavar="NAME", help="Simulator that runs the scenarios; default: that of the manifest."),
     ] = None,
     driver: Drivers = None,
     workers: Workers = 1,
@@ -80,9 +83,7 @@ def test_(
     ego: Annotated[str | None, typer.Option(help="Entity under test; default: as in the manifest.")] = None,
     other: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME|*", help="Entity it is measured against, also several; default: as in the manifest."
-        ),
+        typer.Option(metavar="NAME|*", help="Other entity, also several; default: as in the manifest."),
     ] = None,
     metric: Annotated[
         list[str] | None,
@@ -99,16 +100,14 @@ def test_(
     ] = None,
     mutants: Annotated[
         int | None,
-        typer.Option(
-            metavar="N", help="Tell how many of so many mutants of the ego's driver the suite exposes.", min=1
-        ),
+        typer.Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the mutants: same seed, same mutants.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the mutants: same seed, same mutants.", min=0)] = 0,
 ) -> None:
-    """Run a reduced set, or any concrete scenarios, again, and judge them.
+    """Run a reduced set, or any concrete scenarios, and judge the runs.
 
-    Ends with 0 where all passed, with 1 where some failed or could not be run, with 2 where nothing could be run. The
-    same command again goes on where it stopped.
+    Exit code 0: all passed; 1: some failed or could not be run; 2: nothing could be run. The same command again goes on
+    where it stopped.
 
     \b
     Example:

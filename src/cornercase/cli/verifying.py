@@ -19,20 +19,24 @@ def verify(
     *,
     repair: Annotated[
         bool,
-        typer.Option("--repair", help="Run again what was lost; the damaged file is kept as STUDY.db.damaged."),
+        typer.Option(
+            "--repair",
+            help="Restore the study, running lost scenarios again; the damaged file is kept as STUDY.db.damaged.",
+        ),
     ] = False,
     scenario: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Scenario file; default: found beside the study or here by its fingerprint."),
     ] = None,
     simulator: Annotated[
-        str | None, typer.Option(metavar="NAME", help="What runs scenarios again; default: that of the study.")
+        str | None,
+        typer.Option(metavar="NAME", help="Simulator that runs scenarios again; default: that of the study."),
     ] = None,
     driver: Drivers = None,
     workers: Workers = 1,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
-    """Look whether everything in a study is as it was written; exit code 1 where it is not.
+    """Test whether a study is undamaged; exit code 1 if it is not.
 
     \b
     Example:

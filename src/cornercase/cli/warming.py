@@ -32,10 +32,10 @@ _LATER: Final = "from cornercase.cli.warming import compile_later; compile_later
 
 @app.command(name="warm-up")
 def warm_up() -> None:
-    """Compile ahead what other commands would compile when they need it first.
+    """Compile in advance what other commands would compile at first use.
 
-    Compiled code is kept beside the package, or in the folder that NUMBA_CACHE_DIR names; so an image of a container
-    that was warmed up starts at full speed.
+    Compiled code is kept beside the package, or in the folder that NUMBA_CACHE_DIR names. Run it when you build a
+    container image, which then starts at full speed.
 
     \b
     Example:

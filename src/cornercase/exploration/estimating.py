@@ -67,7 +67,7 @@ def estimate(
     study : path
         What was explored; it is only read.
     output : path
-        Study to write or go on with.
+        Study to write or continue.
     budget : int, default 2000
         Scenarios in all; 40 % of the first budget, at most, are for learning where to draw.
     critical : float, optional

@@ -79,7 +79,7 @@ def explore(
     scenario : path or LogicalScenario or None
         OpenSCENARIO file; None for the one that `space` names.
     study : path
-        Study to write or go on with.
+        Study to write or continue.
     ego : str
         Name of the entity under test.
     other : str or sequence of str
@@ -92,7 +92,7 @@ def explore(
     ranges : sequence of str
         ``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.
     continuous : bool, default False
-        Search ranges that have steps as intervals.
+        Search ranges with steps as continuous intervals.
     optimizer : str, default "bayes"
         Options stand behind a colon, as in ``"bayes:filling=0"``.
     critical : float, optional

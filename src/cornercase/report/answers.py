@@ -165,9 +165,7 @@ def _of_share(data: ReportData) -> Answer:
     name, question = "critical", "How much of the space is critical?"
     summary, known = data.summary, data.summary.knowledge.critical
     if known is None:
-        none = (
-            "Nothing says from which score on a scenario is critical; the option --critical of cornercase explore does."
-        )
+        none = "There is no threshold from which a scenario is critical; set one with --critical of cornercase explore."
         return Answer(name, question, none)
     criterion = tell_criterion(known, summary.searched)
     of_set = known.known
@@ -183,11 +181,13 @@ def _of_share(data: ReportData) -> Answer:
     if asked := tell_asked(summary):
         ran += f" {asked}"
     if of_set is None:
-        return Answer(name, question, f"{ran} Too few different scores are known to say something of all others.")
+        return Answer(
+            name, question, f"{ran} There are too few different scores to say anything about all other scenarios."
+        )
     space = "the space, as far as it can be run," if data.failed else "the space"
     if of_set.share_doubt is not None:
         about = f"{_about(of_set.share.value)} of {space} is critical. " if known.scenarios else ""
-        return Answer(name, question, f"{about}{ran} No interval is given: {of_set.share_doubt}.")
+        return Answer(name, question, f"{about}{ran} There is no interval: {of_set.share_doubt}.")
     if not known.scenarios:
         bound = f"At most {percent(of_set.share.high)} of {space} is critical (upper end of a 90 % interval)."
         return Answer(name, question, f"{ran} {bound}")
@@ -198,24 +198,24 @@ def _of_share(data: ReportData) -> Answer:
 def _of_missed(known: CriticalKnowledge) -> Answer:
     said, found = [], known.known
     if found is None:
-        said.append("Nothing is known of that: too few different scores are known.")
+        said.append("That is unknown: there are too few different scores.")
     elif not known.scenarios:
         said.append("Nothing critical was found, so whatever is critical was missed.")
     elif found.missed_doubt is not None:
         said.append(f"{_about(found.missed.value)} of the critical set.")
-        said.append(f"No interval is given: {found.missed_doubt}.")
+        said.append(f"There is no interval: {found.missed_doubt}.")
     else:
         said.append(f"{_about(found.missed.value)} of the critical set ({_interval(found.missed)}).")
     if found is not None and known.scenarios:
         said.append(
-            "That trusts a model of the scores. Without it: a region in which nothing was run could hide"
+            "That relies on a model of the scores. Without a model: a region in which nothing was run could hide"
             f" {percent(found.hidden)} of it."
         )
     if known.audit is not None:
         audits = f"{known.audit.critical} of {known.audit.scenarios} audits, drawn at random, are critical"
         if known.audit.missed is not None and known.audit.critical:
             audits += (
-                f"; by these alone, without a model, {percent(known.audit.missed.value)} is missed"
+                f"; from these alone, without a model, {percent(known.audit.missed.value)} is missed"
                 f" ({_interval(known.audit.missed)})"
             )
         said.append(f"{audits}.")
@@ -252,7 +252,7 @@ def _of_kinds(data: ReportData) -> Answer:
     divided = [by for by, one in analyses.items() if one.clustering.n_clusters > 1 and by != chosen]
     alike = [by for by, one in analyses.items() if one.clustering.n_clusters <= 1]
     if analyses[chosen].clustering.n_clusters <= 1:
-        return Answer(name, question, f"By {_listed(alike)} no separate kinds are found.")
+        return Answer(name, question, f"There are no separate kinds by {_listed(alike)}.")
     one = analyses[chosen]
     noise = int((one.labels < 0).sum())
     outside = f", and {noise} scenarios that are like few others" if noise else ""
@@ -264,20 +264,22 @@ def _of_kinds(data: ReportData) -> Answer:
         if each.cluster >= 0
     ]
     if len(points) > _MOST_POINTS:
-        points = [*points[:_MOST_POINTS], f"{len(points) - _MOST_POINTS} smaller ones are told in detail below."]
+        points = [*points[:_MOST_POINTS], f"{len(points) - _MOST_POINTS} smaller ones are listed below."]
     if divided:
-        said.append(f"There are kinds by {_listed(divided)} too.")
+        said.append(f"There are also kinds by {_listed(divided)}.")
     if alike:
-        said.append(f"By {_listed(alike)} no separate kinds are found.")
+        said.append(f"There are no separate kinds by {_listed(alike)}.")
     return Answer(name, question, " ".join(said), tuple(points))
 
 
 def _of_parameters(data: ReportData) -> Answer:
     name, question, found = "parameters", "Which parameters matter?", data.summary.knowledge.sensitivity
     if data.summary.knowledge.front is not None:
-        return Answer(name, question, "That is told of one score, and here the Pareto front of several is searched.")
+        return Answer(
+            name, question, "That can be said for one score only; this study searches the Pareto front of several."
+        )
     if found is None:
-        return Answer(name, question, "Too few different scores are known to say so.")
+        return Answer(name, question, "There are too few different scores to say.")
     if not found.foretold:
         return Answer(name, question, tell_unforetold())
     order = sorted(range(len(found.names)), key=lambda k: (-found.total[k], k))
@@ -290,8 +292,9 @@ def _of_parameters(data: ReportData) -> Answer:
     little = f" {_listed(list(found.little))} {has} little influence." if found.little else ""
     text = (
         f"{found.names[order[0]]} matters most: {percent(found.total[order[0]])} of the variance of"
-        f" {data.summary.searched} comes from it, alone or together with the others.{little} Shares are of a Gaussian"
-        f" process that explains {percent(found.predicted)} of the variance (cross-validated), with 90 % intervals."
+        f" {data.summary.searched} comes from it, alone or together with the others.{little} The shares come from a"
+        f" Gaussian process that explains {percent(found.predicted)} of the variance (cross-validated); intervals are"
+        " of 90 %."
     )
     return Answer(name, question, text, tuple(points))
 
@@ -323,9 +326,7 @@ def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
         count = critical[by].scenarios
         alike = round(count * critical[by].critical)
         which = "every critical one is" if alike == count else f"{percent(critical[by].critical)} of the critical are"
-        yield (
-            f"Tested on scenarios that had no part in the choice, {which} like a kept one by {by} ({alike} of {count})."
-        )
+        yield (f"In a test with held-out scenarios, {which} like a kept one by {by} ({alike} of {count}).")
     elif reduced.by in reduced.critical and (share := reduced.critical[reduced.by].critical) is not None:
         # Judged by another threshold than they were chosen by.
         yield f"{_about(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."
@@ -334,9 +335,9 @@ def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
     if by is not None and by in data.summary.analyses:
         held_out, unit = judged[by], data.summary.analyses[by].unit
         yield (
-            "From a scenario that had no part in the choice to the nearest kept one it is"
+            "The distance from a held-out scenario to the nearest kept one is"
             f" {with_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
-            f" {100.0 * held_out.better_mean:.0f} of 100 random choices of as many leave more; k-medoids"
+            f" {100.0 * held_out.better_mean:.0f} of 100 random choices of the same size leave more; k-medoids"
             f" leaves {with_unit(f'{held_out.medoids_mean:.3g}', unit)}."
         )
 

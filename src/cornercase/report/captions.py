@@ -142,7 +142,9 @@ def of_search(data: ReportData) -> str:
     for name, one in data.summary.metrics.items():
         at = next(row.round for row in data.rows if row.id == one.scenario)
         best = with_unit(f"{one.most_critical:.3g}", one.unit)
-        said.append(f"The most critical {name} of all, {best}, was first met in round {at} (scenario {one.scenario}).")
+        said.append(
+            f"The most critical {name} of all, {best}, was first found in round {at} (scenario {one.scenario})."
+        )
     return " ".join(said)
 
 
@@ -175,8 +177,8 @@ def of_scores(data: ReportData, metric: Metric) -> str:
     if one.spread is not None:
         median, largest = (with_unit(f"{value:.3g}", metric.unit) for value in one.spread)
         said += (
-            f" Each was run {data.summary.meta.repeats} times; between its runs the score differs by {median} in the"
-            f" median scenario, {largest} at most."
+            f" Each was run {data.summary.meta.repeats} times; its scores differ by {median} in the median"
+            f" scenario, and by {largest} at most."
         )
     return said
 
@@ -235,8 +237,8 @@ def of_examples(left_out: int) -> str:
         Sentences.
     """
     return (
-        "One scenario of each kind, the one nearest to all others of its kind: from above, with marks and times in s"
-        " along the ways and the boxes when they are nearest; and speeds over time."
+        "One scenario of each kind, the one nearest to all others of its kind: seen from above, with times in s along"
+        " the ways and the boxes at their nearest; and speeds over time."
         + (f" {left_out} smaller kinds are not drawn." if left_out else "")
     )
 
@@ -289,10 +291,10 @@ def of_hulls(reduced: ReducedSet) -> str:
     str
         A sentence.
     """
-    exposing = " or since it exposes mutants of the driver (diamonds)" if reduced.exposing is not None else ""
+    exposing = " or because they expose mutants of the driver (diamonds)" if reduced.exposing is not None else ""
     return (
         f"Hull of each cluster by {reduced.by}, or of its near-convex parts; archetypes (circles), the prototype of"
-        f" each (star), and what is kept for what these leave out (triangles){exposing}."
+        f" each (star), and scenarios kept to fill the gaps (triangles){exposing}."
     )
 
 

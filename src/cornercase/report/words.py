@@ -112,7 +112,7 @@ def tell_beside(summary: Summary) -> str:
     whom = " and ".join(filter(None, (", ".join(counts[:-1]), counts[-1])))
     return (
         f"{summary.meta.ego} touches {whom} of {summary.run} scenarios, and is not measured against"
-        f" {'it' if len(counts) == 1 else 'them'}: --other can be given several times."
+        f" {'it' if len(counts) == 1 else 'them'}: repeat --other."
     )
 
 
@@ -151,13 +151,13 @@ def judge_clusters(analysis: Analysis) -> str:
     by, found = analysis.by, analysis.clustering
     if found.n_clusters < 2:
         noise = int((found.labels < 0).sum())
-        outside = f", but {noise} that are like few others" if noise and found.n_clusters else ""
+        outside = f", except {noise} that are like few others" if noise and found.n_clusters else ""
         alike = "all scenarios are one group" if found.n_clusters else "no scenario is like many others"
         return f"No separate kinds: by {by} {alike}{outside}."
     if not any(one.name for one in analysis.profiles):
         return ""
     if not analysis.tells:
-        return f"All scenarios end alike; the kinds by {by} set apart how they go."
+        return f"All scenarios end in the same way; the kinds by {by} distinguish how they get there."
     levels = (("most", _SAYS_MOST, math.inf), ("something", _SAYS_SOMETHING, _SAYS_MOST))
     said = []
     for much, low, high in levels:
@@ -243,9 +243,9 @@ def tell_asked(summary: Summary) -> str:
     if known is None or known.threshold == own:
         return ""
     if own is None:
-        return "This threshold is asked of the study afterwards: it has none of its own."
+        return "This threshold was chosen afterwards: the study has none of its own."
     searched = tell_criterion(replace(known, threshold=own), summary.searched)
-    return f"This threshold is asked of the study afterwards: its own is {searched}."
+    return f"This threshold was chosen afterwards: the study's own is {searched}."
 
 
 def tell_chosen(summary: Summary) -> str:
@@ -267,7 +267,7 @@ def tell_chosen(summary: Summary) -> str:
     by = "without any threshold"
     if reduced.threshold is not None:
         by = f"by {tell_criterion(replace(known, threshold=reduced.threshold), summary.searched)}"
-    return f"They were chosen {by}; 'cornercase reduce' with --critical {known.threshold:g} chooses anew."
+    return f"They were chosen {by}; 'cornercase reduce' with --critical {known.threshold:g} chooses again."
 
 
 def with_signs(criterion: str) -> str:
@@ -347,18 +347,18 @@ def tell_how_found(analysis: Analysis) -> str:
     )
     if len(found.landmarks):
         text += (
-            f" The kernel space is that of {len(found.landmarks)} landmarks; of the kernel between others"
-            f" {found.error:.1%} is lost."
+            f" The kernel space is that of {len(found.landmarks)} landmarks; this loses"
+            f" {found.error:.1%} of the kernel between others."
         )
     if analysis.inexact is not None:
         every = f", by every {analysis.every}. instant" if analysis.every > 1 else ""
         text += (
-            f" All were compared with these{every}; distances between others follow from that and are off by"
+            f" All were compared with these{every}; distances between others follow from that, with an error of"
             f" {analysis.inexact:.1%} on average."
         )
     fitted, joined = len(analysis.fitted), len(analysis.ids) - len(analysis.fitted)
     if joined > 0:
-        text += f" Found of {fitted} scenarios; {joined} have joined them since."
+        text += f" Found of {fitted} scenarios; {joined} have joined since."
     return text
 
 
@@ -470,9 +470,9 @@ def tell_front(count: int) -> str:
     """
     if count == 1:
         return "One scenario is as critical as any other in every metric."
-    return f"{count} scenarios: no other is at least as critical as one of them in every metric and more so in one."
+    return f"{count} scenarios: no other is at least as critical in every metric and more critical in one."
 
 
 def tell_unforetold() -> str:
     """Say that nothing is known of the influence of parameters."""
-    return "Hardly anything of the scores is foretold, so nothing is known of which parameter matters."
+    return "The model predicts almost nothing of the scores, so it is unknown which parameter matters."

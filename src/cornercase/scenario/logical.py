@@ -104,7 +104,7 @@ class LogicalScenario:
         ranges : sequence of str
             ``NAME=LOW:HIGH[:STEP]``; they add to the space or replace what it says.
         continuous : bool, default False
-            Search ranges that have steps as intervals.
+            Search ranges with steps as continuous intervals.
 
         Returns
         -------

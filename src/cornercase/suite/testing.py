@@ -76,7 +76,7 @@ def test(
     suite : path
         Folder of a reduced set or its manifest, or any folder of concrete scenarios.
     study : path
-        Study to write or go on with.
+        Study to write or continue.
     require : sequence of str
         What each scenario has to fulfil, as `cornercase.suite.Requirement.parse` reads it.
     requirements : path, optional

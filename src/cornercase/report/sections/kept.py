@@ -60,8 +60,8 @@ def _tell_kept(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
         yield "<h3>Shapes of the clusters</h3>"
         yield tables.tell_shapes(reduced.shapes)
         yield (
-            "<p>Convexity: how much of what lies between the scenarios of a cluster is the cluster's; from 0.8 on it"
-            " counts as convex.</p>"
+            "<p>Convexity: the share of the lines between the scenarios of a cluster that lies in the cluster; from 0.8"
+            " on it counts as convex.</p>"
         )
 
 
@@ -74,18 +74,18 @@ def _tell_left_out(reduced: ReducedSet, chosen: str) -> Iterator[str]:
     if judged := tables.tell_held_out(reduced.coverage):
         yield judged
         yield (
-            "<p>What chose a set does not grade it: the same of scenarios that were held out, each fifth of them (one"
-            " fifth where there are many) from a set that was chosen in the same way from the other four; than how many"
-            " of 100 random subsets of these four that is better; and k-medoids of these four, which leave a small mean"
-            " in that one clustering.</p>"
+            "<p>Scenarios that chose a set do not grade it. So this is the same for held-out scenarios: each fifth of"
+            " them (one fifth if there are many) grades a set that was chosen in the same way from the other four."
+            " Beside it stand the number of 100 random subsets of these four that are worse, and k-medoids of these"
+            " four, which leave a small mean in that one clustering.</p>"
         )
     if reduced.critical:
         if chosen:
             yield f"<p>{escape(chosen)}</p>"
         yield tables.tell_critical_coverage(reduced.critical)
         yield (
-            "<p>Two scenarios are alike where they are closer than a share of what is usual in a cluster. Held out:"
-            " critical scenarios that did not choose the set, as above. A critical scenario is on the boundary where"
+            "<p>Two scenarios are alike if they are closer than a share of the usual distance in a cluster. Held out:"
+            " critical scenarios that did not choose the set, as above. A critical scenario is on the boundary if"
             " one of its neighbours in the parameter space is not critical. The last two columns predict scenarios that"
             " were not run, by Gaussian processes.</p>"
         )

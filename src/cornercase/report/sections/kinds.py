@@ -57,8 +57,8 @@ def _tell_facts(tells: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
     yield tables.tell_facts(tells)
     yield (
         "<p>Adjusted mutual information with how a scenario ends (outcome), who is first, who collides, whether the"
-        " ego stopped, and, where a threshold says so, what is critical: 1 where the clusters say all of it, about"
-        " 0 where they say nothing. What is the same in all scenarios is left out.</p>"
+        " ego stopped, and, with a threshold, what is critical: 1 if the clusters say all of it, about 0 if they say"
+        " nothing. What is the same in all scenarios is left out.</p>"
     )
 
 
@@ -72,8 +72,8 @@ def _tell_agreement(agreements: Mapping[tuple[str, str], Agreement]) -> Iterator
         text=(0, 1, -1),
     )
     yield (
-        "<p>1 where two clusterings are the same, about 0 where one says nothing of the other. Scenarios differ where"
-        " their clusters are not matched with each other.</p>"
+        "<p>1 if two clusterings are the same, about 0 if one says nothing about the other. A scenario differs if its"
+        " clusters are not matched with each other.</p>"
     )
 
 
@@ -85,8 +85,8 @@ def _tell_clusters(data: ReportData, analysis: Analysis) -> Iterator[str]:
         yield f"<p>{escape(judged)}</p>"
     if later := data.summary.run - len(ids):
         yield (
-            f"<p>{later} of {data.summary.run} scenarios were run since and are in no cluster yet: they join with"
-            f" <code>{escape(name_joining(analysis))}</code>; without <code>--keep</code> all are clustered anew.</p>"
+            f"<p>{later} of {data.summary.run} scenarios were run since and are in no cluster yet: add them with"
+            f" <code>{escape(name_joining(analysis))}</code>; without <code>--keep</code> all are clustered again.</p>"
         )
     if found.n_clusters < 2:
         return

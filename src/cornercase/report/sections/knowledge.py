@@ -60,14 +60,14 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int, asked: st
     def share(estimate: Estimate, given: bool = True) -> list[str]:
         return [f"{estimate.value:.2%}", f"{estimate.low:.2%} to {estimate.high:.2%}" if given else "not given"]
 
-    yield f"<p>A scenario is critical where {escape(criterion)}: {known.scenarios} of the {run} that were run."
+    yield f"<p>A scenario is critical if {escape(criterion)}: {known.scenarios} of the {run} that were run."
     yield f"{f' {escape(asked)}' if asked else ''}</p>"
     yield make_table(
         ["what", "estimate", "90 % interval"],
         [
             ["critical share of the space", *share(found.share, found.share_doubt is None)],
             ["share of the critical set that is missed", *share(found.missed, found.missed_doubt is None)],
-            ["part of the critical set that a region could be which holds nothing run", f"{found.hidden:.2%}", ""],
+            ["part of the critical set that an unknown region could be", f"{found.hidden:.2%}", ""],
             *(
                 [
                     [f"critical share by {known.audit.scenarios} audits alone", *share(known.audit.share)],
@@ -82,7 +82,7 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int, asked: st
                 "",
             ],
             [
-                f"share of the space where a region of {found.region:.0%} would hold nothing run",
+                f"share of the space around which a region of {found.region:.0%} holds nothing that was run",
                 f"{found.unvisited:.2%}",
                 "",
             ],
@@ -90,7 +90,7 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int, asked: st
     )
     if found.missed_doubt is not None:
         both = "the share and of " if found.share_doubt is not None else ""
-        yield f"<p>No interval of {both}what is missed is given: {escape(found.missed_doubt)}.</p>"
+        yield f"<p>There is no interval of {both}what is missed: {escape(found.missed_doubt)}.</p>"
     judge = "a Gaussian process of the scores"
     if found.by_committee:
         judge = (
@@ -98,7 +98,7 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int, asked: st
         )
     yield (
         f"<p>The share, what is missed and what is overlooked come from {judge}, corrected by how well it predicts the"
-        " scenarios that fill the space from all others, and the audits; the rest does without it.</p>"
+        " scenarios that fill the space from all others, and the audits; the rest needs no model.</p>"
     )
 
 

@@ -117,7 +117,7 @@ def tell_provenance(data: ReportData) -> Markup:
         f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, data.summary.run + data.summary.failed)
     )
     command = f"<pre id='command' tabindex='0'><code>{escape(plain_text(name_command(meta)))}</code></pre>"
-    return Markup(f"<p>This makes it again:</p>{command}{limits}{table}")
+    return Markup(f"<p>This command makes it again:</p>{command}{limits}{table}")
 
 
 def _plain(value: Any) -> str:
