@@ -279,7 +279,7 @@ def test_the_page_and_the_summary_tell_it_too(explored):
         "Shapes of the clusters",
         "on the boundary",
         "better than random",
-        "What chose",
+        "do not grade it",
     ):
         assert words in page
     assert (folder / "r-figures" / "coverage.png").stat().st_size > 5000
