@@ -292,7 +292,7 @@ def test_the_page_and_the_summary_tell_it_too(explored):
     assert told["held_out"]["random_subsets_with_a_larger_mean"] >= 0.9
     assert told["critical_scenarios"]["held_out"]["critical_scenarios"] > 0
     assert "one_of_the_space_is_unlike_all_kept" in told["critical_scenarios"]
-    assert summary["shapes"]["cluster 0"]["convexity"] <= 1.0
+    assert summary["shapes"]["cluster_0"]["convexity"] <= 1.0
 
 
 def test_reduced_twice_gives_the_same_bytes(explored):

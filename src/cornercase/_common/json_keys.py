@@ -24,6 +24,7 @@ def identifier(words: str) -> str:
 
     Examples
     --------
+    >>> from cornercase._common.json_keys import identifier
     >>> identifier("first order, 90 % interval"), identifier("95 % interval")
     ('first_order_90_interval', 'interval_95')
     """
