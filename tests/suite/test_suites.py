@@ -403,7 +403,7 @@ BAD = {
     "a file is gone": (lambda f: next(f.glob("*.xosc")).unlink(), "is not there; restore it"),
     "a file has changed": (lambda f: next(f.glob("*.xosc")).write_bytes(b"<OpenSCENARIO/>"), "has changed since"),
     "the road has changed": (lambda f: next(f.glob("*.xodr")).write_bytes(b"<OpenDRIVE/>"), "has changed since"),
-    "another format": (lambda f: spoilt(f, format=2), "has the format 2"),
+    "another format": (lambda f: spoilt(f, format=3), "has the format 3"),
     "an early version": (lambda f: spoilt(f, format=None), "an earlier version of cornercase wrote it"),
     "imported": (lambda f: spoilt(f, simulator="imported"), "its recordings were imported"),
     "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "with options; say yourself"),
