@@ -26,7 +26,7 @@ def identifier(words: str) -> str:
     --------
     >>> from cornercase._common.json_keys import identifier
     >>> identifier("first order, 90 % interval"), identifier("95 % interval")
-    ('first_order_90_interval', 'interval_95')
+    ('first_order_interval_90', 'interval_95')
     """
     found = _NO_LETTERS.sub("_", words).strip("_")
     return _BEGINS_WITH_A_NUMBER.sub(r"\2_\1", found)
