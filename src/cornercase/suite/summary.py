@@ -52,7 +52,7 @@ def write_summary(result: SuiteResult, path: Path) -> None:
         f"{_text(result.comparison)}.",
     ]
     with written_whole(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _line(cells: list[str]) -> str:

@@ -110,7 +110,7 @@ def replay(
         if ending == ".html":
             from cornercase.report.replays.page import fill_replay
 
-            temporary.write_text(fill_replay(footage), encoding="utf-8", newline="\n")
+            temporary.write_text(fill_replay(footage), encoding="utf-8", errors="backslashreplace", newline="\n")
         else:
             _write_film(footage, temporary, ending, rate, speed, progress)
     return path

@@ -64,7 +64,7 @@ def write_comparison(
         require_other_file(path, after.path)
         page = _filled(found, before, after, scenario)
     with written_whole(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", newline="\n")
+        temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
     return path
 
 

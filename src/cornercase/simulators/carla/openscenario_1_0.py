@@ -180,7 +180,10 @@ def write_1_0(
     road_file = run.road_file or f"{target.stem}.xodr"
     file = root.find("RoadNetwork/LogicFile")
     if road is not None and file is not None:
-        file.set("filepath", town or road_file)
+        try:
+            file.set("filepath", town or road_file)
+        except ValueError as error:
+            raise InputError(f"{target}: its name is none that XML can hold; choose another one.") from error
     wrong = schema_errors(root)
     if wrong is None:
         notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
