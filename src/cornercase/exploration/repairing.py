@@ -6,7 +6,8 @@ import math
 import os
 import sqlite3
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -96,33 +97,42 @@ def repair(
     workers = whole_number("workers", workers, least=1)
     if verify(file).sound:
         return Repaired(file, None, (), ())
-    handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-    os.close(handle)
+    with _told(file):
+        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
+        os.close(handle)
     made = Path(name)
     try:
-        made.unlink()
-        remains = rebuild(file, made)
-        lost = list(remains.lost)
-        if remains.again or not remains.counted:
-            _require_runnable(file, remains)
-            _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
-        if not remains.counted:
-            lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
-        lost += _still_other(made, remains)
-        kept = _free_name(file)
-        os.replace(file, kept)
-        for ending in ("-wal", "-shm"):
-            beside = file.with_name(file.name + ending)
-            if beside.exists():
-                os.replace(beside, kept.with_name(kept.name + ending))
-        os.replace(made, file)
-    except (OSError, sqlite3.Error) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"{file}: cannot be repaired ({why}); make room, or copy it elsewhere.") from error
+        with _told(file):
+            made.unlink()
+            remains = rebuild(file, made)
+            lost = list(remains.lost)
+            if remains.again or not remains.counted:
+                _require_runnable(file, remains)
+                _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
+            if not remains.counted:
+                lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
+            lost += _still_other(made, remains)
+            kept = _free_name(file)
+            os.replace(file, kept)
+            for ending in ("-wal", "-shm"):
+                beside = file.with_name(file.name + ending)
+                if beside.exists():
+                    os.replace(beside, kept.with_name(kept.name + ending))
+            os.replace(made, file)
     finally:
         for ending in ("", "-wal", "-shm", "-journal"):
             made.with_name(made.name + ending).unlink(missing_ok=True)
     return Repaired(file, kept, remains.again, tuple(lost))
+
+
+@contextmanager
+def _told(file: Path) -> Iterator[None]:
+    """Say in a sentence that a study cannot be repaired for want of room or rights."""
+    try:
+        yield
+    except (OSError, sqlite3.Error) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{file}: cannot be repaired ({why}); make room, or copy it elsewhere.") from error
 
 
 def _free_name(file: Path) -> Path:

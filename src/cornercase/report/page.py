@@ -165,7 +165,9 @@ def write_report(
 
             write_figures(data, arguments.path("figures", folder))
         with written_whole(path) as temporary:
-            temporary.write_text(fill_page(data, packed, roads), encoding="utf-8", errors="backslashreplace", newline="\n")
+            temporary.write_text(
+                fill_page(data, packed, roads), encoding="utf-8", errors="backslashreplace", newline="\n"
+            )
     return path
 
 

@@ -42,6 +42,10 @@ def sentences(path: Path) -> Iterator[None]:
             f"{path}: cannot be used as a study (damaged text). `verify` tells what of it is damaged."
         ) from error
     except sqlite3.Error as error:
+        if "readonly" in str(error):
+            raise InputError(
+                f"{path}: cannot be written, as it or its folder may only be read; name a copy where you may write."
+            ) from error
         # What SQLite says of pages that it cannot read.
         advice = " `verify` tells what of it is damaged." if "malformed" in str(error) else ""
         raise InputError(f"{path}: cannot be used as a study ({error}).{advice}") from error

@@ -82,10 +82,12 @@ class Lease:
         try:
             for row in connection.execute("SELECT token, host, machine, pid, began, beat FROM lease").fetchall():
                 if _is_alive(row):
-                    where = "" if row[2] == _machine() else f" on {str(row[1])[:80]}"
+                    here = row[2] == _machine()
+                    where = "" if here else f" on {str(row[1])[:80]}"
+                    # Whether it was killed is not seen from here.
+                    until = "it has ended" if here else "it has ended, or two minutes if it was killed"
                     raise InputError(
-                        f"{path}: another cornercase is writing to it (process {row[3]}{where}); wait until it has"
-                        " ended."
+                        f"{path}: another cornercase is writing to it (process {row[3]}{where}); wait until {until}."
                     )
             connection.execute("DELETE FROM lease")
             mine = (token, platform.node(), _machine(), os.getpid(), _began(os.getpid()), time.time())
