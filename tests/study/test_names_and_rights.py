@@ -66,5 +66,5 @@ def test_a_study_that_may_only_be_read_is_not_written(tmp_path):
     path.chmod(0o444)
     with Study.open(path) as study:
         assert len(study.rows()) == 2
-    with pytest.raises(InputError, match="may only be read; name a copy where you may write"):
+    with pytest.raises(InputError, match="may only be read"):
         Study.open(path, readonly=False)

@@ -88,7 +88,7 @@ def test_a_reader_sees_each_scenario_as_soon_as_it_has_ended(study):
         assert len(reader.done()) == 1
         study.finish(3, recording(1), courses(1))
         assert [row.id for row in reader.done()] == [1, 3]
-        with pytest.raises(InputError, match="cannot be used"):
+        with pytest.raises(InputError, match="opened for reading"):
             reader.fail(3, SimulationError("a reader must not write"))
 
 

@@ -97,12 +97,12 @@ def repair(
     workers = whole_number("workers", workers, least=1)
     if verify(file).sound:
         return Repaired(file, None, (), ())
-    with _told(file):
+    with _said(file):
         handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
         os.close(handle)
     made = Path(name)
     try:
-        with _told(file):
+        with _said(file):
             made.unlink()
             remains = rebuild(file, made)
             lost = list(remains.lost)
@@ -126,7 +126,7 @@ def repair(
 
 
 @contextmanager
-def _told(file: Path) -> Iterator[None]:
+def _said(file: Path) -> Iterator[None]:
     """Say in a sentence that a study cannot be repaired for want of room or rights."""
     try:
         yield

@@ -44,7 +44,8 @@ def sentences(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         if "readonly" in str(error):
             raise InputError(
-                f"{path}: cannot be written, as it or its folder may only be read; name a copy where you may write."
+                f"{path}: cannot be written: it was opened for reading, or its file or folder may only be read; name a"
+                " copy where you may write."
             ) from error
         # What SQLite says of pages that it cannot read.
         advice = " `verify` tells what of it is damaged." if "malformed" in str(error) else ""
