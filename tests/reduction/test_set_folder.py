@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 from cornercase._common.errors import InputError
+from cornercase._common.files import read_file
+from cornercase.reduction import set_folder
 from cornercase.reduction.set_folder import MANIFEST, finish_set, replaced_set
 
 OLD = {"s-00001.xosc": b"one", "s-00002.xosc": b"two", "s-00003.xosc": b"three", "road.xodr": b"road"}
@@ -176,3 +178,29 @@ def test_a_folder_of_a_stranger_reaches_nothing_outside_of_it(tmp_path):
         (folder / MANIFEST).unlink()
         for one in folder.glob("*.xo*"):
             one.unlink()
+
+
+def test_what_cannot_be_read_for_a_moment_is_not_given_up(tmp_path, monkeypatch):
+    count = 0
+    for failing in range(100):
+        folder, reads = tmp_path / str(failing), 0
+
+        def fails_once(path, failing=failing):
+            nonlocal reads
+            reads += 1
+            if reads == failing + 1:
+                raise InputError(f"{path}: cannot be read (Input/output error).")
+            return read_file(path)
+
+        write(folder, OLD)
+        with monkeypatch.context() as patched, suppress(InputError):
+            patched.setattr(set_folder, "read_file", fails_once)
+            write(folder, NEW)
+        if reads <= failing:
+            break
+        count += 1
+        finish_set(folder)
+        assert sets(folder) in (OLD, NEW)
+        write(folder, NEW)
+        assert content(folder) == NEW | {MANIFEST: (folder / MANIFEST).read_bytes()}
+    assert count > 8

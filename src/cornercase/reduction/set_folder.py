@@ -21,7 +21,6 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase._common.pending_files import force_all, made_folders, unwritten
 from cornercase._common.platform import force_folder, new_file_mode, replace_file
-from cornercase._common.texts import loaded_json
 
 MANIFEST: Final = "manifest.json"
 """Name of the file that says what is kept."""
@@ -209,6 +208,8 @@ def finish_set(folder: Path) -> None:
         return
     hidden = folder / _hidden_name(read_file(manifest))
     new, earlier = _files_of(_read(manifest)), _read(hidden / _EARLIER) if (hidden / _EARLIER).is_file() else {}
+    if not new:
+        return
     try:
         # What follows would be of no set if this were lost.
         force_folder(folder)
@@ -270,8 +271,10 @@ def _write(path: Path, content: bytes, target: Path) -> None:
 
 def _read(manifest: Path) -> dict[str, Any]:
     """What a manifest holds; nothing where it is none."""
+    # One that cannot be read is not taken for one that says nothing, as what it names would be given up.
+    content = read_file(manifest)
     try:
-        plain = loaded_json(read_file(manifest).decode())
+        plain = json.loads(content)
     except (ValueError, RecursionError):
         return {}
     return plain if isinstance(plain, dict) else {}
