@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,8 @@ import foreign_recordings as foreign
 from command_line import SPACE, X, cornercase
 from cornercase import InputError
 from cornercase.clustering import analyze
-from cornercase.study import ImportResult, Study, import_recordings
+from cornercase.recordings import read_recording
+from cornercase.study import ImportResult, Study, import_recordings, importing
 from two_cars import met
 
 EXPLORED = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc"]
@@ -60,6 +62,28 @@ def test_clusters_and_reduces_what_others_ran(exported, tmp_path):
     assert [path.name for path in (tmp_path / "reduced").iterdir()] == ["manifest.json"]
     done = cornercase("report", study, "-o", tmp_path / "r.html")
     assert done.returncode == 0, done.stderr
+
+
+def test_a_broken_disk_fails_the_import_and_not_the_recording(exported, tmp_path, monkeypatch):
+    study, reads = tmp_path / "s.db", 0
+
+    def fails_once(file):
+        nonlocal reads
+        reads += 1
+        # The first one is read before there is a study.
+        if reads == 5:
+            raise InputError(f"{file}: cannot be read.") from OSError(errno.EIO, "Input/output error")
+        return read_recording(file)
+
+    monkeypatch.setattr(importing, "read_recording", fails_once)
+    command = ("import", exported / "runs", *EXPLORED, "-o", study)
+    assert cornercase(*command).returncode == 2
+    with Study.open(study, readonly=True) as opened:
+        assert 0 < len(opened.done()) < 40
+        assert not opened.failed()
+    assert cornercase(*command).returncode == 0
+    with Study.open(study, readonly=True) as opened:
+        assert (len(opened.done()), len(opened.failed())) == (40, 0)
 
 
 def test_the_same_again_goes_on_and_something_else_is_refused(exported, tmp_path):

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
+from typing import Final
+
+# What an OSError says where the machine is at fault.
+_OF_THE_MACHINE: Final = {
+    errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
+}  # fmt: skip
 
 
 class InputError(ValueError):
@@ -36,6 +43,25 @@ class LostError(SimulatorError):
 
 class NoticeWarning(UserWarning):
     """Something in a file has no effect."""
+
+
+def is_of_the_machine(error: BaseException | None) -> bool:
+    """Tell whether an error, or what caused it, is one of the machine, and not of what it was at.
+
+    Parameters
+    ----------
+    error : BaseException or None
+
+    Returns
+    -------
+    bool
+        True for a full or broken disk, and for want of memory or handles.
+    """
+    while error is not None:
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _OF_THE_MACHINE):
+            return True
+        error = error.__cause__
+    return False
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

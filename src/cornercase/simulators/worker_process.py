@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import pickle
 import sys
 import time
@@ -12,9 +11,9 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError
+from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError, is_of_the_machine
 from cornercase._common.guardian import Guardian
 from cornercase._common.interrupts import held_interrupts
 from cornercase._common.lifeline import end_with_parent, keep_temporary_files_in
@@ -34,10 +33,6 @@ from cornercase.simulators.registry import SIMULATORS
 
 # s that a simulator may take to start, for its exit code to arrive, and to end by itself.
 _STARTED, _DIED, _ENDED = 60.0, 0.2, 10.0
-# What an OSError says where the machine is at fault.
-_OF_THE_MACHINE: Final = {
-    errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -279,8 +274,7 @@ def _answer(connection: Connection, simulator: Simulator, concretes: list[Concre
         except InputError as error:
             found = error
         except Exception as error:
-            outside = isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _OF_THE_MACHINE)
-            found = Raised(f"the simulator failed ({type(error).__name__}: {error})", outside)
+            found = Raised(f"the simulator failed ({type(error).__name__}: {error})", is_of_the_machine(error))
         if found is None:
             return
         _send(connection, found)

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import track
 
 from cornercase._common import arguments
-from cornercase._common.errors import InputError, SimulationError, suggestion
+from cornercase._common.errors import InputError, SimulationError, is_of_the_machine, suggestion
 from cornercase._common.files import read_file
 from cornercase._common.texts import text_of_cell
 from cornercase.metrics import EVERYBODY, METRICS, Metric, measured, name_others
@@ -187,6 +187,9 @@ def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> N
         recording = read_recording(file)
         courses = measured(metrics, recording, study.meta.ego, study.meta.others)
     except InputError as error:
+        # That of a broken disk is not the recording's fault; the same command goes on with it.
+        if is_of_the_machine(error):
+            raise
         study.fail(row.id, SimulationError(_said_of(file, error)))
         return
     study.finish(row.id, recording, courses)
