@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -13,7 +14,8 @@ import numpy as np
 import pytest
 
 from conftest import at_night
-from cornercase._common.compiling import count_kernels, heard_compilation, kernel
+from cornercase._common import compiling
+from cornercase._common.compiling import count_kernels, heard_compilation, kernel, why_not_kept
 from cornercase._common.kernel_contents import contents
 
 PROGRAM = """
@@ -179,6 +181,22 @@ def test_who_listens_hears_what_is_compiled_and_the_user_does_not(caplog):
     assert heard == [f"{__name__}.double"]
     assert count_kernels() == (ready + 1, known)
     assert caplog.records == []
+
+
+def test_a_full_disk_keeps_nobody_from_what_is_compiled(caplog, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def triple(x):
+        return 3 * x
+
+    tripled: Any = kernel()(triple)
+    tripled._cache.flush()
+    monkeypatch.setattr("numba.core.caching.FunctionCache.save_overload", refuse)
+    monkeypatch.setattr(compiling._WATCH, "unkept", "")
+    assert tripled(2) == 6
+    assert "No space left on device" in why_not_kept()
+    assert "What is compiled cannot be kept" in caplog.text
 
 
 COMPANION = """

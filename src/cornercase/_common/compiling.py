@@ -1,4 +1,4 @@
-"""Kernels that are compiled once on a machine, also when many processes start together."""
+"""Kernels whose machine code is kept on a machine, also when many processes start together."""
 
 # The part of numba that is used here has no types.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, misc"
@@ -55,8 +55,12 @@ class _SharedCache(FunctionCache):
 
     def save_overload(self, sig, data):
         self._stamp()
-        with held_lock(self._lock_path()):
-            super().save_overload(sig, data)
+        try:
+            with held_lock(self._lock_path()):
+                super().save_overload(sig, data)
+        except OSError as error:
+            # A disk that is full keeps nobody from what has been compiled.
+            _WATCH.tell_unkept(f"{self.cache_path}: {error.strerror}")
 
     def _index_key(self, sig, codegen):
         # Machine code takes the fields of a named tuple by their places.
@@ -108,10 +112,11 @@ class _Watch(event.Listener):
     """Hears of each kernel that numba begins to compile; without anybody else who listens, it says so once.
 
     The message is a warning of the logger ``cornercase._common.compiling``, which Python shows on standard error where
-    no logging is set up. Worker processes wait for what the others compile, and leave the saying to them.
+    no logging is set up. Worker processes leave the saying to the one that started them.
     """
 
     def __init__(self) -> None:
+        self.unkept = ""
         self.listeners: list[Callable[[str], None]] = []
         self.companions: list[Callable[[], None]] = []
         self.said = multiprocessing.parent_process() is not None
@@ -121,6 +126,8 @@ class _Watch(event.Listener):
         if kernel not in _KERNELS:
             return
         kept = isinstance(kernel._cache, _SharedCache)
+        if not kept:
+            self.unkept = _NO_FOLDER
         while kept and self.companions:
             self.companions.pop()()
         for listener in self.listeners:
@@ -132,8 +139,15 @@ class _Watch(event.Listener):
     def on_end(self, event: Any) -> None:
         pass
 
+    def tell_unkept(self, why: str) -> None:
+        """Say once why machine code is not kept, where nobody else listens."""
+        if not (self.unkept or self.listeners or multiprocessing.parent_process() is not None):
+            _LOG.warning("What is compiled cannot be kept: %s.", why)
+        self.unkept = why
+
 
 _KEPT = "Compiling for this machine, kept for the next time; 'cornercase warm-up' does all of it ahead."
+_NO_FOLDER = "there is no folder that can be written; NUMBA_CACHE_DIR can name one"
 _NOT_KEPT = "Compiling, in each process anew: NUMBA_CACHE_DIR can name a folder to keep it in."
 _WATCH = _Watch()
 event.register("numba:compile", _WATCH)
@@ -190,3 +204,14 @@ def count_kernels() -> tuple[int, int]:
     """
     known = list(_KERNELS)
     return sum(bool(one.signatures) for one in known), len(known)
+
+
+def why_not_kept() -> str:
+    """Say why machine code that this process has compiled could not be kept.
+
+    Returns
+    -------
+    str
+        Empty where it was, or where nothing was compiled.
+    """
+    return _WATCH.unkept

@@ -15,7 +15,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from cornercase.cli.options import app, out
+import typer
+
+from cornercase.cli.options import app, err, out
 
 if TYPE_CHECKING:
     from cornercase._common.typing import FloatArray
@@ -35,13 +37,13 @@ def warm_up() -> None:
     """Compile in advance what other commands would compile at first use.
 
     Compiled code is kept beside the package, or in the folder that NUMBA_CACHE_DIR names. Run it when you build a
-    container image, which then starts at full speed.
+    container image, which then starts at full speed. Exit code 1 if it cannot be kept.
 
     \b
     Example:
       cornercase warm-up
     """
-    from cornercase._common.compiling import count_kernels, heard_compilation
+    from cornercase._common.compiling import count_kernels, heard_compilation, why_not_kept
     from cornercase._common.progress import ProgressBar
 
     begun, compiled = time.monotonic(), list[str]()
@@ -66,6 +68,9 @@ def warm_up() -> None:
     seconds = f"{time.monotonic() - begun:.0f} s"
     if not compiled:
         out.print(f"Everything is compiled already, as was seen in {seconds}.")
+    elif unkept := why_not_kept():
+        err.print(f"{len(set(compiled))} kernels compiled in {seconds}, and not kept: {unkept}.")
+        raise typer.Exit(1)
     else:
         out.print(f"{len(set(compiled))} kernels compiled in {seconds}, and kept.")
 
