@@ -245,7 +245,7 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path):
 
 def test_a_study_in_a_folder_that_cannot_be_written_is_read(study, monkeypatch):
     study.close()
-    for left in ("study.db-wal", "study.db-shm"):
+    for left in ("study.db-wal", "study.db-shm", "study.db-journal"):
         assert not (study.path.parent / left).exists()
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     with Study.open(study.path, readonly=True) as reader:

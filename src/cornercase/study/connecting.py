@@ -321,7 +321,7 @@ def remove_log(path: Path) -> None:
     """
     # SQLite would take it into the new one.
     try:
-        for ending in ("-wal", "-shm"):
+        for ending in ("-wal", "-shm", "-journal"):
             path.with_name(path.name + ending).unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
