@@ -31,9 +31,10 @@ def test_a_formula_goes_all_the_way_to_the_report(tmp_path):
     run("export", study, "-o", tmp_path / "tables")
     with (tmp_path / "tables" / "scenarios.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
+    holds, violated = ("_".join(name.split()) for name in NAMES)
     # Where one holds by a margin, the other is violated by as much or more.
-    assert all(float(row[NAMES[0]]) <= -float(row[NAMES[1]]) for row in rows)
-    assert len({row[NAMES[0]] for row in rows}) > 8
+    assert all(float(row[holds]) <= -float(row[violated]) for row in rows)
+    assert len({row[holds] for row in rows}) > 8
     page = tmp_path / "report.html"
     run("report", study, "--figures", "-o", page)
     assert "always[0:9] (clearance &gt; 2)" in page.read_text(encoding="utf-8")

@@ -282,5 +282,4 @@ def test_names_that_are_no_text_are_refused_or_written_out(tmp_path):
     assert json.loads((tmp_path / "set" / "manifest.json").read_text())["study"] == "\\udcff.db"
     for command in (("show", study), ("export", study, "-o", tmp_path / "out"), ("verify", study)):
         assert cornercase(*command).returncode == 0
-    page = cornercase("report", study, "-o", tmp_path / "r.html")
-    assert (page.returncode, "please report" in page.stderr) == (2, False)
+    assert cornercase("report", study, "-o", tmp_path / "r.html").returncode == 0

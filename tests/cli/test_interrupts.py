@@ -38,6 +38,8 @@ def asked(*given, **more):
     return was(*given, **more)
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
+# Under nohup, tests would go on ignoring it.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 setattr(module, name, asked)
 main()
 """

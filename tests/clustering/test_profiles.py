@@ -150,7 +150,7 @@ def test_show_and_report_tell_what_the_clusters_are(tmp_path):
     done = cornercase("demo", "t-intersection", "--budget", "60", "--seed", "1", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
     shown = json.loads(cornercase("show", tmp_path / "study.db", "--json").stdout)
-    clusters = [one for key, one in shown["clusters"]["ego-trajectory"].items() if key.startswith("cluster ")]
+    clusters = [one for key, one in shown["clusters"]["ego-trajectory"].items() if key.startswith("cluster_")]
     assert sum(one["scenarios"] for one in clusters) + shown["clusters"]["ego-trajectory"]["noise"] == 60
     assert any("C first" in one["outcomes"] for one in clusters)
     assert all(one["where"] for one in clusters)

@@ -188,7 +188,7 @@ def test_the_command_line_searches_sums_and_fronts_and_says_what_matters(tmp_pat
     assert shown["critical"]["is"] == "1 wttc + 0.2 pet:signed=true <= 0.5"
     assert 0 < shown["critical"]["share"]["low"] < shown["critical"]["share"]["high"] < 1
     assert set(shown["sensitivity"]["parameters"]) == set(shown["parameters"])
-    assert "p1_speed" in shown["sensitivity"]["of little influence"]
+    assert "p1_speed" in shown["sensitivity"]["of_little_influence"]
     # Other weights are another search.
     other = cornercase(*common, "--critical", "0.5", "--optimizer", "level-set", "-o", tmp_path / "w.db")
     assert other.returncode == 2

@@ -316,7 +316,7 @@ def test_a_parameter_with_more_steps_than_can_be_counted_is_refused(sent, step):
         ({"critical": float("nan")}, "not finite"),
         ({"weights": {"distance": float("inf")}}, "not finite"),
         ({"settings": {"drivers": "x"}}, "drivers"),
-        ({"ego": "\ud800"}, "surrogates"),
+        ({"ego": "\ud800"}, "half a character"),
     ],
 )
 def test_facts_that_cannot_be_used_are_refused(sent, values, words):
