@@ -10,6 +10,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -516,6 +517,14 @@ def test_an_origin_that_is_named_has_to_be_one(explored, tmp_path):
         cc.test(explored / "reduced", tmp_path / "run.db", against=other)
     with pytest.raises(cc.InputError, match="is the file that is read"):
         cc.test(explored / "reduced", explored / "study.db")
+
+
+def test_a_damaged_study_to_compare_with_is_told_before_anything_is_run(reduced, tmp_path):
+    with closing(sqlite3.connect(tmp_path / "study.db")) as connection, connection:
+        connection.execute("UPDATE courses SET score = score + 1")
+    with pytest.raises(cc.InputError, match="does not hold"):
+        cc.test(reduced, tmp_path / "run.db", against=tmp_path / "study.db")
+    assert not (tmp_path / "run.db").exists()
 
 
 @pytest.mark.parametrize(

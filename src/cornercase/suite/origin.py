@@ -38,8 +38,8 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
         The one that was named is of something else, or cannot be used.
     """
     if against is not None:
-        with Study.open(against, readonly=True) as study:
-            _sources(suite, study)
+        with Study.open(against, readonly=True) as study, damage_told(against):
+            _read(suite, study)
         return against, ""
     if not suite.study:
         return None, "no study is known that the files were made from"
@@ -49,8 +49,8 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
         path = folder / name
         if name and len(name.encode(errors="replace")) <= _LONGEST and path.is_file():
             try:
-                with Study.open(path, readonly=True) as study:
-                    _sources(suite, study)
+                with Study.open(path, readonly=True) as study, damage_told(path):
+                    _read(suite, study)
             except InputError:
                 continue
             return path, ""
@@ -85,6 +85,14 @@ def find_differences(suite: SuiteContents, origin: Path, study: Study) -> dict[i
                     earlier.recording(before.id), study.recording(row.id), study.meta.ego, scores
                 )
         return found
+
+
+def _read(suite: SuiteContents, study: Study) -> None:
+    """Read what is compared later, so that damage is told before anything is run."""
+    for row in _sources(suite, study).values():
+        if row.state == "done":
+            study.recording(row.id)
+            study.scores_of(row.id)
 
 
 def _sources(suite: SuiteContents, study: Study) -> Mapping[int, Row]:
