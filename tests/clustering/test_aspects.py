@@ -182,6 +182,12 @@ def test_a_window_is_in_seconds_and_stored_and_kept(path):
             analyze(study, "distance", window=1.0, keep=True)
 
 
+def test_a_window_of_any_width_is_one(path):
+    analyze(path, "distance", window=1e308)
+    with Study.open(path) as study:
+        assert read_analysis(study, "distance").window == 1e308
+
+
 @pytest.mark.parametrize("window", [-1.0, math.inf, math.nan, "2", True])
 def test_refuses_what_is_no_window(path, window):
     with pytest.raises(InputError, match=r"`window` .*: give a time in s"):

@@ -252,4 +252,5 @@ def instants_within(times: Sequence[FloatArray], window: float | None) -> int | 
         raise InputError(
             f"`window`: the recordings have time steps from {min(steps):.4g} s to {max(steps):.4g} s; leave it out."
         )
-    return math.floor(float(window) / steps[0] + 1e-6) + 1
+    # No recording has as many instants.
+    return math.floor(min(float(window) / steps[0], 1e9) + 1e-6) + 1
