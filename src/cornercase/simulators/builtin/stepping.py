@@ -35,6 +35,7 @@ from cornercase.simulators.builtin.storyboard.storyboard import Storyboard
 from cornercase.simulators.builtin.storyboard.triggers import Condition, Past
 from cornercase.simulators.builtin.tracks.pool import TrackPool
 from cornercase.simulators.builtin.tracks.track import Trajectory
+from cornercase.simulators.builtin.turns import turn_given_up
 from cornercase.simulators.builtin.world.motion import go_on_along_lanes, watch_roads
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.towing import place_trailers
@@ -221,13 +222,8 @@ class Stepper:
         self._plan_routes()
         who = (self.scene, tracks, self._roads, self._fleet, self._actions, self._leaves)
         run = partial(run_on, *who, self._course, self._rules)
-        if self._turn is not None:
-            self._turn.release()
-        try:
+        with turn_given_up(self._turn):
             list(self._share(run, self._bounds[:-1], self._bounds[1:]))
-        finally:
-            if self._turn is not None:
-                self._turn.acquire()
 
     def _plan_routes(self) -> None:
         """Let built-in drivers plan along all that they follow now."""

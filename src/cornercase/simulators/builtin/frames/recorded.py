@@ -14,6 +14,7 @@ from cornercase._common.addresses import address_of, floats_at
 from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.frames.scene import PAGE, QUANTITIES, Scene
+from cornercase.simulators.builtin.turns import turn_given_up
 
 
 def motion_of(scene: Scene, scenarios: IntArray, turn: Lock | None) -> tuple[list[FloatArray], BoolArray]:
@@ -36,13 +37,8 @@ def motion_of(scene: Scene, scenarios: IntArray, turn: Lock | None) -> tuple[lis
     shape = len(QUANTITIES), scene.pages.shape[2]
     motion = [np.empty((*shape, instants)) for instants in scene.frames[scenarios].tolist()]
     targets = np.array([address_of(one) for one in motion], dtype=np.int64)
-    if turn is not None:
-        turn.release()
-    try:
+    with turn_given_up(turn):
         return motion, _copy(scene.pages, scene.page, scene.frames, scenarios, targets)
-    finally:
-        if turn is not None:
-            turn.acquire()
 
 
 @kernel(error_model="numpy")
