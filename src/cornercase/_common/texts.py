@@ -14,6 +14,8 @@ _ORDERS: Final = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
 _HALF: Final = re.compile("[\ud800-\udfff]")
+# What can become one as JSON is read.
+_MAY_BE_HALF: Final = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 # What a spreadsheet takes for a formula, and what was escaped already.
 _FORMULA: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 # A name of such characters alone cannot be taken for the words around it.
@@ -234,7 +236,9 @@ def loaded_json(text: str) -> Any:
         It is nested too deep.
     """
     plain = json.loads(text)
-    require_whole(json.dumps(plain, ensure_ascii=False))
+    # To write it again takes as long as to read it, and studies have many.
+    if _MAY_BE_HALF.search(text):
+        require_whole(json.dumps(plain, ensure_ascii=False))
     return plain
 
 

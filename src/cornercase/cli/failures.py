@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import io
 import os
-import re
 import signal
 import sys
 import traceback
@@ -17,14 +16,13 @@ from typing import Any, Final, cast
 import typer
 
 from cornercase._common.errors import InputError, StudyLostError
-from cornercase._common.texts import in_one_line, shorten
+from cornercase._common.texts import in_one_line, require_whole, shorten
 from cornercase.cli.interrupting import exit_code, tell_of_interrupt
 from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
 from cornercase.cli.options import debugging, err
 
 # typer may hold click's classes under other names.
 _Usage: Final = cast("type[Any]", typer.BadParameter.__mro__[1])
-_HALF: Final = re.compile("[\ud800-\udfff]")
 _PACKAGE: Final = Path(__file__).parents[1]
 
 
@@ -87,9 +85,11 @@ def _sentence(error: Exception) -> str:
     whose = f"{file}: " if file else ""
     if isinstance(error, MemoryError):
         return f"{whose}needs more memory than there is; give fewer or smaller files, or a machine with more memory."
-    if isinstance(error, UnicodeEncodeError) and _HALF.search(error.object):
-        what = shorten(error.object[max(error.start - 30, 0) :], 60)
-        return f"{whose}'{what}' holds half a character, which no file can hold; rename what is called so."
+    if isinstance(error, UnicodeEncodeError):
+        try:
+            require_whole(error.object)
+        except ValueError as half:
+            return f"{whose}{half}, which no file can hold; rename what is called so."
     if isinstance(error, OSError) and error.strerror:
         named = error.filename if isinstance(error.filename, str) else "the output, or a temporary file"
         return f"{named}: cannot be read or written ({error.strerror}); make room, or choose another place."

@@ -158,7 +158,7 @@ def require_plain(path: Path, connection: sqlite3.Connection) -> None:
         raise DamageError.of(path, f"its table {min(missing)} is missing")
 
 
-def require_whole(path: Path, connection: sqlite3.Connection) -> None:
+def require_intact(path: Path, connection: sqlite3.Connection) -> None:
     """Refuse a file in whose pages SQLite finds something wrong, also in those that are not read.
 
     Parameters

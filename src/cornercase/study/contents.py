@@ -14,11 +14,12 @@ import numpy as np
 from cornercase._common.displays import DISPLAYS
 from cornercase._common.errors import InputError
 from cornercase._common.pending_files import written_together
+from cornercase._common.texts import loaded_json
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.recordings import Recording
 from cornercase.study.arrays import read_arrays
-from cornercase.study.damage import damage_told, loaded, require
+from cornercase.study.damage import damage_told, require
 from cornercase.study.elsewhere import digest_of_scores
 from cornercase.study.export import write_scenarios, write_table
 from cornercase.study.repeated_runs import shares_of_runs
@@ -187,7 +188,7 @@ class StudyContents(ScenarioContents):
             raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
         with damage_told(self.path), self.snapshot():
             read = read_arrays(self._database.rows, name, list(arrays or known), sum(self._counts().values()))
-            return read, loaded(found[0][1])
+            return read, loaded_json(found[0][1])
 
     def reduction(self) -> dict[str, Any] | None:
         """Read what is known of the reduced set, as in its manifest.
@@ -213,7 +214,7 @@ class StudyContents(ScenarioContents):
         self._database.require_all("analyses")
         found = self._database.rows("analyses", "name = ?", name)
         with damage_told(self.path):
-            return dict(loaded(found[0][1])) if found else None
+            return dict(loaded_json(found[0][1])) if found else None
 
     def results(self) -> list[tuple[int, int]]:
         """Tell in which order the results of a search without rounds came.

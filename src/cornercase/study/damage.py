@@ -9,7 +9,6 @@ from types import NoneType, UnionType
 from typing import Any, Final, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from cornercase._common.errors import InputError
-from cornercase._common.texts import loaded_json
 
 T = TypeVar("T")
 
@@ -90,26 +89,6 @@ def require(holds: bool, what: str) -> None:
     """
     if not holds:
         raise ValueError(what)
-
-
-def loaded(text: str) -> Any:
-    """Read JSON of a study; within `damage_told`.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    object
-        Plain values.
-
-    Raises
-    ------
-    ValueError
-        It is none, or a text in it is none that a file can hold: half a character.
-    """
-    return loaded_json(text)
 
 
 def made(kind: type[T], plain: Mapping[str, Any]) -> T:

@@ -22,10 +22,10 @@ from cornercase.study.connecting import (
     of_today,
     remove_log,
     require_file,
+    require_intact,
     require_one_name,
     require_plain,
     require_study,
-    require_whole,
     sentences,
 )
 from cornercase.study.damage import damage_told
@@ -153,7 +153,7 @@ class Database:
                 if writes:
                     require_one_name(path)
                     # What is not read could lead what is written astray.
-                    require_whole(path, connection)
+                    require_intact(path, connection)
                     connection.execute("PRAGMA journal_mode = WAL")
                     if schema_version(connection) < SCHEMA_VERSION:
                         with damage_told(path):

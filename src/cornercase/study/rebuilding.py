@@ -11,8 +11,9 @@ from operator import xor
 from pathlib import Path
 
 from cornercase._common.errors import InputError
+from cornercase._common.texts import loaded_json
 from cornercase.study.connecting import require_one_name
-from cornercase.study.damage import damage_told, loaded
+from cornercase.study.damage import damage_told
 from cornercase.study.database import make_tables
 from cornercase.study.meta import StudyMeta
 from cornercase.study.salvaging import Rows, salvaged, tables_in_order
@@ -75,7 +76,7 @@ def rebuild(damaged: Path, made: Path) -> Remains:
     tallies = _known_tallies(damaged, found)
     with damage_told(damaged):
         try:
-            meta = StudyMeta.from_json({key: loaded(value) for key, value in found["meta"].values()})
+            meta = StudyMeta.from_json({key: loaded_json(value) for key, value in found["meta"].values()})
         except (LookupError, ValueError, TypeError, AttributeError, OverflowError):
             meta = None
     if meta is None or tallies.get("meta", _tally(found, "meta")) != _tally(found, "meta"):

@@ -10,11 +10,12 @@ import numpy as np
 
 from cornercase._common.arguments import whole_number
 from cornercase._common.errors import InputError
+from cornercase._common.texts import loaded_json
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import ReferenceOutcome
 from cornercase.recordings import Collision, Recording
 from cornercase.study.codec import unpack_arrays, unpack_collisions, unpack_recording
-from cornercase.study.damage import damage_told, loaded, require
+from cornercase.study.damage import damage_told, require
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
 from cornercase.study.notes import LONGEST_NOTE
@@ -88,7 +89,7 @@ class ScenarioContents:
         StudyMeta
         """
         found = self._database.rows("meta")
-        return StudyMeta.from_json({key: loaded(value) for key, value in found})
+        return StudyMeta.from_json({key: loaded_json(value) for key, value in found})
 
     def rows(self) -> list[Row]:
         """List all scenarios.
@@ -109,7 +110,7 @@ class ScenarioContents:
 
     def _row(self, number: int, turn: int, point: bytes, values: str, state: str, error: str | None) -> Row:
         require(isinstance(number, int) and number > 0, f"a scenario is numbered {str(number)[:60]!r}")
-        row = Row(number, turn, np.frombuffer(point, "<f8"), loaded(values), state, error)
+        row = Row(number, turn, np.frombuffer(point, "<f8"), loaded_json(values), state, error)
         require(row.point.shape == (self.space.dimension,), f"the scenario {number} has another number of parameters")
         require(bool(np.isfinite(row.point).all()), f"the scenario {number} lies nowhere in the space")
         plain = all(isinstance(one, str | int | float) for one in row.values.values())
@@ -378,7 +379,7 @@ class ScenarioContents:
         if not found:
             return None
         with damage_told(self.path):
-            return [loaded(found[row.id]) for row in done]
+            return [loaded_json(found[row.id]) for row in done]
 
     def course(self, scenario: int, metric: str) -> FloatArray:
         """Course of a metric in one scenario.
