@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
+from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.texts import json_text
 from cornercase.cli import parsing
-from cornercase.cli.options import Drivers, StudyFile, Workers, app, out
+from cornercase.cli.options import Drivers, Memory, StudyFile, Workers, app, out
 
 
 @app.command()
@@ -34,6 +35,7 @@ def verify(
     ] = None,
     driver: Drivers = None,
     workers: Workers = 1,
+    memory: Memory = DEFAULT_MEMORY,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Test whether a study is undamaged; exit code 1 if it is not.
@@ -53,7 +55,9 @@ def verify(
         from cornercase.exploration import repair as repaired
 
         drivers = parsing.pairs(driver or [], "--driver")
-        mended = repaired(study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers)
+        mended = repaired(
+            study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers, memory=memory
+        )
         again, lost, damaged = mended.again, mended.lost, mended.damaged
     if as_json:
         words = {"sound": found.sound, "checked": found.checked, "problems": list(found.problems)}

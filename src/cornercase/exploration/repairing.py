@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sqlite3
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import count, groupby, takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +17,8 @@ import numpy as np
 
 from cornercase._common.arguments import path, whole_number
 from cornercase._common.errors import InputError
+from cornercase._common.files import written_whole
+from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit, size_in_words, state_need
 from cornercase.drivers import Driver
 from cornercase.exploration.again import configuration_of, require_same_runs
 from cornercase.exploration.asynchronous import AsynchronousExplorer
@@ -25,9 +27,13 @@ from cornercase.exploration.exploring import configured_simulator, started_refer
 from cornercase.exploration.proposing import Proposer, Search
 from cornercase.optimizers import create_optimizer
 from cornercase.scenario import Scenario
-from cornercase.study import IMPORTED, Remains, Row, Study, rebuild, verify
+from cornercase.study import IMPORTED, Remains, Row, Study, rebuild, require_alone, verify
 
 _DAMAGED: Final = ".damaged"
+# What SQLite keeps beside a file.
+_OF_SQLITE: Final = ("-wal", "-shm", "-journal")
+# Its rows, and those of a table that is read once more.
+_COPIES: Final = 1.5
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,7 @@ def repair(
     simulator: str | None = None,
     drivers: Mapping[str, str | Driver] | None = None,
     workers: int = 1,
+    memory: str | float = DEFAULT_MEMORY,
 ) -> Repaired:
     """Bring back a damaged study.
 
@@ -77,6 +84,8 @@ def repair(
         Drivers of your own, by entity, where the study has some; presets are those of the study.
     workers : int, default 1
         Simulators side by side.
+    memory : str or float, default "4 GB"
+        How much the process may take in all, as text or in bytes.
 
     Returns
     -------
@@ -85,7 +94,8 @@ def repair(
     Raises
     ------
     InputError
-        It cannot be brought back, or what it takes is not here; the study is left as it is.
+        It cannot be brought back, what it takes is not here, another one writes to it, or it needs more memory; the
+        study is left as it is.
 
     See Also
     --------
@@ -95,14 +105,17 @@ def repair(
     # A link stays one.
     file = file.resolve()
     workers = whole_number("workers", workers, least=1)
+    limit = MemoryLimit.of(memory)
+    with _said(file):
+        _take_back(file)
     if verify(file).sound:
         return Repaired(file, None, (), ())
-    with _said(file):
-        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-        os.close(handle)
-    made = Path(name)
-    try:
-        with _said(file):
+    require_alone(file)
+    need = _COPIES * file.stat().st_size
+    limit.require(need, f"the contents of a study of {size_in_words(file.stat().st_size)}", "give more")
+    state_need("The contents of the study", need)
+    with _said(file), written_whole(file) as made:
+        try:
             made.unlink()
             remains = rebuild(file, made)
             lost = list(remains.lost)
@@ -112,16 +125,12 @@ def repair(
             if not remains.counted:
                 lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
             lost += _still_other(made, remains)
-            kept = _free_name(file)
-            os.replace(file, kept)
-            for ending in ("-wal", "-shm"):
-                beside = file.with_name(file.name + ending)
-                if beside.exists():
-                    os.replace(beside, kept.with_name(kept.name + ending))
-            os.replace(made, file)
-    finally:
-        for ending in ("", "-wal", "-shm", "-journal"):
-            made.with_name(made.name + ending).unlink(missing_ok=True)
+        finally:
+            for ending in _OF_SQLITE:
+                made.with_name(made.name + ending).unlink(missing_ok=True)
+        # It may have taken long.
+        require_alone(file)
+        kept = _keep(file)
     return Repaired(file, kept, remains.again, tuple(lost))
 
 
@@ -135,20 +144,49 @@ def _said(file: Path) -> Iterator[None]:
         raise InputError(f"{file}: cannot be repaired ({why}); make room, or copy it elsewhere.") from error
 
 
-def _free_name(file: Path) -> Path:
-    kept = file.with_name(file.name + _DAMAGED)
-    number = 2
-    while kept.exists():
-        kept = file.with_name(f"{file.name}{_DAMAGED}-{number}")
-        number += 1
+def _keep(file: Path) -> Path:
+    """Give a damaged file another name besides its own, so that there is always one of its own."""
+    kept = _free_name(file)
+    try:
+        os.link(file, kept)
+    except OSError:
+        # Not all file systems have such names.
+        with written_whole(kept) as copy:
+            shutil.copyfile(file, copy)
+    for ending in _OF_SQLITE:
+        beside = file.with_name(file.name + ending)
+        if beside.exists():
+            os.replace(beside, kept.with_name(kept.name + ending))
     return kept
 
 
+def _take_back(file: Path) -> None:
+    """Undo the keeping of a damaged file that a killed repair left with two names."""
+    for kept in takewhile(Path.exists, _names(file)):
+        if not kept.samefile(file):
+            continue
+        for ending in _OF_SQLITE:
+            beside = kept.with_name(kept.name + ending)
+            if beside.exists():
+                os.replace(beside, file.with_name(file.name + ending))
+        kept.unlink()
+
+
+def _free_name(file: Path) -> Path:
+    return next(one for one in _names(file) if not one.exists())
+
+
+def _names(file: Path) -> Iterator[Path]:
+    """Names of damaged files, the first first."""
+    yield file.with_name(file.name + _DAMAGED)
+    yield from (file.with_name(f"{file.name}{_DAMAGED}-{number}") for number in count(2))
+
+
 def _require_runnable(file: Path, remains: Remains) -> None:
-    meta, count = remains.meta, len(remains.again)
+    meta, again = remains.meta, len(remains.again)
     if meta.simulator == IMPORTED or meta.optimizer == "none" or meta.optimizer.startswith("importance-sampling:"):
         command = "import" if meta.simulator == IMPORTED else "test" if meta.suite else "estimate"
-        what = f"{count} of its scenarios are damaged" if count else "it is lost how many scenarios it had"
+        what = f"{again} of its scenarios are damaged" if again else "it is lost how many scenarios it had"
         raise InputError(
             f"{file}: {what}, and they are not made by a search; make it again with `{command}`, under another name."
         )

@@ -15,6 +15,7 @@ from .opening import begun_study as begun_study
 from .opening import open_study as open_study
 from .rebuilding import Remains as Remains
 from .rebuilding import rebuild as rebuild
+from .rebuilding import require_alone as require_alone
 from .store import Study as Study
 from .table import Row as Row
 from .verifying import Verification as Verification

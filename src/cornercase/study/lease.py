@@ -80,15 +80,7 @@ class Lease:
         token = secrets.token_hex(16)
         connection.execute("BEGIN IMMEDIATE")
         try:
-            for row in connection.execute("SELECT token, host, machine, pid, began, beat FROM lease").fetchall():
-                if _is_alive(row):
-                    here = row[2] == _machine()
-                    where = "" if here else f" on {str(row[1])[:80]}"
-                    # Whether it was killed is not seen from here.
-                    until = "it has ended" if here else "it has ended, or two minutes if it was killed"
-                    raise InputError(
-                        f"{path}: another cornercase is writing to it (process {row[3]}{where}); wait until {until}."
-                    )
+            require_no_writer(path, connection)
             connection.execute("DELETE FROM lease")
             mine = (token, platform.node(), _machine(), os.getpid(), _began(os.getpid()), time.time())
             connection.execute("INSERT INTO lease VALUES (?, ?, ?, ?, ?, ?)", mine)
@@ -167,6 +159,32 @@ class Lease:
                 location = f"{self.path.resolve().as_uri()}?mode=rw"
                 with closing(sqlite3.connect(location, uri=True, timeout=_PATIENCE)) as own, own:
                     own.execute("UPDATE lease SET beat = ? WHERE token = ?", (time.time(), self.token))
+
+
+def require_no_writer(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse a study that another one writes to.
+
+    Parameters
+    ----------
+    path : Path
+    connection : sqlite3.Connection
+
+    Raises
+    ------
+    InputError
+        Another one holds its lease.
+    sqlite3.Error
+        The lease cannot be read.
+    """
+    for row in connection.execute("SELECT token, host, machine, pid, began, beat FROM lease").fetchall():
+        if _is_alive(row):
+            here = row[2] == _machine()
+            where = "" if here else f" on {str(row[1])[:80]}"
+            # Whether it was killed is not seen from here.
+            until = "it has ended" if here else "it has ended, or two minutes if it was killed"
+            raise InputError(
+                f"{path}: another cornercase is writing to it (process {row[3]}{where}); wait until {until}."
+            )
 
 
 def _remove(connection: sqlite3.Connection, token: str) -> None:

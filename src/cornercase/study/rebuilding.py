@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections import defaultdict
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
@@ -12,9 +12,10 @@ from pathlib import Path
 
 from cornercase._common.errors import InputError
 from cornercase._common.texts import loaded_json
-from cornercase.study.connecting import require_one_name
+from cornercase.study.connecting import connected, require_one_name
 from cornercase.study.damage import damage_told
 from cornercase.study.database import make_tables
+from cornercase.study.lease import require_no_writer
 from cornercase.study.meta import StudyMeta
 from cornercase.study.salvaging import Rows, salvaged, tables_in_order
 from cornercase.study.schema import TABLES
@@ -79,13 +80,13 @@ def rebuild(damaged: Path, made: Path) -> Remains:
             meta = StudyMeta.from_json({key: loaded_json(value) for key, value in found["meta"].values()})
         except (LookupError, ValueError, TypeError, AttributeError, OverflowError):
             meta = None
-    if meta is None or tallies.get("meta", _tally(found, "meta")) != _tally(found, "meta"):
+    if meta is None or tallies.get("meta", _tally("meta", found["meta"])) != _tally("meta", found["meta"]):
         raise InputError(
             f"{damaged}: what it is about is damaged (its table meta), and cannot be brought back; run `explore` again,"
             " into another study."
         )
     lost = []
-    if any(tallies.get(name) != _tally(found, name) for name in _ANALYSES):
+    if any(tallies.get(name) != _tally(name, found[name]) for name in _ANALYSES):
         some = "" if set(_ANALYSES) <= set(tallies) else ", if it had any"
         lost.append(f"its clusters and its reduced set{some}; `analyze` and `reduce` make them again")
         for name in _ANALYSES:
@@ -105,17 +106,36 @@ def rebuild(damaged: Path, made: Path) -> Remains:
     return Remains(meta, rounds, again, tuple(lost), tallies, "scenarios" in tallies)
 
 
+def require_alone(path: Path) -> None:
+    """Refuse a study that another one writes to, as far as its lease can be read.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        Another one holds its lease.
+    """
+    with suppress(sqlite3.Error, UnicodeDecodeError), closing(connected(path)) as connection:
+        require_no_writer(path, connection)
+
+
 def _known_tallies(damaged: Path, found: dict[str, Rows]) -> dict[str, tuple[int, int]]:
     """How many rows each table had: as it is written down, or as they are where the pages of the table are in order.
 
     Of a table that is in order, only what stands in it is left in `found`, and nothing that was removed before.
     """
     tallies = {str(name): (int(rows), int(sums)) for name, rows, sums in found["tallies"].values()}
-    whole = tables_in_order(damaged)
-    for name in (name for name, about in TABLES.items() if about.tallied):
-        if name in whole and tallies.setdefault(name, _tally(whole, name)) == _tally(whole, name):
-            found[name] = whole[name]
-        elif name not in tallies and "tallies" in whole:
+    whole = set()
+    for name, rows in tables_in_order(damaged):
+        whole.add(name)
+        tally = _tally(name, rows)
+        if TABLES[name].tallied and tallies.setdefault(name, tally) == tally:
+            found[name] = rows
+    for name in (name for name, about in TABLES.items() if about.tallied and "tallies" in whole):
+        if name not in tallies:
             # It never had rows.
             tallies[name], found[name] = (0, 0), {}
     return tallies
@@ -126,9 +146,9 @@ def _has(meta: StudyMeta, table: str) -> bool:
     return {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}[table]
 
 
-def _tally(found: dict[str, Rows], table: str) -> tuple[int, int]:
+def _tally(table: str, rows: Rows) -> tuple[int, int]:
     count = len(TABLES[table].columns)
-    sums = [int(sealed(table, row)[count]) for row in found[table].values()]
+    sums = [int(sealed(table, row)[count]) for row in rows.values()]
     return len(sums), reduce(xor, sums, 0)
 
 

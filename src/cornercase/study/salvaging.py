@@ -10,10 +10,13 @@ import sqlite3
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import closing, suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
 from cornercase.study.connecting import connected
+from cornercase.study.damage import DamageError
+from cornercase.study.pages import Pages, opened_pages
 from cornercase.study.schema import TABLES
 from cornercase.study.seals import is_sound
 
@@ -23,7 +26,6 @@ Stored = tuple[str, int | None, tuple[Any, ...]]
 # Pages of a B-tree that hold rows: leaves of tables, leaves and others of tables without row numbers.
 _TABLE_LEAF, _INDEX_LEAF, _INDEX = 0x0D, 0x0A, 0x02
 _HEADER: Final = 100
-_PAGE: Final = 4096
 _BROKEN: Final = (ValueError, IndexError, struct.error, OverflowError)
 _INTEGERS: Final = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}
 # Tables whose order is that in which their rows were written.
@@ -46,7 +48,7 @@ def salvaged(path: Path) -> dict[str, Rows]:
         they stand in the table.
     """
     # What SQLite reads counts more: what the pages hold besides may have been there before.
-    found, order = _gathered([*_scanned(path.read_bytes()), *_read(path)])
+    found, order = _gathered(chain(_scanned(path), _read(path)))
     return {name: dict(sorted(rows.items(), key=lambda one: order[name][one[0]])) for name, rows in found.items()}
 
 
@@ -61,32 +63,38 @@ def holds_rows(path: Path) -> bool:
     -------
     bool
     """
-    return any(True for _ in _scanned(path.read_bytes()))
+    return any(True for _ in _scanned(path))
 
 
-def tables_in_order(path: Path) -> dict[str, Rows]:
+def tables_in_order(path: Path) -> Iterator[tuple[str, Rows]]:
     """Read the tables of a study in whose pages SQLite finds nothing wrong, and all of whose rows are sound.
 
     Parameters
     ----------
     path : Path
 
-    Returns
-    -------
-    dict of str to dict of tuple to tuple
-        As `salvaged`, without the other tables.
+    Yields
+    ------
+    tuple of str and dict of tuple to tuple
+        Name of a table, and its rows as `salvaged` gives them.
     """
-    found: dict[str, Rows] = {}
     with suppress(sqlite3.Error, UnicodeDecodeError), closing(connected(path)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         for name in TABLES:
-            with suppress(sqlite3.Error, UnicodeDecodeError):
+            rows = None
+            with suppress(sqlite3.Error, UnicodeDecodeError, DamageError):
                 # Those before 3.33 take no name, and look at the whole file.
                 if connection.execute(f"PRAGMA integrity_check({name})").fetchall() == [("ok",)]:
-                    rows = list(_of_table(connection, name))
-                    if all(is_sound(name, stored) for _, stored in rows):
-                        found[name] = _gathered((name, *one) for one in rows)[0][name]
-    return found
+                    rows = _gathered((name, *one) for one in _sound(connection, name))[0][name]
+            if rows is not None:
+                yield name, rows
+
+
+def _sound(connection: sqlite3.Connection, table: str) -> Iterator[tuple[int | None, Any]]:
+    for number, stored in _of_table(connection, table):
+        if not is_sound(table, stored):
+            raise DamageError(f"its table {table} holds a row that is not as it was written")
+        yield number, stored
 
 
 def _of_table(connection: sqlite3.Connection, table: str, backwards: str = "") -> Iterator[tuple[int | None, Any]]:
@@ -127,14 +135,13 @@ def _read(path: Path) -> Iterator[Stored]:
                             yield table, number, stored
 
 
-def _scanned(data: bytes) -> Iterator[Stored]:
+def _scanned(path: Path) -> Iterator[Stored]:
     """Look for rows in all pages of a file."""
-    size = int.from_bytes(data[16:18], "big")
-    size = 65536 if size == 1 else size if size >= 512 and not size & (size - 1) else _PAGE
-    for start in range(0, len(data), size):
-        with suppress(*_BROKEN):
-            for values in _records(data, start, size):
-                yield from _of_tables(values)
+    with opened_pages(path) as pages:
+        for number in range(1, len(pages) + 1):
+            with suppress(*_BROKEN):
+                for values in _records(pages, number):
+                    yield from _of_tables(values)
 
 
 def _of_tables(values: tuple[int | None, list[Any]]) -> Iterator[Stored]:
@@ -152,46 +159,48 @@ def _of_tables(values: tuple[int | None, list[Any]]) -> Iterator[Stored]:
             yield table, number, tuple(stored)
 
 
-def _records(data: bytes, start: int, size: int) -> Iterator[tuple[int | None, list[Any]]]:
+def _records(pages: Pages, number: int) -> Iterator[tuple[int | None, list[Any]]]:
     """Numbers and values of the rows of a page."""
-    head = start + (_HEADER if start == 0 else 0)
-    kind = data[head]
+    page = pages.page(number)
+    head = _HEADER if number == 1 else 0
+    kind = page[head]
     if kind not in (_TABLE_LEAF, _INDEX_LEAF, _INDEX):
         return
     first = head + (12 if kind == _INDEX else 8)
     # How many there are may be damaged, too.
-    for k in range((start + size - first) // 2):
+    for k in range((pages.size - first) // 2):
         with suppress(*_BROKEN):
-            cell = start + int.from_bytes(data[first + 2 * k : first + 2 * k + 2], "big")
-            if not first <= cell < start + size:
+            cell = int.from_bytes(page[first + 2 * k : first + 2 * k + 2], "big")
+            if not first <= cell < pages.size:
                 break
             at = cell + (4 if kind == _INDEX else 0)
-            length, at = _varint(data, at)
-            number = None
+            length, at = _varint(page, at)
+            row = None
             if kind == _TABLE_LEAF:
-                number, at = _varint(data, at)
-            yield number, _values(_payload(data, at, length, size, kind == _TABLE_LEAF))
+                row, at = _varint(page, at)
+            yield row, _values(_payload(pages, page, at, length, kind == _TABLE_LEAF))
 
 
-def _payload(data: bytes, at: int, length: int, size: int, of_table: bool) -> bytes:
+def _payload(pages: Pages, page: bytes, at: int, length: int, of_table: bool) -> bytes:
     """Bytes of a row, which may go on in other pages."""
-    if length > len(data):
+    size = pages.size
+    if length > pages.length:
         raise ValueError("a row that is longer than the file")
     most = size - 35 if of_table else (size - 12) * 64 // 255 - 23
     if length <= most:
-        return data[at : at + length]
+        return page[at : at + length]
     least = (size - 12) * 32 // 255 - 23
     local = least + (length - least) % (size - 4)
     local = local if local <= most else least
-    parts, known = [data[at : at + local]], local
-    page = int.from_bytes(data[at + local : at + local + 4], "big")
+    parts, known = [page[at : at + local]], local
+    following = int.from_bytes(page[at + local : at + local + 4], "big")
     while known < length:
-        start = (page - 1) * size
-        if page < 1 or start >= len(data):
+        page = pages.page(following)
+        if not page:
             raise ValueError("a row that goes on nowhere")
-        parts.append(data[start + 4 : start + 4 + min(length - known, size - 4)])
+        parts.append(page[4 : 4 + min(length - known, size - 4)])
         known += size - 4
-        page = int.from_bytes(data[start : start + 4], "big")
+        following = int.from_bytes(page[:4], "big")
     return b"".join(parts)
 
 

@@ -1,0 +1,65 @@
+"""Pages of the file of a study, damaged or not, read one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import BinaryIO, Final
+
+_PAGE: Final = 4096
+# Pages of a row lie mostly side by side; a row of a recording has some.
+_REMEMBERED: Final = 256
+
+
+class Pages:
+    """Pages of a file.
+
+    Parameters
+    ----------
+    file : binary file
+        Open for reading.
+
+    Attributes
+    ----------
+    size : int
+        Bytes of a page.
+    length : int
+        Bytes of the file.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.length = file.seek(0, 2)
+        file.seek(16)
+        told = int.from_bytes(file.read(2), "big")
+        told = 65536 if told == 1 else told
+        self.size = told if told >= 512 and not told & (told - 1) else _PAGE
+        self.page = lru_cache(_REMEMBERED)(self._page)
+
+    def __len__(self) -> int:
+        return -(-self.length // self.size)
+
+    def _page(self, number: int) -> bytes:
+        """Read a page, of which the first is 1; what is missing of it at the end of the file is left out."""
+        if number < 1:
+            raise ValueError("a page before the first")
+        self._file.seek((number - 1) * self.size)
+        return self._file.read(self.size)
+
+
+@contextmanager
+def opened_pages(path: Path) -> Iterator[Pages]:
+    """Open the pages of a study for as long as the block lasts.
+
+    Parameters
+    ----------
+    path : Path
+
+    Yields
+    ------
+    Pages
+    """
+    with path.open("rb") as file:
+        yield Pages(file)
