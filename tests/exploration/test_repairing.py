@@ -17,7 +17,7 @@ from cornercase.study import Study, write_note
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("whole") / "s.db"
+    path: Path = tmp_path_factory.mktemp("whole") / "s.db"
     cc.explore(
         X, path, ego="Ego", other="Pedestrian", metrics=["wttc"], ranges=["ego_start=20:60"],
         optimizer="sobol", budget=4, duration=4.0, time_step=0.2,
@@ -27,7 +27,8 @@ def whole(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def damaged(whole, tmp_path) -> Path:
-    path = Path(shutil.copy(whole, tmp_path / "s.db"))
+    path: Path = tmp_path / "s.db"
+    shutil.copy(whole, path)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE courses SET score = score + 1 WHERE scenario = 2")
     return path
@@ -73,7 +74,8 @@ def test_there_is_a_study_of_its_name_whatever_stops_the_repair(whole, damaged, 
 
 
 def test_rows_that_still_stood_in_the_log_are_brought_back(whole, tmp_path):
-    original = Path(shutil.copy(whole, tmp_path / "original.db"))
+    original = tmp_path / "original.db"
+    shutil.copy(whole, original)
     damaged = tmp_path / "s.db"
     with Study.open(original):
         # A reader keeps the log from being taken into the file.

@@ -33,9 +33,10 @@ class Pages:
         self._file = file
         self.length = file.seek(0, 2)
         file.seek(16)
-        told = int.from_bytes(file.read(2), "big")
-        told = 65536 if told == 1 else told
-        self.size = told if told >= 512 and not told & (told - 1) else _PAGE
+        size = int.from_bytes(file.read(2), "big")
+        size = 65536 if size == 1 else size
+        # What is no size of a page is damaged.
+        self.size = size if size >= 512 and not size & (size - 1) else _PAGE
         self.page = lru_cache(_REMEMBERED)(self._page)
 
     def __len__(self) -> int:
