@@ -116,5 +116,5 @@ def distance_on_chords_at(tracks, g, n, time):
 @_kernel
 def _mixed(tracks, g, n, column, k, after, part):
     count = tracks.size[g]
-    values = floats_at(tracks.address[g, column] + 8 * count * n, count)
+    values = floats_at(tracks.address[g, column] + (0 if tracks.alike[g] else 8 * count * n), count)
     return values[k] + part * (values[after] - values[k])

@@ -40,12 +40,14 @@ class ClothoidSpline(Trajectory):
     ----------
     begin : ndarray of float64, shape (N, K + 1)
         Distance in m at which the segments begin, and the last one ends.
-    x, y, heading : ndarray of float64, shape (N, C)
+    x, y, heading : ndarray of float64, shape (N, C), or (1, C) where `alike`
         Where the chords begin, and the last one ends, in m and rad.
     chord : ndarray of float64, shape (N,)
         How long all chords but the last one are, in m.
     last : ndarray of int64, shape (N,)
         The last chord.
+    alike : bool
+        Whether the curve is the same in all scenarios.
     """
 
     _arrays = ("_start", "_rate", "begin", "lengths", "_x", "_y", "_turn", "_clock")
@@ -69,17 +71,23 @@ class ClothoidSpline(Trajectory):
         ends = np.cumsum(length, axis=1)
         self.begin = np.concatenate([np.zeros((len(x), 1)), ends], axis=1)
         self.lengths = ends[:, -1].copy()
-        nodes = [(x, y, heading)]
+        places = {} if begins is None else {k: (one.x, one.y, one.heading) for k, one in begins.items()}
+        angles = np.zeros_like(length) if turns is None else turns
+        given = (x, y, heading, start, end, length, angles, *(part for place in places.values() for part in place))
+        # Curves that are the same in all scenarios are laid out once.
+        rows = slice(1) if all((one == one[:1]).all() for one in given) else slice(None)
+        nodes = [(x[rows], y[rows], heading[rows])]
         for k in range(length.shape[1]):
-            u, v, turn = clothoid(length[:, k], start[:, k], self._rate[:, k])
+            u, v, turn = clothoid(length[rows, k], start[rows, k], self._rate[rows, k])
+            if k in places:
+                nodes[-1] = tuple(part[rows] for part in places[k])
             x, y, heading = nodes[-1]
-            if begins is not None and k in begins:
-                x, y, heading = begins[k].x, begins[k].y, begins[k].heading
-            heading = heading if turns is None else heading + turns[:, k]
+            heading = heading if turns is None else heading + turns[rows, k]
             nodes[-1] = x, y, heading
             cos, sin = np.cos(heading), np.sin(heading)
             nodes.append((x + cos * u - sin * v, y + sin * u + cos * v, heading + turn))
-        self._x, self._y, self._turn = (np.stack(parts, axis=1) for parts in zip(*nodes, strict=True))
+        stacked = (np.stack(parts, axis=1) for parts in zip(*nodes, strict=True))
+        self._x, self._y, self._turn = (np.broadcast_to(one, self.begin.shape).copy() for one in stacked)
         self._sample()
 
     def _sample(self) -> None:
@@ -88,14 +96,14 @@ class ClothoidSpline(Trajectory):
         chords = np.ceil(lengths / self.chord)
         self.last = np.maximum(chords.astype(np.int64) - 1, 0)
         # As a rule the curve is the same in all scenarios.
-        self._alike = all(
+        self.alike = len(lengths) > 0 and all(
             (a == a[0]).all() for a in (self._x, self._y, self._turn, self._start, self._rate, self.begin)
         )
         places = np.arange(int(chords.max(initial=0.0)) + 1)
-        if self._alike and len(lengths) > 0:
+        if self.alike:
             along = np.minimum(places * self.chord[0], lengths[0])
             points = self._on_curve(along, np.zeros(len(places), dtype=np.int64))
-            self.x, self.y, self.heading = (np.repeat(part[None], len(lengths), axis=0) for part in points)
+            self.x, self.y, self.heading = (part[None] for part in points)
             return
         every = np.arange(len(lengths))
         found = [self._on_curve(np.minimum(k * self.chord, lengths), every) for k in places]
@@ -109,7 +117,7 @@ class ClothoidSpline(Trajectory):
         before = chord * k
         span = np.minimum(before + chord, length) - before
         part = (along - before) / np.where(span > 0.0, span, 1.0)
-        node = rows * self.x.shape[1] + k
+        node = k if self.alike else rows * self.x.shape[1] + k
         after = node + min(1, self.x.shape[1] - 1)
         x, y, heading = (
             table.take(node) + part * (table.take(after) - table.take(node)) for table in (self.x, self.y, self.heading)
@@ -142,7 +150,7 @@ class ClothoidSpline(Trajectory):
         return rows * count + k, first + k
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
-        if self._alike and len(x) > 1 and (x == x[0]).all() and (y == y[0]).all():
+        if self.alike and len(x) > 1 and (x == x[0]).all() and (y == y[0]).all():
             return np.repeat(self.nearest(x[:1], y[:1], rows[:1]), len(x))
         lengths, best, gap = self.lengths[rows], np.zeros(len(x)), np.full(len(x), np.inf)
         # As many places at once as calls of NumPy are worth.

@@ -55,6 +55,8 @@ class Tracks(NamedTuple):
         Whether a line goes on from its end to its start, and whether a line or spline has a clock.
     turning : ndarray of int64, shape (G,)
         Where the heading turns along a line, as place in `TURNINGS`.
+    alike : ndarray of bool, shape (G,)
+        Whether the chords of a spline are the same in all scenarios, and kept once.
     """
 
     row: IntArray
@@ -68,6 +70,7 @@ class Tracks(NamedTuple):
     closed: BoolArray
     timed: BoolArray
     turning: IntArray
+    alike: BoolArray
 
 
 class TrackPool:
@@ -139,6 +142,7 @@ class TrackPool:
     def _enter_spline(self, tables: Tracks, g: int, row: int, spline: ClothoidSpline) -> None:
         self._splines[row] = (spline, spline.version)
         tables.size[g], tables.bends[g] = spline.x.shape[1], spline.begin.shape[1]
+        tables.alike[g] = spline.alike
         arrays = (spline.begin, spline.x, spline.y, spline.heading, spline.lengths, spline.chord, spline.time)
         for column, array in enumerate((*arrays, spline.last)):
             tables.address[g, column] = 0 if array is None else address_of(array)
@@ -159,4 +163,5 @@ def _tables(count: int) -> Tracks:
         np.zeros(count, dtype=np.bool_),
         np.zeros(count, dtype=np.bool_),
         whole[2],
+        np.zeros(count, dtype=np.bool_),
     )
