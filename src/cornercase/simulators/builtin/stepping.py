@@ -159,7 +159,8 @@ class Stepper:
             begun = world.running.copy()
             settled = np.full_like(course.status, RESTS)
             if not (first or self._by_hand):
-                # As a rule no action ends in the frame.
+                # As a rule no other action ends in the frame.
+                self._storyboard.end_momentary()
                 course.looks[:] = self._watch()
                 self._go(np.where(begun, ACTS, RESTS), settled)
                 world.running[:] = settled == ENDS

@@ -44,6 +44,11 @@ class RunningAction(Element):
         self.domains = () if action is None else action.domains
         rivals.append(self)
 
+    @property
+    def momentary(self) -> bool:
+        """Whether all that it does is done when it starts, so that it ends in the same frame."""
+        return self.action is None or type(self.action).step is Action.step
+
     def start(self, where: BoolArray) -> None:
         if self._chosen is not None:
             taking_part = where & self._chosen()

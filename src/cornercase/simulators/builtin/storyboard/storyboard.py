@@ -63,6 +63,7 @@ class Storyboard:
         self._stopped = np.zeros(scope.scenarios, dtype=np.bool_)
         self._going = ~self._stopped
         self.stories = [self._read_story(story, scope) for story in root.iterfind("Story")]
+        self._momentary = [action for action in self.actions if action.momentary]
         self._stop = read_trigger(root.find("StopTrigger"), scope, world, self)
         for kind, reference, watch, where in self._watches:
             found = self.named(kind, reference)
@@ -124,6 +125,11 @@ class Storyboard:
         self._going = ~stopped
         for story in self.stories:
             story.evaluate(world, world.running & self._going)
+
+    def end_momentary(self) -> None:
+        """End the actions that have done all when they started: what acts after them does not tell the difference."""
+        for action in self._momentary:
+            action.step(0.0, self._world.running)
 
     def act(self, dt: float) -> None:
         """Let all actions act, as a frame goes on.
