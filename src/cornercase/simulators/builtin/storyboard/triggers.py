@@ -60,7 +60,7 @@ class Condition:
         self.test, self._edge = test, edge
         self.delayed = np.asarray(delay > 0)
         self._last = np.full(len(delay), -1, dtype=np.int8)
-        self._past = Past(delay) if anywhere(self.delayed) else None
+        self._past = Past(delay, edge != "none") if anywhere(self.delayed) else None
 
     def evaluate(self, world: World, where: BoolArray) -> BoolArray:
         """Whether the condition holds in the scenarios of the mask, shape (N,)."""
@@ -120,10 +120,12 @@ class Past:
     ----------
     delay : ndarray of float64, shape (N,)
         s.
+    sudden : bool
+        Whether the value may be another one in the next frame though nothing that it asks for has changed.
     """
 
-    def __init__(self, delay: FloatArray) -> None:
-        self._delay = delay
+    def __init__(self, delay: FloatArray, sudden: bool) -> None:
+        self._delay, self._sudden = delay, sudden
         # Frames that are not yet past the delay everywhere: times, values, and where the value was a new one.
         self._frames: list[tuple[FloatArray, BoolArray, BoolArray]] = []
         self._newest, self._now = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
@@ -135,7 +137,8 @@ class Past:
         """
         new, time = where & (self._newest != value), world.time
         self._newest[new] = value[new]
-        world.stirred |= new
+        if self._sudden:
+            world.stirred |= new
         for then, was, changed in self._frames:
             # The first two frames are at the same time; of them the later counts.
             again = new & changed & (time <= then)
@@ -150,7 +153,8 @@ class Past:
             result |= due & was
             found |= due
             changed &= ~due
-        world.stirred |= found
+        if self._sudden:
+            world.stirred |= found
         self._frames = [frame for frame in self._frames if frame[2].any()]
         return np.where(found, result, self._now == 1)
 

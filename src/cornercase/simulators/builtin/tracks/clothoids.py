@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.tracks.track import Pose, Trajectory
+from cornercase.simulators.builtin.tracks.track import Pose, Trajectory, same_in_all
 
 # Chords of a clothoid spline in m, and how many there are at most; longer splines get longer chords.
 _CHORD: Final = 1.0
@@ -75,7 +75,7 @@ class ClothoidSpline(Trajectory):
         angles = np.zeros_like(length) if turns is None else turns
         given = (x, y, heading, start, end, length, angles, *(part for place in places.values() for part in place))
         # Curves that are the same in all scenarios are laid out once.
-        rows = slice(1) if all((one == one[:1]).all() for one in given) else slice(None)
+        rows = slice(1) if same_in_all(*given) else slice(None)
         nodes = [(x[rows], y[rows], heading[rows])]
         for k in range(length.shape[1]):
             u, v, turn = clothoid(length[rows, k], start[rows, k], self._rate[rows, k])
@@ -96,8 +96,8 @@ class ClothoidSpline(Trajectory):
         chords = np.ceil(lengths / self.chord)
         self.last = np.maximum(chords.astype(np.int64) - 1, 0)
         # As a rule the curve is the same in all scenarios.
-        self.alike = len(lengths) > 0 and all(
-            (a == a[0]).all() for a in (self._x, self._y, self._turn, self._start, self._rate, self.begin)
+        self.alike = len(lengths) > 0 and same_in_all(
+            self._x, self._y, self._turn, self._start, self._rate, self.begin
         )
         places = np.arange(int(chords.max(initial=0.0)) + 1)
         if self.alike:

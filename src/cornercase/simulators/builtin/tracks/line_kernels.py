@@ -186,14 +186,14 @@ def distance_at(tracks, g, n, time):
 def _row(tracks, g, n, column):
     """What a column holds of the vertices in a scenario."""
     count = tracks.size[g]
-    return tracks.address[g, column] + 8 * count * n
+    return tracks.address[g, column] + (0 if tracks.alike[g] else 8 * count * n)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _legs(tracks, g, n):
     """Directions of the legs in a scenario."""
     count = tracks.size[g] - 1
-    return tracks.address[g, columns.DIRECTION] + 8 * count * n
+    return tracks.address[g, columns.DIRECTION] + (0 if tracks.alike[g] else 8 * count * n)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)

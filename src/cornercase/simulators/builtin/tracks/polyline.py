@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, Trajectory
+from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, Trajectory, same_in_all
 
 CORNER: Final = 2.0
 """Half of the stretch over which the heading turns at a corner of a polyline, in m; esmini's figure."""
@@ -43,6 +43,8 @@ class Polyline(Trajectory):
         Directions of its legs in rad.
     speeds, rates : ndarray of float64, shape (N, V), optional
         Speeds at its vertices in m/s, and accelerations in m/s² on the legs that begin there, by its clock.
+    alike : bool
+        Whether all of that is the same in all scenarios.
     """
 
     _arrays = (
@@ -82,6 +84,14 @@ class Polyline(Trajectory):
         self.speeds, self.rates = None, None
         if time is not None:
             self.speeds, self.rates = _motion(legs, np.diff(time), begin_speed)
+        self._compare()
+
+    def _compare(self) -> None:
+        self.alike = same_in_all(self.x, self.y, self.heading, self._time, self.facing, self.speeds, self.rates)
+
+    def adopt(self, other: Trajectory, rows: BoolArray) -> None:
+        super().adopt(other, rows)
+        self._compare()
 
     @property
     def time(self) -> FloatArray | None:

@@ -56,7 +56,7 @@ class Tracks(NamedTuple):
     turning : ndarray of int64, shape (G,)
         Where the heading turns along a line, as place in `TURNINGS`.
     alike : ndarray of bool, shape (G,)
-        Whether the chords of a spline are the same in all scenarios, and kept once.
+        Whether a line or the chords of a spline are the same in all scenarios, so that one row stands for all.
     """
 
     row: IntArray
@@ -87,8 +87,8 @@ class TrackPool:
         self._rows: dict[int, int] = {}
         # The tables hold addresses of what these hold.
         self._held: list[Track] = []
-        # Splines are sampled anew when they are started again: by row, and as of which version.
-        self._splines: dict[int, tuple[ClothoidSpline, int]] = {}
+        # What is started again can run otherwise then: by row, and as of which version.
+        self._drawn: dict[int, tuple[Polyline | ClothoidSpline, int]] = {}
         self.tracks = _tables(0)
 
     def gather(self, followed: Sequence[Sequence[Track]]) -> Tracks:
@@ -104,9 +104,9 @@ class TrackPool:
         Tracks
         """
         counts = [len(tracks) for tracks in followed]
-        for g, (spline, version) in self._splines.items():
-            if spline.version != version:
-                self._enter_spline(self.tracks, g, g, spline)
+        for g, (drawn, version) in self._drawn.items():
+            if drawn.version != version:
+                self._enter_drawn(self.tracks, g, g, drawn)
         if counts == self._counts:
             return self.tracks
         new = {id(track): track for tracks in followed for track in tracks if id(track) not in self._rows}
@@ -128,23 +128,20 @@ class TrackPool:
             tables.kind[g], tables.size[g], tables.bends[g] = LANE, path.x.size, path.bend_at.size
             tables.chord[g], tables.length[g], tables.span[g] = path.chord, track.length, track.span
             tables.address[g] = path.addresses
-        elif isinstance(track, Polyline):
-            tables.kind[g], tables.size[g] = LINE, track.x.shape[1]
-            tables.closed[g], tables.timed[g] = track.closed, track.time is not None
-            tables.turning[g] = TURNINGS.index(track.turning)
-            for column, name in enumerate(_LINE_ARRAYS):
-                array = getattr(track, name)
-                tables.address[g, column] = 0 if array is None else address_of(array)
-        elif isinstance(track, ClothoidSpline):
-            tables.kind[g], tables.timed[g] = CHORDS, track.time is not None
-            self._enter_spline(tables, g, self._rows[id(track)], track)
+        elif isinstance(track, Polyline | ClothoidSpline):
+            self._enter_drawn(tables, g, self._rows[id(track)], track)
 
-    def _enter_spline(self, tables: Tracks, g: int, row: int, spline: ClothoidSpline) -> None:
-        self._splines[row] = (spline, spline.version)
-        tables.size[g], tables.bends[g] = spline.x.shape[1], spline.begin.shape[1]
-        tables.alike[g] = spline.alike
-        arrays = (spline.begin, spline.x, spline.y, spline.heading, spline.lengths, spline.chord, spline.time)
-        for column, array in enumerate((*arrays, spline.last)):
+    def _enter_drawn(self, tables: Tracks, g: int, row: int, track: Polyline | ClothoidSpline) -> None:
+        self._drawn[row] = (track, track.version)
+        tables.size[g], tables.timed[g], tables.alike[g] = track.x.shape[1], track.time is not None, track.alike
+        if isinstance(track, Polyline):
+            tables.kind[g], tables.closed[g] = LINE, track.closed
+            tables.turning[g] = TURNINGS.index(track.turning)
+            arrays = [getattr(track, name) for name in _LINE_ARRAYS]
+        else:
+            tables.kind[g], tables.bends[g] = CHORDS, track.begin.shape[1]
+            arrays = [track.begin, track.x, track.y, track.heading, track.lengths, track.chord, track.time, track.last]
+        for column, array in enumerate(arrays):
             tables.address[g, column] = 0 if array is None else address_of(array)
 
 

@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 FREE: Final = -1
@@ -39,6 +41,21 @@ class Pose:
     s: FloatArray | None = None
     offset: FloatArray | None = None
     beyond: BoolArray | None = None
+
+
+def same_in_all(*arrays: FloatArray | None) -> bool:
+    """Whether each array holds the same of all scenarios, to the last bit.
+
+    Parameters
+    ----------
+    *arrays : ndarray of float64, shape (N, …), or None for what is not there
+
+    Returns
+    -------
+    bool
+    """
+    whole = (one.view(np.int64) for one in arrays if one is not None)
+    return all(bool((one == one[:1]).all()) for one in whole)
 
 
 class Track(ABC):
