@@ -11,6 +11,7 @@ from typing import Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from cornercase._common.masks import anywhere
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import FOREIGN, Fleet, form_fleet, with_route
 from cornercase.roads import road_tables
@@ -22,6 +23,8 @@ from cornercase.simulators.builtin.frames.running import (
     ELSEWHERE,
     ENDS,
     GOES,
+    LOST_ACTING,
+    LOST_GOING,
     RESTS,
     WAITS,
     Course,
@@ -43,6 +46,9 @@ from cornercase.simulators.builtin.world.towing import place_trailers
 # Calls a function of two numbers for each pair of two lists.
 _Share = Callable[[Callable[[int, int], object], list[int], list[int]], Iterable[object]]
 
+# What the storyboard makes of what becomes of a scenario, where nothing else is done about it.
+_UNRESOLVED: Final = np.arange(LOST_GOING + 1, dtype=np.int8)
+_UNRESOLVED[[ELSEWHERE, LOST_ACTING, LOST_GOING]] = WAITS, ENDS, WAITS
 # So many scenarios are worth a thread.
 _WORTH_A_THREAD: Final = 32
 
@@ -110,6 +116,8 @@ class Stepper:
         self._pool, self._planned = TrackPool(), dict[tuple[int, int], int]()
         driven = np.array([one.entity for one in self._drivings], dtype=np.int64)
         status = np.full(world.scenarios, RESTS, dtype=np.int8)
+        # When somebody was last looked up: if that does not help, the storyboard acts.
+        self._looked_up = np.full(world.scenarios, -1.0)
         self._bounds = [0, world.scenarios]
         self._share: _Share = map
         self._turn: Lock | None = None
@@ -205,18 +213,28 @@ class Stepper:
         return itself
 
     def _go(self, status: npt.NDArray[np.int8], settled: npt.NDArray[np.int8]) -> None:
-        """Run on from a status; who has to go on along another lane does, and runs on. Tells what becomes of each."""
+        """Run on from a status; who has to go on along another lane, or to be looked up, does and is, and runs on.
+
+        Tells what becomes of each.
+        """
         world, course = self._world, self._course
         course.status[:] = status
         while True:
             self._run_on()
-            ran, elsewhere = course.status != RESTS, course.status == ELSEWHERE
-            settled[ran] = np.where(elsewhere, WAITS, course.status)[ran]
-            if not elsewhere.any():
+            became = course.status.copy()
+            ran, elsewhere = became != RESTS, became == ELSEWHERE
+            settled[ran] = _UNRESOLVED[became[ran]]
+            lost = ((became == LOST_ACTING) | (became == LOST_GOING)) & (self._looked_up < world.time)
+            if not (anywhere(elsewhere) or anywhere(lost)):
                 return
-            world.running[:] = elsewhere
-            go_on_along_lanes(world)
             course.status[:] = np.where(elsewhere & ~course.looks, GOES, RESTS)
+            if anywhere(elsewhere):
+                world.running[:] = elsewhere
+                go_on_along_lanes(world)
+            if anywhere(lost):
+                self._looked_up[lost] = world.time[lost]
+                self._storyboard.look_up(lost)
+                course.status[lost] = np.where(became == LOST_ACTING, ACTS, GOES)[lost]
 
     def _run_on(self) -> None:
         tracks = self._pool.gather(self._world.tracks)

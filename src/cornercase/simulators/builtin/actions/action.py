@@ -36,5 +36,8 @@ class Action:
         """Act for one time step; return where it has ended, shape (N,)."""
         return where.copy()
 
+    def look_up(self, world: World, where: BoolArray) -> None:
+        """Look up what compiled code cannot before it acts in the coming frame, in the scenarios of a mask."""
+
     def leave(self, world: World, where: BoolArray) -> None:
         """Leave the entity to another action, or to nobody, in the scenarios in which it is ended early."""

@@ -111,12 +111,23 @@ class SynchronizeAction(Action):
         self._mode[where] = NEW
         self._last[where] = self._last_master[where] = np.inf
 
-    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
-        e, m = self._entity, self._master
+    def look_up(self, world: World, where: BoolArray) -> None:
+        self._ways(world, where)
+        world.road_speed[self._master][where] = speed_along_road(world, self._master, where)[where]
+        if self._of_final != NO_FINAL_SPEED:
+            world.road_speed[self._entity][where] = speed_along_road(world, self._entity, where)[where]
+
+    def _ways(self, world: World, where: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Distances of the entity and of its master to their places in m, negative once passed, each (N,)."""
         target = Pose(self._x, self._y, np.zeros(world.scenarios), road=self._road, s=self._s)
         master = Pose(self._x_master, self._y_master, target.heading, road=self._road_master, s=self._s_master)
-        signed = _way(world, m, master, KnownPlaces(self._track_master, self._place_master), where)
-        way = np.abs(_way(world, e, target, KnownPlaces(self._track, self._place), where))
+        signed = _way(world, self._master, master, KnownPlaces(self._track_master, self._place_master), where)
+        return _way(world, self._entity, target, KnownPlaces(self._track, self._place), where), signed
+
+    def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
+        e, m = self._entity, self._master
+        way, signed = self._ways(world, where)
+        way = np.abs(way)
         way_master = np.abs(signed)
         done = (way < self._tolerance + _TINY) | (way_master < self._tolerance_master + _TINY)
         done |= (way > self._last + AWAY) | (way_master > self._last_master + AWAY)

@@ -14,7 +14,7 @@ from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.frames.motion import advance, set_speed, settle
 from cornercase.simulators.builtin.frames.scene import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
-from cornercase.simulators.builtin.frames.synchronising import keep_distance, synchronise
+from cornercase.simulators.builtin.frames.synchronising import ACTED, ENDED, keep_distance, synchronise
 from cornercase.simulators.builtin.frames.table import (
     CHANGING,
     DISTANCE_ACTION,
@@ -43,10 +43,12 @@ from cornercase.simulators.builtin.world.layout import (
     MOVED,
     OFFSET,
     PACE,
+    ROAD_SPEED,
     SPEED,
     TARGET_SPEED,
     TRACK,
     TURN,
+    UNASKED,
     X,
     Y,
 )
@@ -142,13 +144,13 @@ def act(scene, tracks, roads, actions, kept, n, dt):
 
     Returns
     -------
-    bool
-        False where one ends, or cannot be done here: then none has acted.
+    int
+        `ACTED`, or what has become of the first that has not acted: then none has.
     """
     i = 0
     while kept.live[i] >= 0:
         j = kept.live[i]
-        kind, goes_on = actions.options[j, 0], False
+        kind, goes_on, became = actions.options[j, 0], False, ENDED
         _keep(scene, actions, kept, n, j)
         if kind == SPEED_ACTION:
             goes_on = _change_speed(scene, actions, n, j, dt)
@@ -159,16 +161,17 @@ def act(scene, tracks, roads, actions, kept, n, dt):
         elif kind == LANE_OFFSET:
             goes_on = _change_offset(scene, tracks, actions, n, j, dt)
         elif kind == SYNCHRONISATION:
-            goes_on = synchronise(scene, tracks, roads, actions, n, j, dt)
+            became = synchronise(scene, tracks, roads, actions, n, j, dt)
+            goes_on = became == ACTED
         elif kind == DISTANCE_ACTION:
             goes_on = keep_distance(scene, actions, n, j, dt)
         if not goes_on:
             while i >= 0:
                 _take_back(scene, actions, kept, n, kept.live[i])
                 i -= 1
-            return False
+            return became
         i += 1
-    return True
+    return ACTED
 
 
 @_part
@@ -205,6 +208,7 @@ def _take_back(scene, actions, kept, n, j):
         return
     if kind == SYNCHRONISATION:
         f[LAST_S, master] = kept.floats[j, len(_FLOATS)]
+        f[ROAD_SPEED, e] = f[ROAD_SPEED, master] = UNASKED
     if _decides_speed(kind):
         for k in range(_OF_SPEED):
             f[_FLOATS[k], e] = kept.floats[j, k]

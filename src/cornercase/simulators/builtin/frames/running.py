@@ -18,6 +18,7 @@ from cornercase.simulators.builtin.frames.acting import Kept, act, room_to_keep,
 from cornercase.simulators.builtin.frames.leaves import Watched, pick, room_to_watch, stays, take_down
 from cornercase.simulators.builtin.frames.motion import AWAKE, MOVED_BY_OTHERS, move, record
 from cornercase.simulators.builtin.frames.scene import MAX_SPEED
+from cornercase.simulators.builtin.frames.synchronising import ACTED, LOST
 from cornercase.simulators.builtin.frames.table import UNKNOWN
 from cornercase.simulators.builtin.world.layout import (
     BEFORE,
@@ -34,9 +35,10 @@ from cornercase.simulators.builtin.world.layout import (
     Y,
 )
 
-RESTS, ACTS, BEGUN, GOES, ENDS, WAITS, ELSEWHERE, OVER = range(8)
+RESTS, ACTS, BEGUN, GOES, ENDS, WAITS, ELSEWHERE, OVER, LOST_ACTING, LOST_GOING = range(10)
 """What becomes of a scenario: nothing; its storyboard has looked; its actions have acted, too; it goes on; an action
-ends, or cannot act here; its storyboard has to look; an entity needs a new part of its way; it has ended."""
+ends, or cannot act here; its storyboard has to look; an entity needs a new part of its way; it has ended; it acts, or
+goes on, once an entity has been looked up."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 # Passing the tables on costs more than what a small kernel does; what is called in one place grows no code by this.
@@ -152,8 +154,14 @@ def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk):
                     status = WAITS
                     break
                 _note_speeds(scene, n)
-            if status != BEGUN and not act(scene, tracks, roads, actions, desk.kept, n, dt):
-                status = ENDS if status == ACTS else WAITS
+            became = ACTED
+            if status != BEGUN:
+                became = act(scene, tracks, roads, actions, desk.kept, n, dt)
+            if became == LOST:
+                status = LOST_ACTING if begun else LOST_GOING
+                break
+            if became != ACTED:
+                status = ENDS if begun else WAITS
                 break
             status = _finish(scene, tracks, fleet, course, rules, n, dt, desk)
             if begun and course.looks[n] and status == GOES:

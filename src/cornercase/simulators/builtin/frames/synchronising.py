@@ -28,9 +28,11 @@ from cornercase.simulators.builtin.world.layout import (
     LAST_S,
     OFFSET,
     PRESENT,
+    ROAD_SPEED,
     SPEED,
     TRACK,
     TURN,
+    UNASKED,
     X,
     Y,
 )
@@ -55,6 +57,10 @@ REACHED: Final = 0.1
 """A distance that is kept within this, in m, is reached."""
 SPRING: Final = 0.4
 """Stiffness of the spring that keeps a distance, in 1/m, times the largest acceleration."""
+
+ENDED, ACTED, LOST = range(3)
+"""What becomes of an action in a frame: it ends, or cannot act here; it has acted; first, an entity has to be looked up
+on its track or its road."""
 
 _TINY: Final = 1e-6
 
@@ -86,34 +92,34 @@ def synchronise(scene, tracks, roads, actions, n, j, dt):
 
     Returns
     -------
-    bool
-        False where it ends, or where an entity has to be looked up on the roads.
+    int
+        `ENDED`, `ACTED` or `LOST`.
     """
     e, master, of_final = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
     m, f, driven = actions.memory[n, j], scene.floats[n], scene.flags[n, DRIVEN, e]
-    known_master, signed = _way(scene, tracks, roads, m, _MASTER, n, master)
-    known, way = _way(scene, tracks, roads, m, _OWN, n, e)
-    if not (known and known_master):
-        return False
+    found_master, signed = _way(scene, tracks, roads, m, _MASTER, n, master)
+    found, way = _way(scene, tracks, roads, m, _OWN, n, e)
+    if found != ACTED or found_master != ACTED:
+        return ENDED if ENDED in (found, found_master) else LOST
     way, way_master = abs(way), abs(signed)
     if way < m[_OWN + _TOLERANCE] + _TINY or way_master < m[_MASTER + _TOLERANCE] + _TINY:
-        return False
+        return ENDED
     if way > m[_LAST_WAY] + AWAY or way_master > m[_LAST_WAY_MASTER] + AWAY:
-        return False
+        return ENDED
     m[_LAST_WAY], m[_LAST_WAY_MASTER] = way, way_master
     way = max(way - m[_OWN + _TOLERANCE], _TINY)
     way_master = max(way_master - m[_MASTER + _TOLERANCE], _TINY)
     # Of the master's speed, the part along its road and towards its target counts.
     known, speed_master = _speed_along(scene, tracks, roads, n, master)
     if not known:
-        return False
+        return LOST
     towards = signed * math.cos(f[TURN, master])
     towards = 1.0 if towards > 0.0 else -1.0 if towards < 0.0 else towards
     speed_master = _sign(f[SPEED, master]) * towards * speed_master
     comes = speed_master > _TINY
     time = way_master / speed_master if comes else NEVER
     if comes and time < dt:
-        return False
+        return ENDED
     if of_final == NO_FINAL_SPEED:
         wanted = _arrive(f[SPEED, e], driven, m, way, time, comes, dt)
     else:
@@ -124,7 +130,7 @@ def synchronise(scene, tracks, roads, actions, n, j, dt):
             final = f[SPEED, master] * final
         known, shown = _speed_along(scene, tracks, roads, n, e)
         if not known:
-            return False
+            return LOST
         wanted = _arrive_with(f[SPEED, e], _sign(f[SPEED, e]) * shown, m, way, time, final, comes, dt)
     if driven:
         # An entity with a driver is asked for a speed that it can reach.
@@ -132,7 +138,7 @@ def synchronise(scene, tracks, roads, actions, n, j, dt):
     elif not math.isfinite(wanted):
         wanted = f[SPEED, e]
     set_speed(scene, n, e, wanted)
-    return True
+    return ACTED
 
 
 @_kernel
@@ -191,31 +197,35 @@ def _lane_of(scene, tracks, n, e, row):
 
 @_kernel
 def _way(scene, tracks, roads, m, place, n, e):
-    """Whether it is known how far it is to the entity's place of an action, and how far, in m."""
+    """How far it is to the entity's place of an action, in m, where that is found: `ACTED`."""
     f, track = scene.floats[n], scene.numbers[n, TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
     x, y = m[place + _PLACE_X], m[place + _PLACE_Y]
     if not math.isfinite(x + y):
-        return False, math.nan
+        return ENDED, math.nan
     if row >= 0 and tracks.kind[row] == LANE and roads.length.size > 0:
         road, s = _lane_of(scene, tracks, n, e, row)
         if road < 0 or not roads.known[road]:
-            return False, math.nan
+            return ENDED, math.nan
         if road == m[place + _ROAD]:
             ahead = m[place + _S] - s
-            return True, ahead if math.cos(f[HEADING, e] - road_heading(roads, road, s)) > -ACROSS else -ahead
+            return ACTED, ahead if math.cos(f[HEADING, e] - road_heading(roads, road, s)) > -ACROSS else -ahead
     way = math.inf
     if row >= 0:
         if m[place + _ITS_TRACK] != track or math.isnan(m[place + _ALONG]):
-            return False, math.nan
+            return LOST, math.nan
         way = m[place + _ALONG] - f[DISTANCE, e]
-    return True, way if math.isfinite(way) else math.hypot(x - f[X, e], y - f[Y, e])
+    return ACTED, way if math.isfinite(way) else math.hypot(x - f[X, e], y - f[Y, e])
 
 
 @_kernel
 def _speed_along(scene, tracks, roads, n, e):
     """Whether an entity's speed along its road is known, and that speed in m/s: twin of `speed_along_road`."""
     f, numbers = scene.floats[n], scene.numbers[n]
+    speed = f[ROAD_SPEED, e]
+    if speed != UNASKED:
+        f[ROAD_SPEED, e] = UNASKED
+        return True, speed
     track = numbers[TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
     if roads.length.size > 0 and row >= 0 and tracks.kind[row] == LANE:

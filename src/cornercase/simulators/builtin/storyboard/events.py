@@ -73,6 +73,12 @@ class RunningAction(Element):
             self._world.stirred |= done
             self._finish(done)
 
+    def look_up(self, where: BoolArray) -> None:
+        """Look up what compiled code cannot before the action acts, in the scenarios of a mask."""
+        where = where & (self.state == RUNNING)
+        if self.action is not None and anywhere(where):
+            self.action.look_up(self._world, where)
+
     def end(self, where: BoolArray) -> None:
         self._leave(where & (self.state == RUNNING))
         super().end(where)

@@ -126,6 +126,11 @@ class Storyboard:
         for story in self.stories:
             story.evaluate(world, world.running & self._going)
 
+    def look_up(self, where: BoolArray) -> None:
+        """Look up what compiled code cannot before the actions act, in the scenarios of a mask."""
+        for action in self.actions:
+            action.look_up(where)
+
     def end_momentary(self) -> None:
         """End the actions that have done all when they started: what acts after them does not tell the difference."""
         for action in self._momentary:

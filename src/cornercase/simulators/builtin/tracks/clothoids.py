@@ -96,9 +96,7 @@ class ClothoidSpline(Trajectory):
         chords = np.ceil(lengths / self.chord)
         self.last = np.maximum(chords.astype(np.int64) - 1, 0)
         # As a rule the curve is the same in all scenarios.
-        self.alike = len(lengths) > 0 and same_in_all(
-            self._x, self._y, self._turn, self._start, self._rate, self.begin
-        )
+        self.alike = len(lengths) > 0 and same_in_all(self._x, self._y, self._turn, self._start, self._rate, self.begin)
         places = np.arange(int(chords.max(initial=0.0)) + 1)
         if self.alike:
             along = np.minimum(places * self.chord[0], lengths[0])

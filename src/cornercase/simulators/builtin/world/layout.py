@@ -10,11 +10,11 @@ from typing import Final
 (
     X, Y, HEADING, SPEED, ACCELERATION, ODOMETER, STANDING_SINCE, DISTANCE, OFFSET, TURN, SIDEWAYS, PACE, VELOCITY,
     LAST_S, AT_END_SINCE, OFF_ROAD_SINCE, TARGET_SPEED, FROM_X, FROM_Y, FROM_HEADING, GONE_X, GONE_Y, PULL_X, PULL_Y,
-    BEFORE,
-) = range(25)  # fmt: skip
+    BEFORE, ROAD_SPEED,
+) = range(26)  # fmt: skip
 """Rows of numbers."""
 
-ROWS_OF_FLOATS: Final = 25
+ROWS_OF_FLOATS: Final = 26
 
 (
     PRESENT, CHANGES_LANES, STRANDED, MOVED, DECIDED, ACTIVATED, DRIVEN, VISIBLE, JUMPED,
@@ -23,6 +23,9 @@ ROWS_OF_FLOATS: Final = 25
 
 TRACK, ROUTE, LAST_ROAD, DRIVER = range(4)
 """Rows of whole numbers."""
+
+UNASKED: Final = -1.0
+"""What stands for the speed along its road of an entity for which it was not asked."""
 
 FLOATS: Final = {
     "x": (X, float("nan")),
@@ -46,6 +49,7 @@ FLOATS: Final = {
     "from_y": (FROM_Y, float("nan")),
     "from_heading": (FROM_HEADING, float("nan")),
     "before": (BEFORE, 0.0),
+    "road_speed": (ROAD_SPEED, UNASKED),
 }
 """Names of numbers in the world, with their rows and what they begin with; velocities have two rows each."""
 

@@ -132,6 +132,8 @@ class World:
         Road on which an entity that follows no lane was when that was last asked, or -1.
     last_s : ndarray of float64, shape (E, N)
         Its s there, in m.
+    road_speed : ndarray of float64, shape (E, N)
+        Speed along its road in m/s that was looked up for the coming frame, or `UNASKED`.
     at_end_since : ndarray of float64, shape (E, N)
         Time at which the entity came to the end of its road; infinite before.
     watches_roads : bool
@@ -209,6 +211,7 @@ class World:
     pace: FloatArray
     velocity: FloatArray
     last_s: FloatArray
+    road_speed: FloatArray
     at_end_since: FloatArray
     off_road_since: FloatArray
     target_speed: FloatArray
