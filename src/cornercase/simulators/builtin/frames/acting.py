@@ -61,12 +61,13 @@ _SHORT: Final = 1e-4
 # rad; who moves only sideways is turned by a little less than a quarter.
 _SIDEWAYS: Final = 0.5 * math.pi - 1e-3
 
-# All that actions change of their own entity: first what those do that decide its speed, then what those do that move
-# it, with one of the former.
-_FLOATS: Final = (TARGET_SPEED, LAST_S, SPEED, X, Y, HEADING, DISTANCE, TURN, OFFSET, PACE, AT_END_SINCE)
-_OF_SPEED: Final = 3
-_OF_PLACE: Final = 2
-_FLAGS: Final = (MOVED, DECIDED)
+# All that actions change of their own entity: those that decide its speed, those that follow a trajectory, and those
+# that move it beside its lane.
+_OF_SPEED: Final = (TARGET_SPEED, SPEED, LAST_S)
+_OF_TRAJECTORY: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN)
+_OF_PLACE: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN, OFFSET, PACE, AT_END_SINCE)
+# How many numbers of their memory, the first ones, can change from step to step.
+_FEW: Final = 4
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 # What is called in one place: passing the tables on costs more than what it does.
@@ -80,14 +81,14 @@ class Kept(NamedTuple):
     ----------
     live : ndarray of int64, shape (J + 1,)
         The actions that run in the scenario, in their order, and then -1.
-    floats : ndarray of float64, shape (J, 12)
-    flags : ndarray of bool, shape (J, 2)
+    floats : ndarray of float64, shape (J, 10)
+    flag : ndarray of bool, shape (J,)
     memory : ndarray of float64, shape (J, 8)
     """
 
     live: IntArray
     floats: FloatArray
-    flags: BoolArray
+    flag: BoolArray
     memory: FloatArray
 
 
@@ -103,8 +104,8 @@ def room_to_keep(actions):
     -------
     Kept
     """
-    floats, flags = np.empty((actions, len(_FLOATS) + 1)), np.empty((actions, len(_FLAGS)), dtype=np.bool_)
-    return Kept(np.empty(actions + 1, dtype=np.int64), floats, flags, np.empty((actions, CHANGING)))
+    floats, flag = np.empty((actions, len(_OF_PLACE) + 1)), np.empty(actions, dtype=np.bool_)
+    return Kept(np.empty(actions + 1, dtype=np.int64), floats, flag, np.empty((actions, CHANGING)))
 
 
 @_part
@@ -176,23 +177,30 @@ def act(scene, tracks, roads, actions, kept, n, dt):
 
 @_part
 def _keep(scene, actions, kept, n, j):
-    f, b, e, master = scene.floats[n], scene.flags[n], actions.options[j, 1], actions.options[j, 2]
-    kind = actions.options[j, 0]
+    f, e, kind, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
     if kind == UNKNOWN:
         return
+    kept.flag[j] = scene.flags[n, _flag_of(kind), e]
+    # Loops of a fixed length cost least.
+    if kind == TRAJECTORY_ACTION:
+        for k in range(len(_OF_TRAJECTORY)):
+            kept.floats[j, k] = f[_OF_TRAJECTORY[k], e]
+        kept.memory[j, 1] = actions.memory[n, j, 1]
+        return
     if _decides_speed(kind):
-        for k in range(_OF_SPEED):
-            kept.floats[j, k] = f[_FLOATS[k], e]
+        for k in range(len(_OF_SPEED)):
+            kept.floats[j, k] = f[_OF_SPEED[k], e]
     else:
-        for k in range(_OF_PLACE, len(_FLOATS)):
-            kept.floats[j, k] = f[_FLOATS[k], e]
+        for k in range(len(_OF_PLACE)):
+            kept.floats[j, k] = f[_OF_PLACE[k], e]
+    for k in range(_FEW):
+        kept.memory[j, k] = actions.memory[n, j, k]
     if kind == SYNCHRONISATION:
         # It looks its master up on the road, too.
-        kept.floats[j, len(_FLOATS)] = f[LAST_S, master]
-    for k in range(len(_FLAGS)):
-        kept.flags[j, k] = b[_FLAGS[k], e]
-    for k in range(CHANGING):
-        kept.memory[j, k] = actions.memory[n, j, k]
+        kept.floats[j, len(_OF_PLACE)] = f[LAST_S, master]
+    elif kind == SPEED_ACTION:
+        for k in range(_FEW, CHANGING):
+            kept.memory[j, k] = actions.memory[n, j, k]
 
 
 @_part
@@ -200,25 +208,33 @@ def _decides_speed(kind):
     return kind in (SPEED_ACTION, SYNCHRONISATION, DISTANCE_ACTION)
 
 
+@_part
+def _flag_of(kind):
+    return DECIDED if _decides_speed(kind) else MOVED
+
+
 @_kernel
 def _take_back(scene, actions, kept, n, j):
-    f, b, e, master = scene.floats[n], scene.flags[n], actions.options[j, 1], actions.options[j, 2]
-    kind = actions.options[j, 0]
+    f, e, kind, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
     if kind == UNKNOWN:
         return
-    if kind == SYNCHRONISATION:
-        f[LAST_S, master] = kept.floats[j, len(_FLOATS)]
-        f[ROAD_SPEED, e] = f[ROAD_SPEED, master] = UNASKED
+    scene.flags[n, _flag_of(kind), e] = kept.flag[j]
+    if kind == TRAJECTORY_ACTION:
+        for k in range(len(_OF_TRAJECTORY)):
+            f[_OF_TRAJECTORY[k], e] = kept.floats[j, k]
+        actions.memory[n, j, 1] = kept.memory[j, 1]
+        return
     if _decides_speed(kind):
-        for k in range(_OF_SPEED):
-            f[_FLOATS[k], e] = kept.floats[j, k]
+        for k in range(len(_OF_SPEED)):
+            f[_OF_SPEED[k], e] = kept.floats[j, k]
     else:
-        for k in range(_OF_PLACE, len(_FLOATS)):
-            f[_FLOATS[k], e] = kept.floats[j, k]
-    for k in range(len(_FLAGS)):
-        b[_FLAGS[k], e] = kept.flags[j, k]
-    for k in range(CHANGING):
+        for k in range(len(_OF_PLACE)):
+            f[_OF_PLACE[k], e] = kept.floats[j, k]
+    for k in range(CHANGING if kind == SPEED_ACTION else _FEW):
         actions.memory[n, j, k] = kept.memory[j, k]
+    if kind == SYNCHRONISATION:
+        f[LAST_S, master] = kept.floats[j, len(_OF_PLACE)]
+        f[ROAD_SPEED, e] = f[ROAD_SPEED, master] = UNASKED
 
 
 @_kernel

@@ -341,7 +341,9 @@ def holds(scene, leaves, n, k):
     if kind == AT_END:
         return time - f[AT_END_SINCE, e] > v[0] - TOLERANCE
     if kind == COLLIDES:
-        return overlap(scene, n, e, leaves.codes[k, 2])
+        # Of each two, the one with the lower row was asked for the other when the last frame was recorded.
+        other = leaves.codes[k, 2]
+        return scene.overlaps[n, e, other] if e < other else overlap(scene, n, e, other)
     return _holds_besides(scene, leaves, n, k)
 
 

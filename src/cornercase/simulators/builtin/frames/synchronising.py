@@ -113,7 +113,8 @@ def synchronise(scene, tracks, roads, actions, n, j, dt):
     known, speed_master = _speed_along(scene, tracks, roads, n, master)
     if not known:
         return LOST
-    towards = signed * math.cos(f[TURN, master])
+    # As a rule it is turned by nothing from its way.
+    towards = signed if f[TURN, master] == 0.0 else signed * math.cos(f[TURN, master])
     towards = 1.0 if towards > 0.0 else -1.0 if towards < 0.0 else towards
     speed_master = _sign(f[SPEED, master]) * towards * speed_master
     comes = speed_master > _TINY

@@ -22,7 +22,7 @@ OPTIONS: Final = 8
 MEMORY: Final = 24
 """How many numbers an action can remember of each scenario."""
 CHANGING: Final = 8
-"""So many of these, the first ones, can change from step to step. Copying as many each time is quickest."""
+"""So many of these, the first ones, can change from step to step."""
 
 
 class Actions(NamedTuple):
