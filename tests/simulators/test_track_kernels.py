@@ -156,6 +156,7 @@ def test_tables_follow_what_comes_and_changes() -> None:
     tracks = held.gather([[one], [two, one]])
     assert tracks.row.tolist() == [[0, -1], [1, 0]]
     one.adopt(line(3.0), np.array([False, True]))
+    tracks = held.gather([[one], [two, one]])
     assert [place_on(tracks, 0, n, 4.0, 0.0)[:2] for n in range(2)] == [(4.0, 0.0), (4.0, 3.0)]
     assert place_on(tracks, 1, 1, 4.0, 1.0)[:2] == (4.0, 6.0)
 

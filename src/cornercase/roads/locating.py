@@ -102,7 +102,8 @@ class Locator:
         if samples.apart > _SAMPLED:
             gap = _to_line(points, samples, near)
         else:
-            gap = np.sqrt(((points[:, None] - samples.points[near]) ** 2).sum(axis=2))
+            dx, dy = (points[:, axis, None] - samples.points[:, axis].take(near) for axis in (0, 1))
+            gap = np.sqrt(dx * dx + dy * dy)
         half = samples.half[near]
         cost = np.maximum(gap - half, 0.0) + 1e-3 * gap + np.where(gap <= half, 0.01, 0.0) * samples.bad[near]
         best = near[np.arange(len(x)), cost.argmin(axis=1)]

@@ -46,7 +46,7 @@ class NearestPoints:
             near = np.reshape(self._tree.query(asked, k=count)[1], (len(asked), count))
         else:
             apart = sum((asked[:, None, axis] - self._points[:, axis]) ** 2 for axis in (0, 1))
-            near = np.argpartition(apart, count - 1, axis=1)[:, :count]
+            near = np.argpartition(apart, count - 1, axis=1)[:, :count] if count > 1 else apart.argmin(axis=1)[:, None]
         return np.sort(near, axis=1).astype(np.int64)
 
     @cached_property

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,8 @@ Operand = Any  # float, bool or str, or an array of them over concrete scenarios
 _MOST_CHARACTERS: Final = 10_000
 _MOST_NESTED: Final = 100
 _MOST_SHOWN: Final = 100
+# So many expressions are remembered.
+_REMEMBERED: Final = 1024
 
 _TOKEN: Final = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|\$?(?P<name>[A-Za-z_][\w.]*)"
@@ -118,6 +121,12 @@ def _tokens(expression: str) -> Iterator[tuple[str, str]]:
         yield kind, match.group(kind)
 
 
+@lru_cache(_REMEMBERED)
+def _token_list(expression: str) -> tuple[tuple[str, str], ...]:
+    """Tokens of an expression: a file's are evaluated again for each batch of its scenarios."""
+    return tuple(_tokens(expression))
+
+
 def _shortened(expression: str) -> str:
     return expression if len(expression) <= _MOST_SHOWN else f"{expression[:_MOST_SHOWN]}…"
 
@@ -126,7 +135,7 @@ class _Parser:
     def __init__(self, expression: str, values: Mapping[str, Operand]) -> None:
         self._expression = expression
         self._values = values
-        self._tokens = list(_tokens(expression))
+        self._tokens = _token_list(expression)
         self._next = 0
 
     def binary(self, weakest: int, depth: int) -> Operand:

@@ -80,8 +80,9 @@ class ClothoidSpline(Trajectory):
         for k in range(length.shape[1]):
             u, v, turn = clothoid(length[rows, k], start[rows, k], self._rate[rows, k])
             if k in places:
-                nodes[-1] = tuple(part[rows] for part in places[k])
-            x, y, heading = nodes[-1]
+                x, y, heading = (part[rows] for part in places[k])
+            else:
+                x, y, heading = nodes[-1]
             heading = heading if turns is None else heading + turns[rows, k]
             nodes[-1] = x, y, heading
             cos, sin = np.cos(heading), np.sin(heading)

@@ -31,7 +31,7 @@ TURNINGS: Final = (ALONG_LEGS, AT_CORNERS, AT_VERTICES)
 
 
 class Tracks(NamedTuple):
-    """Tables of G tracks of E entities; what is changed in place on a track shows at once.
+    """Tables of G tracks of E entities, as these are until one is started again.
 
     Attributes
     ----------
