@@ -5,9 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 
+from cornercase._common import locks
 from cornercase._common.locks import held_lock, taken_lock
 
 HOLDER = """
@@ -70,6 +72,23 @@ def test_a_thread_that_holds_a_lock_goes_on_and_others_wait(tmp_path):
         order.append("first")
     waiting.join()
     assert order == ["first", "other"]
+
+
+def test_a_holder_that_does_not_come_back_is_waited_for_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(locks, "_LONGEST", 0.4)
+    path, waited = tmp_path / "cornercase.lock", []
+    stopped = taken_lock(path)
+    assert stopped is not None
+    for _ in range(3):
+        begun = time.monotonic()
+        with held_lock(path):
+            waited.append(time.monotonic() - begun)
+    assert waited[0] >= 0.4
+    assert max(waited[1:]) < 0.4
+    stopped.release()
+    # Whoever comes back frees it for all.
+    with held_lock(path):
+        assert taken_lock(path) is None
 
 
 def test_where_nothing_can_be_written_nothing_is_locked(tmp_path):

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import qmc
 
 from cornercase._common.rows import row_keys
 from cornercase._common.typing import FloatArray, IntArray
@@ -53,6 +52,9 @@ class Places:
         -------
         Places
         """
+        # The package takes half a second to load.
+        from scipy.stats import qmc
+
         points = space.snap(qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])).random(_PLACES))
         points = points[space.admits(points)]
         # Of a space of steps and choices the same scenario comes again: it is one place, which counts that often.

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import qmc, sobol_indices, uniform
 
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray
@@ -105,6 +104,8 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     predicted = float(1.0 - np.mean(left**2))
     if space.dimension == 1:
         return Sensitivity(space.names, (1.0,), (1.0,), ((1.0, 1.0),), ((1.0, 1.0),), predicted)
+    from scipy.stats import sobol_indices, uniform
+
     each: Any = [uniform()] * space.dimension
     with one_thread():
         found: Any = sobol_indices(func=predict, n=_SAMPLES, dists=each, rng=np.random.default_rng(seed))
@@ -130,6 +131,9 @@ def _spreads(space: ParameterSpace, process: GaussianProcess, seed: int) -> tupl
     """
     dims = space.dimension
     count = 1 << ((_PLACES // (dims + 2)).bit_length() - 1)
+    # The package takes half a second to load.
+    from scipy.stats import qmc
+
     both = qmc.Sobol(2 * dims, seed=np.random.default_rng([seed, 2])).random(count)
     a, b = both[:, :dims], both[:, dims:]
     mixed = [np.where(np.arange(dims) == j, b, a) for j in range(dims)]

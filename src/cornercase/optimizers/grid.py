@@ -6,7 +6,6 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import qmc
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
@@ -75,6 +74,9 @@ class GridOptimizer(Optimizer):
 def _spread_out(steps: list[int]) -> IntArray:
     """Order in which any first part of a grid covers the space: that in which Sobol' points meet its cells."""
     size = int(np.prod(steps))
+    # The package takes half a second to load, and few searches need it.
+    from scipy.stats import qmc
+
     points = qmc.Sobol(len(steps), scramble=False).random_base2((8 * size - 1).bit_length())
     cells = np.ravel_multi_index(tuple((points * steps).astype(np.int64).T), tuple(steps))
     met, first = np.unique(cells, return_index=True)

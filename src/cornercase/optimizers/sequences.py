@@ -6,7 +6,6 @@ from abc import abstractmethod
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import qmc
 
 from cornercase._common.typing import FloatArray
 from cornercase.optimizers.base import Optimizer
@@ -104,6 +103,9 @@ class SobolOptimizer(SequenceOptimizer):
 
     def __init__(self, space: ParameterSpace, seed: int) -> None:
         super().__init__(space, seed)
+        # The package takes half a second to load, and few searches need it.
+        from scipy.stats import qmc
+
         self._sobol = qmc.Sobol(space.dimension, scramble=True, seed=np.random.default_rng(seed))
 
     def _draw(self, count: int) -> FloatArray:
