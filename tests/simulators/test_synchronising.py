@@ -107,6 +107,28 @@ def test_who_is_synchronised_moves_as_the_storyboard_says(tmp_path, monkeypatch,
     check(path, values, monkeypatch, SynchronizeAction)
 
 
+@pytest.mark.parametrize("track", ["line", "spline"])
+def test_who_is_beside_the_lanes_is_looked_up_and_acts_compiled(tmp_path, monkeypatch, track):
+    calls = {"look_up": 0, "step": 0}
+
+    def counted(name, plain):
+        def called(*given):
+            calls[name] += 1
+            return plain(*given)
+
+        return called
+
+    for name in calls:
+        monkeypatch.setattr(SynchronizeAction, name, counted(name, getattr(SynchronizeAction, name)))
+    story, init = story_of(event("e", synchronise(FINAL["speed"]), time_trigger("0.5"))), TRACKS[track]
+    init += moving("100", "12", "Lead")
+    path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Lead"), parameters=PARAMETERS)
+    recordings(path, [{"speed": 11.3, "final": 9.7}])
+    # Only the frame in which it ends would be the storyboard's.
+    assert calls["look_up"] > 0
+    assert calls["step"] <= 1
+
+
 @pytest.mark.parametrize("asked", ['distance="$gap"', 'distance="$gap" freespace="true"', 'timeGap="1.2"'])
 @pytest.mark.parametrize("limits", ['maxSpeed="30"', 'maxAcceleration="3" maxDeceleration="5" maxAccelerationRate="4"'])
 def test_who_keeps_a_distance_moves_as_the_storyboard_says(tmp_path, monkeypatch, asked, limits):

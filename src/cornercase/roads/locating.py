@@ -1,13 +1,18 @@
 """Where points of the plane are on the roads."""
 
+# Compiled functions have no static types.
+# mypy: disable-error-code="no-untyped-def, untyped-decorator"
+
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.nearest import NearestPoints
 from cornercase.roads.road import Road
@@ -17,6 +22,8 @@ _SAMPLED: Final = 0.5
 _MOST_SAMPLES: Final = 2_000_000
 SLACK: Final = 2.0
 """So far beside it, in m, an entity still counts as on the road that it was on; esmini's figure."""
+# So many samples that are near are compared.
+_CANDIDATES: Final = 24
 # So many places are remembered.
 _MOST_LOCATED: Final = 4096
 # Points lie no further out than this, in m.
@@ -98,15 +105,10 @@ class Locator:
         # What is as far as that is found nowhere; NaN is not near either.
         known = (np.abs(x) < _ANYWHERE) & (np.abs(y) < _ANYWHERE)
         points = np.stack([np.where(known, x, 0.0), np.where(known, y, 0.0)], axis=1)
-        near = samples.nearest.find(points, 24)
-        if samples.apart > _SAMPLED:
-            gap = _to_line(points, samples, near)
-        else:
-            dx, dy = (points[:, axis, None] - samples.points[:, axis].take(near) for axis in (0, 1))
-            gap = np.sqrt(dx * dx + dy * dy)
-        half = samples.half[near]
-        cost = np.maximum(gap - half, 0.0) + 1e-3 * gap + np.where(gap <= half, 0.01, 0.0) * samples.bad[near]
-        best = near[np.arange(len(x)), cost.argmin(axis=1)]
+        near = samples.nearest.find(points, _CANDIDATES)
+        wide = samples.apart > _SAMPLED
+        gap = _to_line(points, samples, near) if wide else _to_samples(points, samples.points, near)
+        best = near[np.arange(len(x)), _cheapest(gap, near, samples.half, samples.bad)]
         place = Place(samples.road[best], samples.lane[best], samples.s[best].copy(), np.zeros(len(x)))
         for r, ln in sorted({*zip(place.road.tolist(), place.lane.tolist(), strict=True)}):
             rows, one = (place.road == r) & (place.lane == ln), self._roads[r]
@@ -125,11 +127,13 @@ class Locator:
         road, s = last.copy(), last_s.copy()
         lost = ~self._holds(last, x, y, s, 1, SLACK)
         if lost.any():
-            # Many scenarios are the same up to there.
-            places = np.stack([x[lost], y[lost], heading[lost]], axis=1)
-            _, first, which = np.unique(places.view("V24")[:, 0], return_index=True, return_inverse=True)
-            found, along = self._road_at(*places[first].T)
-            road[lost], s[lost] = found[which], along[which]
+            # Many scenarios are the same up to there; what lies together is found faster one after the other.
+            order = np.flatnonzero(lost)[np.lexsort((heading[lost], y[lost], x[lost]))]
+            places = np.stack([x[order], y[order], heading[order]], axis=1)
+            new = np.append(True, (places[1:] != places[:-1]).any(axis=1))
+            found, along = self._road_at(*places[new].T)
+            which = np.cumsum(new) - 1
+            road[order], s[order] = found[which], along[which]
         return road, s
 
     def _road_at(self, x: FloatArray, y: FloatArray, heading: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -203,6 +207,33 @@ class Locator:
             NearestPoints(together), together, np.concatenate(headings), np.concatenate(road), np.concatenate(lane),
             np.concatenate(where), np.concatenate(half), np.concatenate(bad), apart,
         )  # fmt: skip
+
+
+@kernel(error_model="numpy")
+def _to_samples(points, samples, near):
+    """Distance in m of points from the samples that are near."""
+    gap = np.empty(near.shape)
+    for i in range(near.shape[0]):
+        for k in range(near.shape[1]):
+            dx, dy = points[i, 0] - samples[near[i, k], 0], points[i, 1] - samples[near[i, k], 1]
+            gap[i, k] = math.sqrt(dx * dx + dy * dy)
+    return gap
+
+
+@kernel(error_model="numpy")
+def _cheapest(gap, near, half, bad):
+    """Which of the samples near each point is on the lane that it counts as on; the first of several."""
+    best = np.zeros(near.shape[0], dtype=np.int64)
+    for i in range(near.shape[0]):
+        least = math.inf
+        for k in range(near.shape[1]):
+            to, wide = gap[i, k], half[near[i, k]]
+            cost = max(to - wide, 0.0) + 1e-3 * to
+            if to <= wide and bad[near[i, k]]:
+                cost += 0.01
+            if cost < least:
+                best[i], least = k, cost
+    return best
 
 
 def _to_line(points: FloatArray, samples: _Samples, near: IntArray) -> FloatArray:
