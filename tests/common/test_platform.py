@@ -133,16 +133,30 @@ def test_files_that_are_written_together_appear_together_or_not_at_all(tmp_path)
     assert {one.name for one in tmp_path.rglob("*.*")} == {"a.txt", "b.txt"}
 
 
-def test_what_a_killed_writer_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
-    program = """
+KILLED_WRITER = """
 import os, sys
 from cornercase._common.files import written_whole
 with written_whole(sys.argv[1]) as temporary:
     temporary.with_name(temporary.name + "-journal").write_text("of SQLite")
     os.kill(os.getpid(), 9)
 """
+
+
+def test_what_a_writer_in_another_container_of_this_name_writes_is_not_removed(tmp_path, monkeypatch):
     target = tmp_path / "file.txt"
-    killed = subprocess.run([sys.executable, "-c", program, str(target)], check=False)
+    subprocess.run([sys.executable, "-c", KILLED_WRITER, str(target)], check=False)
+    theirs = {one.name for one in tmp_path.iterdir()}
+    assert len(theirs) == 2
+    # Its processes are not seen here, so that whether it lives is not known.
+    monkeypatch.setattr("cornercase._common.pending_files._of_processes", lambda: "pid:[1]")
+    with written_whole(target) as temporary:
+        temporary.write_text("of this one")
+    assert {one.name for one in tmp_path.iterdir()} == theirs | {"file.txt"}
+
+
+def test_what_a_killed_writer_left_is_removed_and_what_a_living_one_writes_is_not(tmp_path):
+    target = tmp_path / "file.txt"
+    killed = subprocess.run([sys.executable, "-c", KILLED_WRITER, str(target)], check=False)
     assert killed.returncode != 0
     assert len(list(tmp_path.iterdir())) == 2
     (tmp_path / ".file.txt.other").write_text("of another program")

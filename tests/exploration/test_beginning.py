@@ -68,6 +68,28 @@ def test_a_study_in_which_nothing_has_ended_takes_the_corrected_command(tmp_path
         explored(path, study, duration=0.5)
 
 
+def test_what_had_failed_before_is_kept_where_a_later_command_cannot_go_on(tmp_path, monkeypatch):
+    path, study = roads(tmp_path, "1"), tmp_path / "study.db"
+
+    def fails(self, concretes):
+        for _ in concretes:
+            yield SimulationError("lost")
+
+    def ends(self, concretes):
+        yield SimulationError("lost")
+        raise InputError("The disk is full.")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(BuiltinSimulator, "run", fails)
+        assert explored(path, study).failed == 12
+        broken.setattr(BuiltinSimulator, "run", ends)
+        with pytest.raises(InputError, match="disk is full"):
+            explored(path, study, budget=16, retry_failed=True)
+    with Study.open(study) as kept:
+        assert len(kept.rows()) >= 12
+    assert explored(path, study, budget=16).done + explored(path, study, budget=16).failed == 16
+
+
 def test_a_study_with_a_result_stays_what_it_is(tmp_path):
     space = ParameterSpace.from_ranges(["a=0:1:0.01", "b=0:1"])
     with Study.create(tmp_path / "study.db", about(space, "distance")) as study:

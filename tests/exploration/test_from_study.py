@@ -142,6 +142,11 @@ def test_a_damaged_beginning_is_told(tmp_path, other):
     searched(tmp_path / "new.db", from_study=other)
     with closing(sqlite3.connect(tmp_path / "new.db")) as connection, connection:
         connection.execute("DELETE FROM elsewhere WHERE rowid = 1")
+    for command in (("show",), ("report", "-o", tmp_path / "page.html")):
+        # What is known of the critical set is not left out, as if there were too few scores.
+        told = cornercase(command[0], tmp_path / "new.db", *command[1:])
+        assert told.returncode == 2
+        assert "elsewhere does not hold the rows that were written" in told.stderr
     with pytest.raises(InputError, match="elsewhere does not hold the rows that were written"):
         searched(tmp_path / "new.db", budget=30)
     reseal(tmp_path / "new.db")

@@ -340,6 +340,26 @@ def ended(path):
         return 0
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="it asks as Unix does")
+@pytest.mark.parametrize(
+    ("number", "code", "words"),
+    [
+        (signal.SIGTERM, 143, "Interrupted by SIGTERM"),
+        pytest.param("SIGHUP", 129, "Interrupted by SIGHUP", marks=pytest.mark.slow),
+    ],
+)
+def test_it_ends_when_it_is_asked_to(tmp_path, number, code, words):
+    with started("watch", tmp_path / "s.db", "--no-browser") as server:
+        assert "The page of" in server.stdout.readline()
+        # It serves before it looks for signals.
+        time.sleep(1.0)
+        server.send_signal(getattr(signal, number) if isinstance(number, str) else number)
+        _, err = server.communicate(timeout=20)
+    assert server.returncode == code
+    assert err.startswith(words)
+    assert err.count("\n") == 1
+
+
 @pytest.mark.slow
 def test_the_page_grows_with_an_exploration_that_is_killed_and_started_again(tmp_path):
     study = tmp_path / "s.db"

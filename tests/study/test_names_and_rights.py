@@ -60,11 +60,16 @@ def test_a_scenario_file_whose_name_is_no_text_is_refused_before_a_study_is_made
     assert "its name is none that XML can hold" in result.stderr
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="whoever may do anything may write")
-def test_a_study_that_may_only_be_read_is_not_written(tmp_path):
+def test_a_study_that_may_only_be_read_is_not_written_and_nothing_is_left_beside_it(tmp_path):
     path = made(tmp_path / "s.db")
     path.chmod(0o444)
+    if os.access(path, os.W_OK):
+        pytest.skip("whoever may do anything may write")
     with Study.open(path) as study:
         assert len(study.rows()) == 2
     with pytest.raises(InputError, match="may only be read"):
         Study.open(path, readonly=False)
+    # What a reader left would be only for reading too, and keep its owner out.
+    assert [one.name for one in tmp_path.iterdir()] == ["s.db"]
+    path.chmod(0o644)
+    Study.open(path, readonly=False).close()

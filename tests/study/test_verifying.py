@@ -90,3 +90,18 @@ def test_nobody_writes_where_sqlite_finds_something_wrong_in_what_is_not_read(pa
     assert result.returncode == 2
     assert "is damaged: SQLite says" in result.stderr
     assert cornercase("verify", path).returncode == 1
+
+
+@pytest.mark.parametrize("repair", [(), ("--repair",)])
+def test_a_study_that_another_program_keeps_to_itself_is_not_damaged(path, repair, monkeypatch):
+    # Nobody waits half a minute for it.
+    monkeypatch.setattr("cornercase.study.connecting.connected.__defaults__", (0.1,))
+    with closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("PRAGMA locking_mode = EXCLUSIVE")
+        other.execute("PRAGMA user_version = 6")
+        result = cornercase("verify", path, *repair)
+    assert result.returncode == 2
+    assert "another program keeps it to itself" in result.stderr
+    assert result.stdout == ""
+    assert cornercase("verify", path).returncode == 0
+    assert [one.name for one in path.parent.iterdir()] == ["s.db"]

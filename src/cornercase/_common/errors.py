@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import errno
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Final
 
 # What an OSError says where the machine is at fault.
@@ -62,6 +63,29 @@ def is_of_the_machine(error: BaseException | None) -> bool:
             return True
         error = error.__cause__
     return False
+
+
+@contextmanager
+def left_out_if_too_little() -> Iterator[None]:
+    """Go on after a block that ends in a `ValueError`, as there are too few numbers to say something.
+
+    An `InputError` is none of these, although it is a `ValueError`: that a study is damaged is not left out.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    InputError
+        The block raised it.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except ValueError:
+        pass
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from functools import cache
 from pathlib import Path
 from typing import Final
 from zlib import crc32
@@ -129,8 +130,17 @@ class PendingFiles:
 
 
 def _mark(process: int) -> str:
-    """Tell which process of which machine writes a file; others may share its folder."""
-    return f"{crc32(platform.node().encode()):08x}-{process}"
+    """Tell which process of which machine or container writes a file; others may share its folder."""
+    return f"{crc32(f'{platform.node()} {_of_processes()}'.encode()):08x}-{process}"
+
+
+@cache
+def _of_processes() -> str:
+    # Containers of one name do not see each other's processes.
+    try:
+        return os.readlink("/proc/self/ns/pid")
+    except OSError:
+        return ""
 
 
 _together: ContextVar[PendingFiles | None] = ContextVar("together", default=None)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS
-from cornercase.study import Study
+from cornercase.study import DamageError, Study
 
 _ENOUGH: Final = 10
 
@@ -32,6 +32,8 @@ def tell_alike(study: Study) -> dict[str, str]:
     for name in study.meta.metrics:
         try:
             scores = study.scores(name)
+        except DamageError:
+            raise
         except InputError:
             # Not measured of all scenarios.
             continue

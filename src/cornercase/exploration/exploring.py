@@ -284,6 +284,7 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
             if known is not None:
                 study.keep_elsewhere(known.points, known.scores)
+            had_ended = any(row.state != "pending" for row in study.rows())
             if retry_failed:
                 study.retry_failed()
             study.add_elapsed("files", time.monotonic() - begun)
@@ -291,8 +292,8 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
             try:
                 return kind(one, simulator, optimizer, study, objective, references).run(progress)
             except InputError:
-                # What nothing could be run with must not keep out the corrected command.
-                if not study.done():
+                # What nothing could be run with must not keep out the corrected command. What had failed before stays.
+                if not had_ended and not study.done():
                     study.clear()
                 raise
 

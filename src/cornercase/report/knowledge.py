@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
+from cornercase._common.errors import left_out_if_too_little
 from cornercase._common.typing import FloatArray
 from cornercase.evidence import REGION, Estimate, Sensitivity, bounds_of_share, estimate_sensitivity
 from cornercase.exploration import Objective, critical_set_of, learns_from_features, on_front
@@ -164,7 +164,7 @@ def find_missed(study: Study, knowledge: Knowledge) -> Iterator[MissedAfter]:
         nearest = {min(ends, key=lambda end: abs(end - size)) for size in wanted if ends}
         sizes = sorted(size for size in nearest if _FEWEST <= size <= _MOST_JUDGED)
     for size in sizes:
-        with suppress(ValueError):
+        with left_out_if_too_little():
             found = critical_set_of(study, scores, threshold, last=rows[size - 1].id)
             yield MissedAfter(size, found.missed, found.missed_doubt)
     yield MissedAfter(len(rows), critical.known.missed, critical.known.missed_doubt)
@@ -193,7 +193,7 @@ def find_knowledge(study: Study) -> Knowledge:
         front = np.flatnonzero(on_front(oriented)).tolist()
         return Knowledge({rows[k].id: {name: float(each[k]) for name, each in scores.items()} for k in front})
     sensitivity = None
-    with suppress(ValueError):
+    with left_out_if_too_little():
         searched = ~study.audits()
         sensitivity = estimate_sensitivity(study.space, study.points()[searched], oriented[searched], meta.seed)
     return Knowledge(None, _of_critical(study, objective, oriented), sensitivity)
@@ -205,7 +205,7 @@ def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> Cr
     threshold = objective.flip(study.critical)
     audits = study.audits()
     known, missed = None, None
-    with suppress(ValueError):
+    with left_out_if_too_little():
         found = critical_set_of(study, oriented, threshold)
         known = CriticalSetKnowledge(
             found.share,

@@ -1,3 +1,4 @@
+from .damage import DamageError as DamageError
 from .damage import damage_told as damage_told
 from .damage import made as made
 from .damage import require as require

@@ -8,12 +8,16 @@ import stat
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.locks import taken_lock
 from cornercase.study.damage import DamageError
 from cornercase.study.migrations import OLD_TABLES, migrate, schema_version
 from cornercase.study.schema import ALWAYS, APPLICATION, SCHEMA_VERSION, STATEMENTS
+
+# What SQLite says where a file cannot be opened, or others keep it to themselves.
+_UNREACHABLE: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_CANTOPEN}
 
 
 @contextmanager
@@ -42,6 +46,8 @@ def sentences(path: Path) -> Iterator[None]:
             f"{path}: cannot be used as a study (damaged text). `verify` tells what of it is damaged."
         ) from error
     except sqlite3.Error as error:
+        if is_unreachable(error):
+            raise InputError(_unreachable(path, error)) from error
         if "readonly" in str(error):
             raise InputError(
                 f"{path}: cannot be written: it was opened for reading, or its file or folder may only be read; name a"
@@ -50,6 +56,33 @@ def sentences(path: Path) -> Iterator[None]:
         # What SQLite says of pages that it cannot read.
         advice = " `verify` tells what of it is damaged." if "malformed" in str(error) else ""
         raise InputError(f"{path}: cannot be used as a study ({error}).{advice}") from error
+
+
+def is_unreachable(error: BaseException) -> bool:
+    """Tell whether SQLite could not get at a file, which says nothing of what the file holds.
+
+    Parameters
+    ----------
+    error : BaseException
+
+    Returns
+    -------
+    bool
+    """
+    # The lower byte is the kind, the others say more of it.
+    return isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", 0) & 0xFF in _UNREACHABLE
+
+
+def _unreachable(path: Path, error: sqlite3.Error) -> str:
+    if error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_CANTOPEN:
+        return (
+            f"{path}: cannot be opened, or SQLite cannot make its files beside it (-wal and -shm); copy it, with those"
+            " beside it, where you may write."
+        )
+    return (
+        f"{path}: cannot be used as a study ({error}): another program keeps it to itself, or its file system knows no"
+        " locks; end that program, or copy the study elsewhere."
+    )
 
 
 @contextmanager
@@ -243,7 +276,7 @@ def connected(path: Path, patience: float = 30.0) -> sqlite3.Connection:
 
 
 def is_out_of_reach(path: Path) -> bool:
-    """Tell whether a file lies where nobody can write to it.
+    """Tell whether a file is only for reading here, and nobody writes to it.
 
     Parameters
     ----------
@@ -253,7 +286,9 @@ def is_out_of_reach(path: Path) -> bool:
     -------
     bool
     """
-    return not os.access(path.parent, os.W_OK) and not path.with_name(path.name + "-wal").exists()
+    # SQLite would leave its log of a file that may only be read beside it, and keep its owner from writing.
+    writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
+    return not writable and not path.with_name(path.name + "-wal").exists()
 
 
 def require_one_name(path: Path) -> None:

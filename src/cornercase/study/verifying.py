@@ -11,7 +11,16 @@ from typing import Final
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
-from cornercase.study.connecting import connected, of_today, require_file, require_plain, require_study, told_by_sqlite
+from cornercase.study.connecting import (
+    connected,
+    is_unreachable,
+    of_today,
+    require_file,
+    require_plain,
+    require_study,
+    sentences,
+    told_by_sqlite,
+)
 from cornercase.study.damage import DamageError
 from cornercase.study.migrations import schema_version
 from cornercase.study.salvaging import holds_rows
@@ -62,8 +71,8 @@ def verify(study: Path | str) -> Verification:
     Raises
     ------
     InputError
-        There is no such file, or it is none of a study: of another program, of a later schema version, or nothing in it
-        was written by cornercase.
+        There is no such file, it cannot be opened, or it is none of a study: of another program, of a later schema
+        version, or nothing in it was written by cornercase.
 
     Examples
     --------
@@ -92,8 +101,8 @@ def _require_own(path: Path) -> None:
                 require_study(path, connection)
             if application == APPLICATION:
                 return
-    except (sqlite3.Error, UnicodeDecodeError):
-        pass
+    except (sqlite3.Error, UnicodeDecodeError) as error:
+        _require_reached(path, error)
     try:
         found = holds_rows(path)
     except OSError as error:
@@ -132,6 +141,7 @@ def _problems(path: Path) -> Iterator[str]:
             for row in opened.rows():
                 opened.scores_of(row.id), opened.against_of(row.id)
     except InputError as error:
+        _require_reached(path, error.__cause__)
         yield str(error).removeprefix(f"{path}: ")
 
 
@@ -175,7 +185,15 @@ def _of_table(path: Path, connection: sqlite3.Connection, table: str) -> Iterato
         yield _words(path, error)
 
 
+def _require_reached(path: Path, error: BaseException | None) -> None:
+    """Raise what says nothing of a file: that another program keeps it to itself, or that it cannot be opened."""
+    if error is not None and is_unreachable(error):
+        with sentences(path):
+            raise error
+
+
 def _words(path: Path, error: Exception) -> str:
+    _require_reached(path, error)
     if isinstance(error, UnicodeDecodeError):
         return "SQLite says: something damaged that is no text"
     if isinstance(error, sqlite3.Error):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet, SetDifference, bounds_of_share
 from cornercase.exploration import Objective, critical_set_of
 from cornercase.study import Study
@@ -59,6 +60,9 @@ def _sets(old: Study, new: Study) -> tuple[SetDifference | None, str]:
     for study in (old, new):
         try:
             one = _critical_set(study)
+        except InputError:
+            # That a study is damaged is no lack of scores.
+            raise
         except ValueError:
             return None, f"{study.path.name} has fewer than 10 scores without audits, or all are the same"
         if one.missed_doubt is not None:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import errno
 import ipaddress
 import secrets
+import signal
 import socket
 import webbrowser
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
+from cornercase._common.interrupts import last_request
 from cornercase.report.live.follower import Follower
 from cornercase.report.live.knowing import Finder
 from cornercase.report.live.telling import Teller
@@ -104,8 +105,11 @@ def watch(
             # The socket listens already, so that the browser waits for the answer.
             webbrowser.open(address)
         try:
-            with suppress(KeyboardInterrupt):
-                servers[0].run(sockets=[listening])
+            servers[0].run(sockets=[listening])
+        except KeyboardInterrupt:
+            # Ctrl-C is how it ends.
+            if last_request() != signal.SIGINT:
+                raise
         finally:
             finder.stop()
             follower.stop()
