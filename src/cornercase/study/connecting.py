@@ -69,8 +69,8 @@ def is_unreachable(error: BaseException) -> bool:
     -------
     bool
     """
-    # The lower byte is the kind, the others say more of it.
-    return isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", 0) & 0xFF in _UNREACHABLE
+    # What Python's module itself refuses has no code. The lower byte is the kind, the others say more of it.
+    return isinstance(error, sqlite3.Error) and vars(error).get("sqlite_errorcode", 0) & 0xFF in _UNREACHABLE
 
 
 def _unreachable(path: Path, error: sqlite3.Error) -> str:
