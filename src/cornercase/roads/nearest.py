@@ -45,8 +45,12 @@ class NearestPoints:
         if len(asked) * len(self._points) > _FEW:
             near = np.reshape(self._tree.query(asked, k=count)[1], (len(asked), count))
         else:
-            dx, dy = (asked[:, None, axis] - self._points[:, axis] for axis in (0, 1))
-            apart = dx * dx + dy * dy
+            apart = np.zeros((len(asked), len(self._points)))
+            for axis in (0, 1):
+                # In place, as the system hands out large arrays slowly.
+                away = asked[:, None, axis] - self._points[:, axis]
+                away *= away
+                apart += away
             near = np.argpartition(apart, count - 1, axis=1)[:, :count] if count > 1 else apart.argmin(axis=1)[:, None]
         return np.sort(near, axis=1).astype(np.int64)
 
