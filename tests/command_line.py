@@ -8,11 +8,12 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from conftest import EXAMPLES
 from cornercase.cli import main
+from waiting import until
 
 X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 SPACE = EXAMPLES / "x_intersection" / "x_intersection.space.xosc"
@@ -53,6 +54,44 @@ def process(*arguments: object, cwd: Path | None = None, environment: dict[str, 
     return subprocess.run(
         command, capture_output=True, text=True, cwd=cwd, timeout=300, env={**os.environ, **(environment or {})}
     )
+
+
+# Goes on until so many scenarios have ended, says so by a file, and waits to be ended itself.
+_WAITING = """
+import itertools, pathlib, signal, sys, time
+from cornercase.cli import main
+from cornercase.study import Study
+
+flag, count, sys.argv[1:] = pathlib.Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3:]
+number, finish = itertools.count(1), Study.finish
+
+def finish_and_wait(*given, **more):
+    finish(*given, **more)
+    if next(number) == count:
+        flag.touch()
+        time.sleep(600)
+
+Study.finish = finish_and_wait
+# As a job in the background the process would inherit that the signal is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+main()
+"""
+
+
+@contextlib.contextmanager
+def waiting_after(count: int, flag: Path, *arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """Run a search in a process of its own that waits after so many scenarios, for as long as it takes to end it."""
+    words = [str(flag), str(count), *map(str, arguments)]
+    running = subprocess.Popen(
+        [sys.executable, "-c", _WAITING, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        until(lambda: flag.exists() or running.poll() is not None, 300.0)
+        assert flag.exists(), running.communicate()[1]
+        yield running
+    finally:
+        running.kill()
+        running.communicate()
 
 
 # A line for each command as soon as it has ended, so that one which takes all of the process can be told.

@@ -91,7 +91,9 @@ class FailingSimulator(Simulator):
             time.sleep(0.3)
         elif what == "child":
             child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
-            (self._plan.folder / "children").write_text(str(child.pid))
+            # Who sees the file finds the number in it.
+            (self._plan.folder / "child").write_text(str(child.pid))
+            (self._plan.folder / "child").rename(self._plan.folder / "children")
             time.sleep(600)
         return recording(k)
 

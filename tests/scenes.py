@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
+from conftest import examples
 from cornercase.recordings import Recording
 
 TIME = np.arange(0, 6, 0.25)
@@ -25,7 +26,7 @@ entity = st.fixed_dictionaries(
     }
 )
 scenes = st.lists(entity, min_size=2, max_size=4).map(lambda entities: drive(entities))
-quick = settings(deadline=None, max_examples=60)
+quick = settings(deadline=None, max_examples=examples(60))
 
 
 def drive(entities) -> Recording:

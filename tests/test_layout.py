@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import configparser
 import re
+from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,7 +17,6 @@ from cornercase.simulators import SIMULATORS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "cornercase"
-MODULES = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
 ROOMS = sorted(path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists())
 
 LONGEST_MODULE, LONGEST_FUNCTION, MOST_PARAMETERS = 500, 80, 10
@@ -43,8 +44,14 @@ OPTIONS_OF_OTHERS = {"--csv_logger"}
 PLATFORM = "_common/platform.py"
 
 
+@cache
+def modules() -> dict[str, ast.Module]:
+    """All of the package, read by the one worker that looks at it."""
+    return {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
+
+
 def functions() -> Iterator[tuple[str, ast.FunctionDef]]:
-    for path, module in MODULES.items():
+    for path, module in modules().items():
         yield from ((f"{path} {one.name}", one) for one in ast.walk(module) if isinstance(one, ast.FunctionDef))
 
 
@@ -90,14 +97,21 @@ def test_tests_have_a_folder_for_each_room():
     assert folders == {room.lstrip("_") for room in ROOMS} | {"browser", "reliability"}
 
 
+def test_no_two_modules_of_tests_are_named_alike():
+    """Where folders are no packages, Python imports only one of them; which one depends on the worker."""
+    paths = [one for one in (ROOT / "tests").rglob("*.py") if not (one.parent / "__init__.py").exists()]
+    names = Counter(path.stem for path in paths if path.stem != "conftest")
+    assert {name: count for name, count in names.items() if count > 1} == {}
+
+
 def test_no_module_is_long():
-    lengths = {path: len((PACKAGE / path).read_text("utf-8").splitlines()) for path in MODULES}
+    lengths = {path: len((PACKAGE / path).read_text("utf-8").splitlines()) for path in modules()}
     assert {path: lines for path, lines in lengths.items() if lines > LONGEST_MODULE} == {}
 
 
 def test_no_module_is_named_after_nothing():
     vague = re.compile(r"manager|helper|util|misc|common\.py")
-    assert [path for path in MODULES if vague.search(path)] == []
+    assert [path for path in modules() if vague.search(path)] == []
 
 
 def test_only_known_functions_are_large_and_each_of_them_is():
@@ -117,7 +131,7 @@ def test_nothing_public_has_the_name_of_its_module(room):
 
 
 def test_interfaces_have_defaults_and_are_not_asked_what_they_have():
-    for path, module in MODULES.items():
+    for path, module in modules().items():
         if not path.startswith(OF_OTHERS):
             for call in called(module, "getattr", "hasattr"):
                 asks = ast.unparse(call.func) == "hasattr" or len(call.args) == 3
@@ -128,13 +142,13 @@ def test_interfaces_have_defaults_and_are_not_asked_what_they_have():
 
 def test_what_only_some_platforms_have_stands_in_one_module():
     names = re.compile(r"\bfcntl\b|\bmsvcrt\b|os\.(setsid|killpg|fork|getuid)\b|SIGKILL|SIGHUP")
-    for path, module in MODULES.items():
+    for path, module in modules().items():
         if path != PLATFORM:
             assert not names.search(ast.unparse(module)), path
 
 
 def test_messages_name_parameters_and_not_options():
-    for path, module in MODULES.items():
+    for path, module in modules().items():
         if not path.startswith("cli/"):
             for call in called(module, "InputError", "SimulationError"):
                 options = {option for text in texts(call) for option in re.findall(r"--[a-z][\w-]+", text)}
@@ -144,7 +158,7 @@ def test_messages_name_parameters_and_not_options():
 def test_no_name_of_an_optimizer_or_simulator_is_asked_for_outside_its_room():
     for room, registry in (("optimizers", OPTIMIZERS), ("simulators", SIMULATORS)):
         known = set(registry.names())
-        for path, module in MODULES.items():
+        for path, module in modules().items():
             if not path.startswith(f"{room}/"):
                 for node in ast.walk(module):
                     if isinstance(node, ast.Compare):
@@ -153,7 +167,7 @@ def test_no_name_of_an_optimizer_or_simulator_is_asked_for_outside_its_room():
 
 def test_told_is_what_an_optimizer_was_told_and_a_metric_has_a_most_critical_value():
     """Scores that a search sees are oriented, and the ends of a course are the cap and the most critical value."""
-    for path, module in MODULES.items():
+    for path, module in modules().items():
         names = {node.id for node in ast.walk(module) if isinstance(node, ast.Name)}
         names |= {node.attr for node in ast.walk(module) if isinstance(node, ast.Attribute)}
         assert path.startswith("optimizers/") or not {"told", "_told"} & names, path

@@ -101,7 +101,7 @@ class Tab:
     def open(self, address: str) -> Page:
         """Open a report, and wait until it can be used."""
         self.page.goto(address)
-        self.page.wait_for_selector("html[data-ready]", timeout=20_000)
+        self.page.wait_for_selector("html[data-ready]", timeout=120_000)
         self.settle()
         return self.page
 

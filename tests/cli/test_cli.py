@@ -5,15 +5,13 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from command_line import SPACE, X, cornercase
+from command_line import SPACE, X, cornercase, waiting_after
 from conftest import same_recording, scenario_file, teleport, time_trigger
 from cornercase.recordings import read_recording
 from cornercase.scenario import ConcreteScenario
@@ -108,41 +106,12 @@ def test_show_and_export(demo, tmp_path):
         assert summary["metrics"]["wttc"]["most_critical"] == study.scores("wttc").min()
 
 
-# It waits for the signal in the midst of the search, which would otherwise have ended before it on a busy machine.
-WAITING_AT_25 = """
-import itertools, pathlib, signal, sys, time
-from cornercase.cli import main
-from cornercase.study import Study
-
-number, finish = itertools.count(1), Study.finish
-
-def finish_and_wait(*given, **more):
-    finish(*given, **more)
-    if next(number) == 25:
-        pathlib.Path(flag).touch()
-        time.sleep(100)
-
-flag = sys.argv.pop(1)
-Study.finish = finish_and_wait
-# As a job in the background the process would inherit that the signal is ignored.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-main()
-"""
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="a test cannot press Ctrl-C there")
 def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(demo, tmp_path):
     arguments = ["demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", str(tmp_path)]
-    flag = tmp_path / "waiting"
-    running = subprocess.Popen(
-        [sys.executable, "-c", WAITING_AT_25, str(flag), *arguments],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    deadline = time.monotonic() + 300
-    while time.monotonic() < deadline and running.poll() is None and not flag.exists():
-        time.sleep(0.05)
-    running.send_signal(signal.SIGINT)
-    said, errors = running.communicate(timeout=100)
+    with waiting_after(25, tmp_path / "waiting", *arguments) as running:
+        running.send_signal(signal.SIGINT)
+        said, errors = running.communicate(timeout=120)
     assert running.returncode == 130, errors
     assert "the same command goes on" in said
     assert "Traceback" not in errors

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.clustering import ASPECTS, Aspect, analyze, read_analysis, read_distances, series_of
 from cornercase.dtw import distance_matrix
@@ -69,7 +70,7 @@ def test_these_are_the_aspects():
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 @given(dx=st.floats(-500, 500), dy=st.floats(-500, 500), turn=st.floats(-math.pi, math.pi))
 def test_what_does_not_say_where_does_not_depend_on_it(name, dx, dy, turn):
     base = crossing(2.0, first=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import psutil
@@ -13,6 +12,7 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase._common.guardian import Guardian
+from waiting import lives, until
 
 # Makes a folder, starts a process that starts another one, and waits.
 PROGRAM = """
@@ -32,31 +32,17 @@ time.sleep(600)
 """
 
 
-def is_there(number):
-    try:
-        return psutil.Process(number).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
-
-
-def gone(condition, seconds=20.0):
-    deadline = time.monotonic() + seconds
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return condition()
-
-
 def test_what_a_killed_process_leaves_is_ended_and_removed():
     process = subprocess.Popen([sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    folder, *numbers = process.stdout.readline().split()
-    children = [one.pid for number in numbers for one in psutil.Process(int(number)).children()]
-    every = [*map(int, numbers), *children]
-    assert all(map(is_there, every))
+    folder, first, second = process.stdout.readline().split()
+    (child,) = until(psutil.Process(int(first)).children)
+    every = [int(first), int(second), child.pid]
+    assert all(map(lives, every))
     assert (Path(folder) / "file").exists()
     process.kill()
     process.communicate()
-    assert gone(lambda: not any(map(is_there, every)) and not Path(folder).exists())
+    until(lambda: not any(map(lives, every)) and not Path(folder).exists())
 
 
 def test_a_process_ends_with_the_one_at_the_other_end_of_its_input():
@@ -68,10 +54,10 @@ def test_a_process_ends_with_the_one_at_the_other_end_of_its_input():
     process = subprocess.Popen([sys.executable, "-c", starter, lasting], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     number = int(process.stdout.readline())
-    assert is_there(number)
+    assert lives(number)
     process.kill()
     process.communicate()
-    assert gone(lambda: not is_there(number))
+    until(lambda: not lives(number))
 
 
 def test_a_guardian_that_is_killed_is_replaced_and_one_with_nothing_to_guard_ends(tmp_path):

@@ -37,10 +37,12 @@ pytestmark = pytest.mark.filterwarnings("ignore:without effect")
 class Slow(Synthetic):
     """Several at a time, of which some take much longer than others."""
 
-    def __init__(self, places, survives=None):
+    def __init__(self, places, survives=None, gather=False):
         super().__init__()
         self.places, self.survives, self.most, self.now = places, survives, 0, 0
-        self.lock = threading.Lock()
+        self.lock, self.gathered = threading.Lock(), threading.Event()
+        if not gather:
+            self.gathered.set()
 
     def beside(self):
         return [self] * self.places
@@ -51,6 +53,10 @@ class Slow(Synthetic):
             self.most = max(self.most, self.now)
             if self.survives is not None and self.ran >= self.survives:
                 raise KeyboardInterrupt
+            if self.most == self.places:
+                self.gathered.set()
+        # On a busy machine one would end before the next has begun.
+        self.gathered.wait(120.0)
         time.sleep(0.03 if concretes[0].values["b"] < 0.2 else 0.003)
         yield from super().run(concretes)
         with self.lock:
@@ -108,7 +114,7 @@ def contents(path):
 
 
 def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tmp_path):
-    one, simulator = about(), Slow(4)
+    one, simulator = about(), Slow(4, gather=True)
     optimizer = Listening(SobolOptimizer(SPACE, 7))
     result = explored(tmp_path / "s.db", one, simulator, optimizer)
     assert (result.ended, result.reason) == (47, "the budget of 47 scenarios is used up")

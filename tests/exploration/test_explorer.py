@@ -1,14 +1,12 @@
+"""The loop of an exploration: stopped, killed and gone on with, always to the same bytes."""
+
 from __future__ import annotations
 
-import contextlib
 import shutil
 import signal
 import sqlite3
-import subprocess
-import sys
 import time
 from dataclasses import replace
-from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -17,80 +15,20 @@ import numpy as np
 import pytest
 
 import synthetic
+from command_line import waiting_after
 from conftest import EXAMPLES
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError
 from cornercase._common.interrupts import noted_interrupts
-from cornercase.drivers import named_driver
 from cornercase.exploration import (
-    Configuration,
-    ScenarioExplorer,
     demonstration,
-    examples,
     explore,
     explore_configuration,
 )
 from cornercase.metrics import Metric
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer
-from cornercase.report import summarize, write_report
-from cornercase.scenario import LogicalScenario, ParameterSpace
+from cornercase.scenario import LogicalScenario
 from cornercase.study import Study
-from fake_simulators import NoisySimulator
-from synthetic import Synthetic, about, explorer, opened
-
-SPACE = ParameterSpace.from_ranges(["a=0:1:0.02", "b=0:1:0.02", "c=0:1"])
-
-
-def ridge(points):
-    return np.minimum(5 * np.abs(points[:, 0] - points[:, 1]), 1.0)
-
-
-@pytest.mark.parametrize("name", ["bayes", "sobol", "random", "grid"])
-def test_an_optimizer_that_is_told_again_asks_the_same(name):
-    first = OPTIMIZERS.create(name, space=SPACE, seed=3)
-    rounds = []
-    for _ in range(4):
-        points = first.ask(10)
-        first.tell(points, ridge(points))
-        rounds.append(points)
-    second = OPTIMIZERS.create(name, space=SPACE, seed=3)
-    for points in rounds:
-        np.testing.assert_array_equal(second.ask(10), points)
-        second.tell(points, ridge(points))
-    every = np.concatenate(rounds)
-    assert len(np.unique(every, axis=0)) == len(every)
-    np.testing.assert_array_equal(SPACE.snap(every), every)
-
-
-@pytest.mark.parametrize("name", ["bayes", "sobol", "random", "grid"])
-def test_a_small_space_is_run_whole_and_then_over(name):
-    space = ParameterSpace.from_ranges(["a=0:3:1", "b=0:7:1"])
-    optimizer, every = OPTIMIZERS.create(name, space=space, seed=1), []
-    while len(points := optimizer.ask(5)):
-        optimizer.tell(points, ridge(points))
-        every.append(points)
-    assert len(np.unique(np.concatenate(every), axis=0)) == len(np.concatenate(every)) == 32
-
-
-def test_bayes_finds_the_ridge_from_end_to_end():
-    optimizer = OPTIMIZERS.create("bayes", space=SPACE, seed=2)
-    every = []
-    for _ in range(16):
-        points = optimizer.ask(10)
-        optimizer.tell(points, ridge(points))
-        every.append(points)
-    found = np.concatenate(every)
-    critical = found[ridge(found) < 0.25]
-    assert len(critical) > 2 * 160 * 0.1
-    assert critical[:, 0].min() < 0.2
-    assert critical[:, 0].max() > 0.8
-
-
-def test_bayes_stands_failures_and_equal_scores():
-    optimizer = OPTIMIZERS.create("bayes", space=SPACE, seed=2)
-    for scores in (np.zeros(10), np.full(10, np.nan), np.zeros(10), np.ones(10)):
-        points = optimizer.ask(10)
-        assert len(points) == 10
-        optimizer.tell(points, scores)
+from synthetic import Synthetic, explorer, opened
 
 
 def results(path):
@@ -108,20 +46,10 @@ def undisturbed(tmp_path_factory):
 
 def test_a_killed_exploration_goes_on_as_if_undisturbed(undisturbed, tmp_path):
     path = tmp_path / "killed" / "study.db"
-    command = [sys.executable, "-c", "from cornercase.cli import main; main()", "demo", "x-intersection",
-               "--budget", "40", "--seed", "1", "-o", str(path.parent)]  # fmt: skip
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and process.poll() is None:
-        try:
-            with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as reader:
-                if reader.execute("SELECT count(*) FROM scenarios WHERE state = 'done'").fetchone()[0] >= 13:
-                    break
-        except sqlite3.Error:
-            pass
-        time.sleep(0.002)
-    process.kill()
-    process.wait()
+    command = ("demo", "x-intersection", "--budget", 40, "--seed", 1, "-o", path.parent)
+    with waiting_after(13, tmp_path / "waiting", *command) as process:
+        process.kill()
+        process.wait()
     interrupted, _ = results(path)
     assert 13 <= sum(state == "done" for *_, state in interrupted) < 40
     result = explore_configuration(demonstration("x-intersection", budget=40, seed=1), path)
@@ -377,59 +305,6 @@ def test_progress_in_a_file_is_a_line_with_the_best_score(tmp_path, capfd):
     assert "\x1b" not in said
 
 
-def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
-    one, simulator = demonstration("t-intersection", budget=6, seed=1), NoisySimulator()
-    meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
-    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
-    with Study.create(tmp_path / "s.db", meta) as study:
-        ScenarioExplorer(replace(one, metrics=("distance",), budget=6, repeats=3), simulator, optimizer, study).run()
-        runs = [[k for k in simulator.given[i : i + 3] if k is not None] for i in range(0, 18, 3)]
-        expected = [sorted(run)[(len(run) - 1) // 2] for run in runs]
-        assert min(map(len, runs)) == 2
-        np.testing.assert_allclose(study.scores("distance"), expected)
-        spread = study.spread("distance")
-        assert spread is not None
-        np.testing.assert_allclose(spread, [[min(run), max(run)] for run in runs])
-        for row, score in zip(study.done(), expected, strict=True):
-            assert study.recording(row.id).x[1, 0] == pytest.approx(score)
-            assert study.course(row.id, "distance")[0] == pytest.approx(score)
-        said = summarize(study).metrics["distance"]
-        assert said.spread is not None
-        assert said.spread[1] == pytest.approx(max(max(run) - min(run) for run in runs))
-        write_report(study, tmp_path / "r.html")
-        assert "Each was run 3 times" in (tmp_path / "r.html").read_text()
-        study.export(tmp_path / "csv")
-        head = (tmp_path / "csv" / "scenarios.csv").read_text().splitlines()[0]
-        assert "lowest_distance,highest_distance" in head
-
-
-def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):
-    class Failing(NoisySimulator):
-        def run(self, concretes):
-            for number, run in enumerate(super().run(concretes)):
-                yield SimulationError(f"run {number}") if number < 3 else run
-
-    one = demonstration("t-intersection", budget=2, seed=1)
-    meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
-    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
-    with Study.create(tmp_path / "s.db", meta) as study:
-        ScenarioExplorer(replace(one, metrics=("distance",), budget=2, repeats=3), Failing(), optimizer, study).run()
-        assert [row.state for row in study.rows()] == ["failed", "done"]
-        assert study.failed()[0].error == "run 0"
-
-
-def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
-    one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2)
-    explore_configuration(one, tmp_path / "s.db")
-    with pytest.raises(InputError, match="another number of repeats"):
-        explore_configuration(replace(one, repeats=3), tmp_path / "s.db")
-    with Study.open(tmp_path / "s.db", readonly=False) as study:
-        # The builtin simulator gives the same each time.
-        spread = study.spread("ttc")
-        assert spread is not None
-        np.testing.assert_array_equal(*spread.T)
-
-
 def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path, monkeypatch):
     one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol")
 
@@ -461,115 +336,6 @@ def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
         raise TypeError("of its own")
 
 
-T = examples() / "t_intersection"
-
-
-def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_path):
-    search = partial(explore, ego="Ego", other="C", metrics=["distance"], optimizer="sobol", seed=1)
-    file, space = T / "t_intersection.xosc", T / "t_intersection.space.xosc"
-    found = search(file, tmp_path / "a.db", space=space, budget=3)
-    assert (found.study, found.done, found.failed, found.ended) == (tmp_path / "a.db", 3, 0, 3)
-    assert "3 scenarios done" in repr(found)
-    assert "budget of 3" in repr(found)
-    logical = LogicalScenario.read(file, space)
-    normal = named_driver("normal")
-    search(logical, str(tmp_path / "b.db"), budget=2)
-    # With a larger budget it goes on.
-    assert search(logical, tmp_path / "b.db", budget=3).ended == 3
-    driven = search(logical, tmp_path / "c.db", budget=2, drivers={"Ego": normal})
-    with Study.open(driven.study, readonly=True) as study:
-        assert study.meta.settings["drivers"] == {"Ego": normal.settings}
-    with Study.open(tmp_path / "a.db", readonly=True) as one, Study.open(tmp_path / "b.db", readonly=True) as two:
-        np.testing.assert_array_equal(one.scores("distance"), two.scores("distance"))
-    with pytest.raises(InputError, match="belong to a scenario file"):
-        search(logical, tmp_path / "d.db", space=space)
-
-
-@pytest.mark.parametrize("given", [{"budget": 0}, {"batch": 0}, {"seed": -1}, {"repeats": 0}, {"patience": 0}])
-def test_numbers_out_of_range_are_refused(given):
-    (name,) = given
-    with pytest.raises(InputError, match=f"`{name}`"):
-        Configuration(demonstration("t-intersection").logical, "Ego", "C", ("distance",), **given)
-
-
-NAN = float("nan")
-T_SEARCH = {
-    "scenario": T / "t_intersection.xosc",
-    "space": T / "t_intersection.space.xosc",
-    "ego": "Ego",
-    "other": "C",
-    "metrics": ["distance"],
-    "optimizer": "sobol",
-    "budget": 2,
-}
-WRONG = {
-    "scenario": (3,),
-    "space": (3, ["a"]),
-    "ego": (None, 3),
-    "other": (None, 3),
-    "metrics": (None, [3], [None], 3),
-    "ranges": ([("a", 0, 1)], None, 3),
-    "continuous": ("yes",),
-    "optimizer": (None, 3),
-    "critical": ("x", NAN),
-    "weights": ({"distance": "x"}, [("distance", 1)], "distance", {3: 1.0}),
-    "pareto": ("yes",),
-    "stop_when": (None, [3]),
-    "budget": (NAN, "4", None, 2.5, True, float("inf")),
-    "batch": ("4", 1.5, None),
-    "patience": ("4", 1.5),
-    "max_seconds": (NAN, -1, "4"),
-    "seed": ("4", 1.5, None),
-    "simulator": (None, 3),
-    "workers": ("4", 1.5, None, 99_999_999),
-    "timeout": ("4", NAN, 0),
-    "retries": ("4", 1.5),
-    "repeats": ("4", 1.5),
-    "time_step": ("4", None, NAN),
-    "duration": ("4", None, NAN),
-    "on_collision": (None, 3, "stopp"),
-    "drivers": ("normal", ["normal"], {"Ego": 3}, {"Ego": type(named_driver("normal"))}, {"Ego": None}, {3: "normal"}),
-    "progress": ("yes",),
-}
-
-
-@pytest.mark.parametrize(("name", "wrong"), [(name, wrong) for name, several in WRONG.items() for wrong in several])
-def test_what_is_of_another_type_is_refused_in_one_sentence_and_nothing_is_written(tmp_path, name, wrong):
-    given: dict[str, Any] = T_SEARCH | {name: wrong}
-    with pytest.raises(InputError, match=f"^`{name}` .*: .*[.?]$"):
-        explore(given.pop("scenario"), tmp_path / "s.db", **given)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("study", [None, 3])
-def test_a_study_without_a_path_is_refused(study):
-    given: dict[str, Any] = dict(T_SEARCH)
-    with pytest.raises(InputError, match=r"^`study` .*: give the path"):
-        explore(given.pop("scenario"), study, **given)
-
-
-def test_numbers_of_numpy_are_numbers(tmp_path):
-    of_numpy: dict[str, Any] = {
-        "seed": np.int64(3), "budget": np.int32(2), "batch": np.uint8(2), "critical": np.float32(2.5),
-        "time_step": np.float64(0.1), "duration": np.int64(5),
-    }  # fmt: skip
-    usual = {name: value.item() for name, value in of_numpy.items()}
-    for name, numbers in (("a.db", of_numpy), ("b.db", usual)):
-        given: dict[str, Any] = T_SEARCH | numbers
-        explore(given.pop("scenario"), tmp_path / name, **given)
-    with Study.open(tmp_path / "a.db", readonly=True) as one, Study.open(tmp_path / "b.db", readonly=True) as two:
-        assert one.meta == two.meta
-
-
-def test_a_driven_entity_that_is_not_there_is_refused_before_there_is_a_study(tmp_path):
-    given: dict[str, Any] = dict(T_SEARCH)
-    scenario = given.pop("scenario")
-    with pytest.raises(InputError, match="has no entity 'Nobody' to be the driven entity"):
-        explore(scenario, tmp_path / "typo.db", drivers={"Nobody": "normal"}, **given)
-    assert not list(tmp_path.iterdir())
-    assert explore(scenario, tmp_path / "typo.db", drivers={"Ego": "normal"}, **given).ended == 2
-
-
 def test_a_simulator_that_raises_in_the_same_process_is_named_and_what_has_ended_is_kept(tmp_path):
     class Broken(Synthetic):
         def run(self, concretes):
@@ -584,19 +350,3 @@ def test_a_simulator_that_raises_in_the_same_process_is_named_and_what_has_ended
         assert [row.state == "pending" for row in study.rows()] == [False] * 4 + [True] * 6
     with opened(tmp_path / "s.db") as study:
         assert explorer(study, Synthetic(), "sobol", budget=10).run().ended == 10
-
-
-def test_a_study_whose_budget_grew_is_that_of_the_larger_budget_byte_for_byte(tmp_path):
-    def stored(name, *budgets):
-        for budget in budgets:
-            given: dict[str, Any] = T_SEARCH | {"budget": budget, "batch": 2}
-            explore(given.pop("scenario"), tmp_path / name, **given)
-        with contextlib.closing(sqlite3.connect(tmp_path / name)) as connection:
-            return [
-                sorted(connection.execute(f"SELECT * FROM {table}").fetchall())
-                for table in ("meta", "scenarios", "courses")
-            ]
-
-    grown = stored("grown.db", 2, 5)
-    assert grown == stored("at_once.db", 5)
-    assert grown == stored("grown.db", 3)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from command_line import SPACE, X, cornercase
+from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.exploration import Objective, on_front
 from cornercase.exploration.objective import Best
@@ -70,7 +71,7 @@ def test_what_is_critical_needs_one_score():
 
 
 @given(arrays(np.float64, st.tuples(st.integers(1, 25), st.integers(1, 3)), elements=st.integers(0, 4).map(float)))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_the_front_is_what_nothing_dominates(values):
     expected = [not any((b <= a).all() and (b < a).any() for b in values) for a in values]
     np.testing.assert_array_equal(on_front(values), expected)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-import time
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -27,6 +26,7 @@ from cornercase.simulators.carla import dialect
 from cornercase.simulators.carla.openscenario_1_0 import Run, write_1_0
 from cornercase.simulators.hosts import address
 from cornercase.study import Study
+from waiting import until
 
 carla = pytest.importorskip("carla", reason="the extra 'carla' is not installed")
 
@@ -225,6 +225,10 @@ def test_a_client_that_aborts_costs_the_scenario_alone(scenario):
     assert well.time[-1] == pytest.approx(0.5, abs=0.2)
 
 
+def command_lines():
+    return [one.info["cmdline"] or () for one in psutil.process_iter(["cmdline"])]
+
+
 @STUB_ONLY
 def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monkeypatch):
     monkeypatch.setenv("FAKE_RUNNER", "hang")
@@ -235,9 +239,7 @@ def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monke
         finally:
             simulator.close()
         assert str(found) == "the simulator did not end within 4 s, tried once"
-        time.sleep(0.2)
-        listed = [" ".join(one.info["cmdline"] or ()) for one in psutil.process_iter(["cmdline"])]
-        assert not any(f"--port {server.port}" in one for one in listed)
+        until(lambda: not any(f"--port {server.port}" in " ".join(one) for one in command_lines()))
         monkeypatch.setenv("FAKE_RUNNER", "")
         # What it left behind is cleared away before the next.
         assert run(server, scenario, {"end": 1.0}).names == ("Ego", "C", "Walker")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, availabilities, start_simulator
 from cornercase.simulators.sumo.network import sumo_network
 from cornercase.study import Study
+from waiting import until
 
 pytest.importorskip("libsumo", reason="SUMO comes with the extra 'sumo'")
 
@@ -189,6 +189,14 @@ COMMON = [
 ]  # fmt: skip
 
 
+def one_is_done(path):
+    try:
+        with Study.open(path, readonly=True) as study:
+            return bool(study.done())
+    except InputError:
+        return False
+
+
 @pytest.mark.slow
 def test_a_killed_worker_changes_nothing(tmp_path):
     quiet, killed = tmp_path / "quiet.db", tmp_path / "killed.db"
@@ -213,8 +221,8 @@ def test_a_killed_worker_changes_nothing(tmp_path):
                 for child in psutil.Process(process.pid).children():
                     if "multiprocessing.spawn" in " ".join(child.cmdline()):
                         victim = child
-        # Long enough for it to be at a scenario.
-        time.sleep(3.0)
+        # It is at the second one by then, or further.
+        until(lambda: process.poll() is not None or one_is_done(killed))
         assert victim is not None
         victim.kill()
         _, errors = process.communicate(timeout=120)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import threading
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -87,22 +86,19 @@ def test_notes_and_the_scenarios_of_an_explorer_do_not_disturb_each_other(explor
 
     taking = threading.Thread(target=take_notes)
     taking.start()
-    longest, rounds = 0.0, 0
+    rounds = 0
     while taking.is_alive():
-        begun = time.perf_counter()
         for scenario in range(1, 11):
             change_of = {"distance": (course * rounds, float(rounds))}
             if rounds == 0:
                 explored.finish(scenario, small_recording, change_of)
             else:
                 explored.add_elapsed("simulate", 0.0)
-        longest = max(longest, time.perf_counter() - begun)
         rounds += 1
     taking.join()
     assert not failures
     assert notes(explored.path) == {k + 1: f"{50 + k}" for k in range(10)}
     assert len(explored.done()) == 10
-    assert longest < 3.0
 
 
 @pytest.fixture

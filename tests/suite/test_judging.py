@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import examples
 from cornercase import InputError
 from cornercase.metrics import Formula, Signals
 from cornercase.suite import Requirement, judge
@@ -139,7 +140,7 @@ def test_temporal_logic_names_the_number_that_decides():
     assert judged("eventually[9:10] (clearance > 3)", recording).reason.endswith("an interval that holds no instant")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(st.lists(st.integers(-3, 3), min_size=12, max_size=12), st.sampled_from(FORMULAS))
 def test_what_decides_is_the_robustness_and_changes_it(values, text):
     pytest.importorskip("rtamt")

@@ -10,7 +10,6 @@ import shutil
 import sqlite3
 import subprocess
 import sys
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,8 @@ from typer.testing import CliRunner
 import cornercase as cc
 from command_line import cornercase
 from conftest import moving, private, same_recording, scenario_file, speed_action, teleport
-from cornercase._common.errors import InputError
 from cornercase.cli import app
-from cornercase.exploration import demonstration, examples, explore_configuration
+from cornercase.exploration import examples
 from cornercase.study import Study
 from cornercase.suite import Difference, ScenarioResult, SuiteResult, Verdict, find_difference, verdicts_of
 from cornercase.suite.junit import write_junit
@@ -33,29 +31,6 @@ from cornercase.suite.summary import write_summary
 from two_cars import met
 
 SCHEMA = etree.XMLSchema(etree.parse(str(Path(__file__).parents[1] / "data" / "junit.xsd")))
-
-
-@pytest.fixture(scope="module")
-def explored(tmp_path_factory):
-    """A study of the T-intersection with a daring ego, and its reduced set below it."""
-    folder = tmp_path_factory.mktemp("suite")
-    configuration = demonstration("t-intersection", budget=30, driver="aggressive")
-    explore_configuration(configuration, folder / "study.db")
-    cc.analyze(folder / "study.db", ["ttc"])
-    cc.reduce(folder / "study.db", folder / "reduced", size=6, scenario=configuration.logical.scenario)
-    return folder
-
-
-@pytest.fixture
-def reduced(explored, tmp_path):
-    """A copy of the reduced set that may be spoilt, beside its study."""
-    shutil.copy(explored / "study.db", tmp_path / "study.db")
-    return shutil.copytree(explored / "reduced", tmp_path / "reduced")
-
-
-@pytest.fixture(scope="module")
-def ran(explored):
-    return cc.test(explored / "reduced", explored / "run.db", require=["no collision"])
 
 
 def differences(result: SuiteResult) -> list[Difference]:
@@ -215,29 +190,6 @@ def test_a_new_version_of_a_driver_is_not_judged_by_what_the_old_one_did(reduced
     assert (said.returncode, "belongs to other simulator settings (drivers:" in said.stderr) == (2, True)
 
 
-def test_no_verdicts_of_another_run_are_left_where_nothing_can_be_run(reduced, tmp_path):
-    cc.test(reduced, tmp_path / "earlier.db", junit=tmp_path / "out.xml", summary=tmp_path / "out.md")
-    with pytest.raises(cc.InputError):
-        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", drivers={"Ego": "gone:Driver"})
-    with pytest.raises(cc.InputError):
-        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", simulator="carla:port=1")
-    assert not (tmp_path / "out.xml").exists()
-
-
-@pytest.mark.parametrize("option", ["junit", "summary"])
-def test_nothing_else_is_written_over(option, reduced, tmp_path):
-    for name in ("mine.py", "README.md", "later.db"):
-        (tmp_path / name).write_text("# Kept\n")
-        with pytest.raises(cc.InputError, match="holds something else already"):
-            cc.test(reduced, tmp_path / "run.db", **{option: tmp_path / name})
-        assert (tmp_path / name).read_text() == "# Kept\n"
-    # GitHub makes an empty one.
-    (tmp_path / "own").write_text("")
-    for _ in range(2):
-        cc.test(reduced, tmp_path / "run.db", **{option: tmp_path / "own"})
-        assert (tmp_path / "own").read_text()
-
-
 def test_what_has_run_is_judged_anew_by_other_requirements(explored, tmp_path):
     path = tmp_path / "run.db"
     cc.test(explored / "reduced", path)
@@ -379,114 +331,6 @@ def test_a_difference_is_the_largest_distance_at_the_same_instants():
     assert found.distance == pytest.approx(0.0, abs=1e-12)
 
 
-def spoilt(folder, **changes):
-    path = folder / "manifest.json"
-    manifest = json.loads(path.read_text())
-    for name, value in changes.items():
-        if value is None:
-            del manifest[name]
-        else:
-            manifest[name] = value
-    path.write_text(json.dumps(manifest))
-
-
-def spoilt_value(folder, values):
-    scenarios = json.loads((folder / "manifest.json").read_text())["scenarios"]
-    spoilt(folder, scenarios=[{**scenarios[0], "values": values}, *scenarios[1:]])
-
-
-def spoilt_twice(folder):
-    scenarios = json.loads((folder / "manifest.json").read_text())["scenarios"]
-    spoilt(folder, scenarios=[*scenarios, scenarios[0]])
-
-
-BAD = {
-    "a file is gone": (lambda f: next(f.glob("*.xosc")).unlink(), "is not there; restore it"),
-    "a file has changed": (lambda f: next(f.glob("*.xosc")).write_bytes(b"<OpenSCENARIO/>"), "has changed since"),
-    "the road has changed": (lambda f: next(f.glob("*.xodr")).write_bytes(b"<OpenDRIVE/>"), "has changed since"),
-    "another format": (lambda f: spoilt(f, format=3), "has the format 3"),
-    "an early version": (lambda f: spoilt(f, format=None), "an earlier version of cornercase wrote it"),
-    "imported": (lambda f: spoilt(f, simulator="imported"), "its recordings were imported"),
-    "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "with options; say yourself"),
-    "a file elsewhere": (lambda f: spoilt(f, files={"../../secret": "0"}), "is no file in its folder"),
-    "no JSON": (lambda f: (f / "manifest.json").write_text("{"), "is no JSON"),
-    "no manifest": (lambda f: (f / "manifest.json").write_text("[]"), "is no manifest"),
-    "half a character": (lambda f: spoilt(f, study="\ud800.db"), "holds half a character"),
-    "nothing in it": (lambda f: spoilt(f, space=None), "cannot be used as a manifest"),
-    "no texts": (lambda f: spoilt(f, ego=3), "cannot be used as a manifest"),
-    "a driver of somebody's own": (
-        lambda f: spoilt(f, settings={"drivers": {"Ego": {"class": "Mine"}}}), "say who drives",
-    ),
-    "values of nothing": (lambda f: spoilt_value(f, {}), "do not fit the parameters of its space"),
-    "values that are too large": (lambda f: spoilt_value(f, {"ego_speed_mps": 10**400}), "manifest.json: "),
-    "an unknown metric": (lambda f: spoilt(f, metrics=["tcc"]), "manifest.json: There is no metric 'tcc'"),
-    "no time step": (lambda f: spoilt(f, settings={"time_step": 0}), "manifest.json: time_step 0: choose"),
-    "no duration at all": (lambda f: spoilt(f, settings={"duration": 10**400}), "manifest.json: duration"),
-    "a name without end": (lambda f: spoilt(f, files={"x" * 300: "0"}), "names a file that cannot be read"),
-    "a scenario twice": (lambda f: spoilt_twice(f), "names a file twice"),
-    "no scenarios": (lambda f: [one.unlink() for one in f.iterdir()], "holds no scenario"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_a_suite_that_cannot_be_used_is_refused_in_a_sentence(case, reduced, tmp_path):
-    spoil, words = BAD[case]
-    spoil(reduced)
-    with pytest.raises(cc.InputError) as error:
-        cc.test(reduced, tmp_path / "run.db")
-    assert words in str(error.value)
-    assert "\n" not in str(error.value)
-    assert not (tmp_path / "run.db").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"require": ["ttc > 1.5 m"]}, "unit 'm' does not fit"),
-        ({"require": ["tcc > 1.5"]}, "ttc"),
-        ({"require": ["no collision with Pedestrian"]}, "has no entity 'Pedestrian'"),
-        ({"require": ["no collision with Ego"]}, "is the ego itself"),
-        ({"require": ['for "\\ud800": no collision']}, "no pattern of names"),
-        ({"require": ["no collision with \udcff"]}, "holds half a character"),
-        ({"require": ["for x*.xosc: no collision"]}, "none of the files"),
-        ({"metrics": ["tcc"]}, "did you mean 'ttc'"),
-        ({"drivers": {"Ego": "agressive"}}, "did you mean 'aggressive'"),
-        ({"drivers": {"Egon": "aggressive"}}, "has no entity 'Egon'"),
-        ({"other": "Ego"}, "is the ego itself"),
-        ({"simulator": "builtn"}, "did you mean 'builtin'"),
-        ({"on_collision": "halt"}, "on_collision"),
-    ],
-)
-def test_options_that_cannot_be_used_are_refused_in_a_sentence(options, words, explored, tmp_path):
-    with pytest.raises(cc.InputError) as error:
-        cc.test(explored / "reduced", tmp_path / "run.db", **options)
-    assert words in str(error.value)
-    assert not (tmp_path / "run.db").exists()
-
-
-def test_junit_is_written_over_nothing_that_is_read_or_written(reduced, tmp_path):
-    rules = tmp_path / "rules.toml"
-    rules.write_text('require = ["no collision"]')
-    taken = [rules, tmp_path / "study.db", reduced / "manifest.json", *reduced.glob("*.xo*")]
-    before = [one.read_bytes() for one in taken]
-    for junit in [*taken, tmp_path / "run.db", tmp_path / "run.db.lock", tmp_path, tmp_path / "rules.toml" / "x.xml"]:
-        with pytest.raises(cc.InputError, match="`junit`"):
-            cc.test(reduced, tmp_path / "run.db", requirements=rules, junit=junit)
-        with pytest.raises(cc.InputError, match="`summary`"):
-            cc.test(reduced, tmp_path / "run.db", requirements=rules, summary=junit)
-    with pytest.raises(cc.InputError, match=r"`summary` .*is the JUnit file, too"):
-        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out", summary=tmp_path / "out")
-    assert [one.read_bytes() for one in taken] == before
-    # Not after an hour of simulations.
-    assert not (tmp_path / "run.db").exists()
-
-
-def test_a_file_of_requirements_is_named_where_one_of_it_is_none(explored, tmp_path):
-    (tmp_path / "rules.toml").write_text('require = ["tcc > 1"]')
-    with pytest.raises(cc.InputError, match=r"rules\.toml: .*ttc"):
-        cc.test(explored / "reduced", tmp_path / "run.db", requirements=tmp_path / "rules.toml")
-
-
 def test_long_names_leave_room_for_verdicts(reduced, tmp_path):
     (reduced / "manifest.json").unlink()
     for one in list(reduced.glob("*.xosc"))[2:]:
@@ -497,34 +341,6 @@ def test_long_names_leave_room_for_verdicts(reduced, tmp_path):
     # Into a pipe, so that the table has the 80 columns of one.
     said = cornercase("test", reduced, *given, "-o", tmp_path / "run.db").stdout
     assert "passed" in said or "failed" in said
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="names are text there")
-def test_a_name_that_is_no_text_is_refused(reduced, tmp_path):
-    (reduced / "manifest.json").unlink()
-    source = next(reduced.glob("*.xosc"))
-    shutil.copy(source, os.fsencode(reduced) + b"/bad\xff.xosc")
-    with pytest.raises(cc.InputError, match="is no plain text; rename"):
-        cc.test(reduced, tmp_path / "run.db", ego="Ego", other="C")
-    with pytest.raises(cc.InputError, match="name the folder that it lies in"):
-        cc.test(source, tmp_path / "run.db", ego="Ego", other="C")
-
-
-def test_an_origin_that_is_named_has_to_be_one(explored, tmp_path):
-    other = tmp_path / "other.db"
-    explore_configuration(demonstration("x-intersection", budget=2), other)
-    with pytest.raises(cc.InputError, match="is no study that"):
-        cc.test(explored / "reduced", tmp_path / "run.db", against=other)
-    with pytest.raises(cc.InputError, match="is the file that is read"):
-        cc.test(explored / "reduced", explored / "study.db")
-
-
-def test_a_damaged_study_to_compare_with_is_told_before_anything_is_run(reduced, tmp_path):
-    with closing(sqlite3.connect(tmp_path / "study.db")) as connection, connection:
-        connection.execute("UPDATE courses SET score = score + 1")
-    with pytest.raises(cc.InputError, match="does not hold"):
-        cc.test(reduced, tmp_path / "run.db", against=tmp_path / "study.db")
-    assert not (tmp_path / "run.db").exists()
 
 
 @pytest.mark.parametrize(
@@ -545,26 +361,6 @@ def test_requirements_come_from_files(name, content, tmp_path):
     (tmp_path / name).write_text(content)
     found = ["no collision", "for *-00001.xosc: ttc > 0.1", 'for kind "Ego *": pet > 1']
     assert [one.text for one in read_requirements(tmp_path / name)] == found
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("require = 'no collision'", "is no list of texts"),
-        ("requires = ['no collision']", "did you mean 'require'"),
-        ("require = [", "is no TOML"),
-        ("", "holds no requirement"),
-        ("[for]\n'a: b' = ['no collision']", "none of the files of"),
-        ("[for]\n' ' = ['no collision']", "is no pattern of file names"),
-        ("[kind]\n'no such *' = ['no collision']", "is of such a kind; there are "),
-        ("kind = ['no collision']", "'kind' holds no lists by the pattern of names of kinds"),
-    ],
-)
-def test_files_of_requirements_that_cannot_be_used_are_refused(content, words, explored, tmp_path):
-    (tmp_path / "r.toml").write_text(content)
-    with pytest.raises(cc.InputError) as error:
-        cc.test(explored / "reduced", tmp_path / "run.db", requirements=tmp_path / "r.toml")
-    assert words in str(error.value)
 
 
 @pytest.mark.parametrize("simulator", ["esmini:undriven=true", "sumo"])
@@ -605,27 +401,3 @@ def test_a_collision_that_a_reference_prevents_fails_and_any_other_does_not(expl
         assert (by_human.state == "inconclusive") == ("cc-human says nothing of it" in by_human.reason)
     told = cc.summarize(path).references["cautious"]
     assert (told.prevents, told.collides, told.says_nothing) == (len(collide), 0, 0)
-
-
-@pytest.mark.parametrize(
-    ("requirement", "words"),
-    [
-        ("no collision unless cautios collides", "did you mean 'cautious'"),
-        ("no collision unless cautious", "is no requirement"),
-        ("no collision unless collides", "is no requirement"),
-    ],
-)
-def test_a_reference_that_is_not_there_is_named_before_anything_is_run(explored, tmp_path, requirement, words):
-    with pytest.raises(InputError) as refused:
-        cc.test(explored / "reduced", tmp_path / "run.db", require=[requirement])
-    assert words in str(refused.value)
-    assert not (tmp_path / "run.db").exists()
-
-
-def test_without_what_a_formula_needs_no_run_is_begun(explored, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rtamt", None)
-    asked: tuple[dict[str, Any], ...] = ({"require": ["always[0:5] (clearance > 0.5)"]},)
-    for options in (*asked, {"metrics": ["stl:always(clearance > 0.5)"]}):
-        with pytest.raises(InputError, match="RTAMT"):
-            cc.test(explored / "reduced", tmp_path / "run.db", **options)
-        assert not (tmp_path / "run.db").exists()

@@ -1,0 +1,73 @@
+"""Scenarios that are run several times each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cornercase._common.errors import InputError, SimulationError
+from cornercase.exploration import (
+    ScenarioExplorer,
+    demonstration,
+    explore_configuration,
+)
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.report import summarize, write_report
+from cornercase.study import Study
+from fake_simulators import NoisySimulator
+from synthetic import about
+
+
+def test_of_repeated_runs_the_median_is_stored_and_the_spread_of_all(tmp_path):
+    one, simulator = demonstration("t-intersection", budget=6, seed=1), NoisySimulator()
+    meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
+    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        ScenarioExplorer(replace(one, metrics=("distance",), budget=6, repeats=3), simulator, optimizer, study).run()
+        runs = [[k for k in simulator.given[i : i + 3] if k is not None] for i in range(0, 18, 3)]
+        expected = [sorted(run)[(len(run) - 1) // 2] for run in runs]
+        assert min(map(len, runs)) == 2
+        np.testing.assert_allclose(study.scores("distance"), expected)
+        spread = study.spread("distance")
+        assert spread is not None
+        np.testing.assert_allclose(spread, [[min(run), max(run)] for run in runs])
+        for row, score in zip(study.done(), expected, strict=True):
+            assert study.recording(row.id).x[1, 0] == pytest.approx(score)
+            assert study.course(row.id, "distance")[0] == pytest.approx(score)
+        said = summarize(study).metrics["distance"]
+        assert said.spread is not None
+        assert said.spread[1] == pytest.approx(max(max(run) - min(run) for run in runs))
+        write_report(study, tmp_path / "r.html")
+        assert "Each was run 3 times" in (tmp_path / "r.html").read_text()
+        study.export(tmp_path / "csv")
+        head = (tmp_path / "csv" / "scenarios.csv").read_text().splitlines()[0]
+        assert "lowest_distance,highest_distance" in head
+
+
+def test_a_scenario_fails_only_when_all_its_runs_do(tmp_path):
+    class Failing(NoisySimulator):
+        def run(self, concretes):
+            for number, run in enumerate(super().run(concretes)):
+                yield SimulationError(f"run {number}") if number < 3 else run
+
+    one = demonstration("t-intersection", budget=2, seed=1)
+    meta = about(one.logical.space, "distance", repeats=3, other="C", seed=1)
+    optimizer = OPTIMIZERS.create("sobol", space=one.logical.space, seed=1)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        ScenarioExplorer(replace(one, metrics=("distance",), budget=2, repeats=3), Failing(), optimizer, study).run()
+        assert [row.state for row in study.rows()] == ["failed", "done"]
+        assert study.failed()[0].error == "run 0"
+
+
+def test_a_study_of_repeats_is_not_gone_on_with_otherwise(tmp_path):
+    one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2)
+    explore_configuration(one, tmp_path / "s.db")
+    with pytest.raises(InputError, match="another number of repeats"):
+        explore_configuration(replace(one, repeats=3), tmp_path / "s.db")
+    with Study.open(tmp_path / "s.db", readonly=False) as study:
+        # The builtin simulator gives the same each time.
+        spread = study.spread("ttc")
+        assert spread is not None
+        np.testing.assert_array_equal(*spread.T)
