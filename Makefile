@@ -17,6 +17,9 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 demo: $(VENV)/.installed
 	$(BIN)/cornercase demo x-intersection --output demo/x-intersection
 
+# Tests start hundreds of processes, each of which would compile the package anew where nothing may be kept.
+test test-all durations coverage: export PYTHONDONTWRITEBYTECODE :=
+
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 2
 

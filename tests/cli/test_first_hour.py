@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tomllib
 import warnings
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pandas as pd
@@ -26,6 +30,9 @@ from cornercase.study import Study
 
 SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--budget", "2", "--batch", "2")
 
+ROOT = Path(__file__).parents[2]
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PARQUET = ("scenarios", "recordings", "courses")
 
 
@@ -217,8 +224,7 @@ def test_stumble_12_columns_have_no_spaces_and_parquet_holds_courses_and_recordi
 
 
 def test_stumble_12_what_fits_to_each_other_is_installed():
-    extras = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
-    extras = extras["project"]["optional-dependencies"]
+    extras = SETTINGS["project"]["optional-dependencies"]
     # pyarrow itself does not say which NumPy it runs with: from 26 on it refuses those before 2.
     assert any(one.startswith("numpy>=2") for one in extras["parquet"])
     assert any(one.startswith("asam-qc-opendrive") for one in extras["dev"]), "else the bound below can go"
@@ -291,11 +297,47 @@ def test_stumble_10_a_study_file_names_no_code_and_nothing_unknown(line, words, 
     assert not (tmp_path / "study.db").exists()
 
 
-def test_stumble_01_who_follows_the_readme_has_the_command_on_the_path():
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    tour = readme[readme.index("## A tour") :]
-    # tests/test_documentation.py and tests/test_pages_in_order.py run what is told.
-    assert tour.index(". .venv/bin/activate") < tour.index("cd demo") < tour.index("    cornercase explore")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+TOUR = README[README.index("## A tour") :]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it is typed into a shell of Unix")
+def test_stumble_01_who_follows_the_readme_has_the_command_on_the_path(tmp_path):
+    """What is printed before the first command is typed where `make demo` has been; the documentation's tests run the rest."""
+    if not Path(sys.prefix, "bin", "activate").exists():
+        pytest.skip("the tests run in no virtual environment")
+    # The recipe installs the command into `.venv`, as tests have it in theirs.
+    recipe = MAKEFILE[MAKEFILE.index("demo: $(VENV)/.installed") :].splitlines()[1]
+    assert recipe.split()[:2] == ["$(BIN)/cornercase", "demo"]
+    (tmp_path / ".venv").symlink_to(sys.prefix)
+    (tmp_path / "demo").mkdir()
+    typed = [one.strip() for one in TOUR[: TOUR.index("    cornercase ")].splitlines() if one.startswith("    ")]
+    assert typed
+    script = "\n".join([*typed, "command -v cornercase", "pwd"])
+    bare = {"PATH": os.defpath, "HOME": str(tmp_path)}
+    done = subprocess.run(["sh", "-e", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=bare)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [str(Path(sys.prefix, "bin", "cornercase")), str(tmp_path / "demo")]
+
+
+def test_stumble_01_the_tour_leaves_nothing_in_the_checkout():
+    ignored = (ROOT / ".gitignore").read_text(encoding="utf-8").split()
+    assert {"/demo/", ".venv/"} <= set(ignored)
+    lines = TOUR.replace("\\\n", " ").splitlines()
+    written = [shlex.split(line) for line in lines if line.startswith("    cornercase ")]
+    for words in written:
+        for option, path in pairwise(words):
+            assert option not in ("-o", "--output", "--junit") or not path.startswith(("/", ".", "~")), words
+    assert len(written) > 10
+
+
+def test_stumble_01_extras_that_are_named_can_be_installed():
+    known = set(SETTINGS["project"]["optional-dependencies"])
+    pages = [README, *(one.read_text(encoding="utf-8") for one in (ROOT / "docs").rglob("*.md"))]
+    named = {
+        name for page in pages for found in re.findall(r"cornercase\[([\w,-]+)\]", page) for name in found.split(",")
+    }
+    assert "sumo" in named <= known
 
 
 def test_stumble_02_where_nothing_critical_was_run_an_upper_bound_holds(searched, tmp_path):
@@ -330,6 +372,20 @@ def test_stumble_08_times_are_told_as_people_do():
     assert [words_of_seconds(one) for one in (42, 7500)] == ["42 s", "2 h 5 min"]
 
 
+def test_stumble_08_each_long_step_tells_how_far_it_is(searched, tmp_path):
+    """What an interrupted command says is in `test_interrupts.py`, and what the first estimate is in `test_progress.py`."""
+    study = tmp_path / "study.db"
+    shutil.copy(searched, study)
+    for command, things in (
+        (("analyze", study, "--by", "wttc"), "settings"),
+        (("reduce", study, "--scenario", X, "-o", tmp_path / "reduced"), "sets"),
+        (("report", study, "--scenario", X, "-o", tmp_path / "report.html"), "recordings"),
+    ):
+        done = cornercase("-v", *command)
+        assert done.returncode == 0, done.stderr
+        assert re.search(rf"^\d+ of \d+ {things}", done.stderr, re.MULTILINE), done.stderr
+
+
 def test_stumble_11_a_study_that_is_read_blocks_nobody(searched, tmp_path):
     study = tmp_path / "study.db"
     shutil.copy(searched, study)
@@ -340,13 +396,51 @@ def test_stumble_11_a_study_that_is_read_blocks_nobody(searched, tmp_path):
         assert one.analyses() == ["wttc"]
 
 
-def test_stumble_13_what_takes_long_runs_at_night():
-    root = Path(__file__).parents[2]
-    settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
-    assert "not slow" in settings["addopts"]
-    makefile = (root / "Makefile").read_text(encoding="utf-8")
-    assert '-m "not torture"' in makefile[makefile.index("test-all:") : makefile.index("durations:")]
-    assert "-m" not in makefile[makefile.index("\ntest:") : makefile.index("\ntest-all:")].replace("-m pytest", "")
+def given_to_pytest(text):
+    """The options of the one line in a text that runs all tests."""
+    (line,) = [one for one in text.splitlines() if "-m pytest" in one and " tests/" not in one]
+    return shlex.split(line.partition("-m pytest")[2])
+
+
+def recipe_of(target):
+    return MAKEFILE.partition(f"\n{target}:")[2].partition("\n\n")[0]
+
+
+def nightly(schedule):
+    """What CI runs by its schedule, or for each change."""
+    workflow = (ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8")
+    assert re.search(r"^  schedule:\n    - cron: ", workflow, re.MULTILINE)
+    choice = r"\$\{\{ github.event_name == 'schedule' && '([^']*)' \|\| '([^']*)' \}\}"
+    return re.sub(choice, r"\1" if schedule else r"\2", workflow)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (recipe_of("test"), {"quick"}),
+        (recipe_of("test-all"), {"quick", "slow"}),
+        (nightly(False), {"quick"}),
+        (nightly(True), {"quick", "slow"}),
+    ],
+    ids=["make test", "make test-all", "CI", "CI at night"],
+)
+def test_stumble_13_what_takes_long_is_left_to_the_night_and_is_run_there(text, expected, tmp_path):
+    tests = "".join(f"\n\n@pytest.mark.{mark}\ndef test_{mark}():\n    pass\n" for mark in ("slow", "torture"))
+    (tmp_path / "test_marked.py").write_text(f"import pytest\n\n\ndef test_quick():\n    pass\n{tests}")
+    options = given_to_pytest(text)
+    command = [sys.executable, "-m", "pytest", "-c", ROOT / "pyproject.toml", "--rootdir", tmp_path, *options]
+    done = subprocess.run(
+        [*command, "--collect-only", tmp_path / "test_marked.py"], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert set(re.findall(r"test_marked\.py::test_(\w+)", done.stdout)) == expected, done.stdout + done.stderr
+
+
+def test_stumble_13_much_is_marked_as_slow():
+    """Else all of it would be run by day again."""
+    files = [one for one in (ROOT / "tests").rglob("test_*.py") if "mark.slow" in one.read_text(encoding="utf-8")]
+    parameters = [one for one in (ROOT / "tests").rglob("test_*.py") if "at_night(" in one.read_text(encoding="utf-8")]
+    assert len(files) > 15
+    assert len(parameters) > 15
 
 
 @pytest.mark.parametrize("name", ["x-intersection", "t-intersection"])

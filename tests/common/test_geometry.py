@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from conftest import examples
 from cornercase._common.geometry import box_corners, box_distance, boxes_overlap, first_contact
 
 coordinate = st.floats(-30, 30)
@@ -54,7 +55,7 @@ def test_unknown_boxes_have_no_distance_and_no_contact():
     assert np.isnan(first_contact(here, here + 10, np.array([np.nan, 0.0])))
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(box, box)
 def test_distance_is_that_of_the_nearest_outline_points(a, b):
     found = float(box_distance(a, b))
@@ -67,7 +68,7 @@ def test_distance_is_that_of_the_nearest_outline_points(a, b):
     assert box_distance(b, a) == pytest.approx(found, rel=1e-12)
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(box, box, vector, st.none() | vector.map(lambda v: v / 4))
 @example(box_corners(0, 0, 0, 1, 1), box_corners(0, 2, 0, 1, 1), np.array([0.0, 1.0]), np.array([0.0, -3.5e-46]))
 def test_first_contact_is_the_first_time_that_boxes_overlap(a, b, velocity, acceleration):
@@ -104,7 +105,7 @@ def test_contact_under_acceleration_takes_the_earlier_root_and_keeps_small_accel
     assert first_contact(here, there, np.array([-5.0, 0.0]), np.array([1.3, 0.0])) == np.inf
 
 
-@settings(deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(box, box, st.floats(1, 10), vector)
 def test_contact_comes_nearer_as_time_goes_on_and_sees_relative_motion_only(a, b, until_centres_meet, drift):
     velocity = (a.mean(0) - b.mean(0)) / until_centres_meet

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from closed_loop import BOXES, DT, EGO, Other, corners, inside, line_is_free, looking, who_is_seen
+from conftest import examples
 from cornercase.drivers import (
     NORMAL,
     BehaviourDriver,
@@ -23,7 +24,7 @@ from cornercase.drivers import (
     ),
     kinds=st.lists(st.sampled_from(sorted(BOXES)), min_size=3, max_size=3),
 )
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 def test_sight_agrees_with_points_along_the_lines(places, kinds):
     x, y, heading = np.array(places).T
     eye = np.array([1.4 + 0.25 * EGO["length"], 0.0])

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from closed_loop import BOXES, DT, EGO, FRONT, PRESETS, Other, Run, line_is_free, looking, right_turn, straight
+from conftest import examples
 from cornercase._common.geometry import box_corners, boxes_overlap
 from cornercase.drivers import (
     AGGRESSIVE,
@@ -65,7 +66,7 @@ def test_takes_a_curve_at_the_lateral_limit(name):
     lateral=st.floats(1.0, 5.0),
     braking=st.floats(0.5, 5.0),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_speed_limit_is_the_smallest_that_every_place_ahead_demands(curvatures, lateral, braking):
     s = np.linspace(0.0, 50.0, 101)
     curvature = np.repeat(curvatures, 101)[:: len(curvatures)][:101]
@@ -85,7 +86,7 @@ def test_speed_limit_is_the_smallest_that_every_place_ahead_demands(curvatures, 
     margin=st.floats(0, 1),
     length=st.floats(0.5, 8),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_times_of_contact_agree_with_boxes_at_many_instants(own, heading, speed, margin, length):
     x, y, facing = own
     place = np.array([[0.0, x, y, math.cos(facing), math.sin(facing), 0.0]])
@@ -113,7 +114,7 @@ def test_times_of_contact_agree_with_boxes_at_many_instants(own, heading, speed,
     gaps=st.tuples(st.floats(0, 3), st.floats(0, 3)),
     sooner=st.floats(0, 9),
 )
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 def test_who_is_met_within_gaps_is_met_at_these_times(other, turn, legs, speed, arrives, gaps, sooner):
     place = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
     a, b, towards = other
@@ -141,7 +142,7 @@ def test_who_is_met_within_gaps_is_met_at_these_times(other, turn, legs, speed, 
     offset=st.floats(-2, 2),
     speed=st.floats(-3, 15),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_places_that_are_passed_over_hold_no_contact(turns, other, offset, speed):
     heading = np.cumsum(turns)
     cos, sin = np.cos(heading), np.sin(heading)
@@ -422,7 +423,7 @@ def test_scenarios_that_are_not_active_keep_their_state():
     kind=st.sampled_from(sorted(BOXES)),
     preset=st.sampled_from(sorted(PRESETS)),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_acceleration_is_finite_and_within_limits(speed, x, y, heading, other_speed, kind, preset):
     behaviour = PRESETS[preset]
     driver = BehaviourDriver(behaviour._replace(reaction_time=0.0, field_of_view=2 * math.pi))

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from closed_loop import BOXES, DT, right_turn, straight
+from conftest import examples
 from cornercase.drivers import (
     BEHAVIOUR,
     DRIVERS,
@@ -231,7 +232,7 @@ def test_keeping_a_distance_is_the_same_in_arrays():
     offset=st.floats(-2, 2),
     speed=st.floats(-3, 15),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_straight_stretches_that_are_passed_over_hold_no_contact(bends, other, turn, offset, speed):
     curvature = np.repeat([bend for _, bend in bends], [count for count, _ in bends])
     heading = np.concatenate([[0.0], np.cumsum(0.5 * curvature)])
@@ -274,7 +275,7 @@ def test_straight_stretches_that_are_passed_over_hold_no_contact(bends, other, t
     wanted=st.floats(0, 20),
     distance=st.floats(0, 0.4),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_no_place_is_reached_before_the_soonest_instant(curves, speed, wanted, distance):
     points = np.zeros((len(curves), 6))
     points[:, 4] = curves

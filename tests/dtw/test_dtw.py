@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase._common.progress import loudness
 from cornercase.dtw import cpu, distance_matrix, distances_to, kernel_matrix, pairs
@@ -57,7 +58,7 @@ def check(series, found, local_cost, window, **tolerance):
     np.testing.assert_allclose(found, expected, **tolerance)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(series=sets_of_series(st.integers(1, 8)), local_cost=costs, window=windows)
 def test_is_the_definition(series, local_cost, window):
     found = distance_matrix(series, local_cost=local_cost, window=window, n_jobs=2)
@@ -65,7 +66,7 @@ def test_is_the_definition(series, local_cost, window):
     check(series, found, local_cost, window, rtol=1e-13, atol=1e-13)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(series=sets_of_series(st.just(2)), local_cost=costs, window=windows)
 def test_is_the_definition_in_single_precision(series, local_cost, window):
     found = distance_matrix(series, local_cost=local_cost, window=window, dtype="float32", n_jobs=2)
@@ -226,7 +227,7 @@ def test_refuses_in_one_sentence(series, options, words):
     assert "\n" not in str(caught.value)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(data=st.data(), local_cost=costs, window=windows, dtype=st.sampled_from(["float64", "float32"]))
 def test_distances_to_landmarks_are_the_definition(data, local_cost, window, dtype):
     dims = data.draw(st.integers(1, 8))
@@ -311,7 +312,7 @@ def resting(draw):
     return series
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(series=resting(), local_cost=costs, dtype=st.sampled_from(["float64", "float32"]))
 def test_cut_rests_change_no_bit(series, local_cost, dtype):
     options = {"squared": local_cost == "squared", "window": None, "dtype": dtype, "n_jobs": 1}
@@ -415,7 +416,7 @@ def test_pairs_that_underflow_are_not_computed():
     assert (kernel_matrix(series, 1e-2) > 0).sum() <= together.sum()
 
 
-@settings(deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.lists(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=12), min_size=2, max_size=6))
 def test_the_bound_never_leaves_out_what_is_within(values):
     series = [np.array(one)[:, None] for one in values]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conftest import ran
+from conftest import examples, ran
 from cornercase.dtw import distance_matrix
 from cornercase.metrics import METRICS
 from cornercase.simulators import BuiltinSimulator
@@ -22,7 +22,7 @@ def sets_of_series(draw):
 windows = st.one_of(st.none(), st.integers(1, 12))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(series=sets_of_series(), window=windows)
 def test_dtaidistance(series, window):
     dtw_ndim = pytest.importorskip("dtaidistance.dtw_ndim")
@@ -32,7 +32,7 @@ def test_dtaidistance(series, window):
             assert found[i, j] == pytest.approx(dtw_ndim.distance(x, y, window=window), rel=1e-9, abs=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(series=sets_of_series(), window=windows)
 def test_tslearn(series, window):
     metrics = pytest.importorskip("tslearn.metrics")

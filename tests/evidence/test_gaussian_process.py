@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import qmc
 
+from conftest import examples
 from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, near_threshold, nearness
 from cornercase.evidence import posterior as posterior_module
 from cornercase.evidence.kernel import Kernel, chosen
@@ -42,7 +43,7 @@ def same(kernel, a, b, places):
         np.testing.assert_allclose(one, other, atol=1e-6 * kernel.signal)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(kernels, counts, counts, counts, seeds)
 def test_taking_values_in_step_by_step_is_taking_them_all_at_once(kernel, first, second, third, seed):
     points, values = drawn(first + second + third, seed)
@@ -53,7 +54,7 @@ def test_taking_values_in_step_by_step_is_taking_them_all_at_once(kernel, first,
     same(kernel, steps, ExactPosterior(kernel, points, values), EVERYWHERE[:50, :2])
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(kernels, st.integers(100, 200), counts, counts, seeds)
 def test_so_it_is_where_some_points_stand_for_all(kernel, first, second, third, seed):
     points, values = drawn(first + second + third, seed)
@@ -66,7 +67,7 @@ def test_so_it_is_where_some_points_stand_for_all(kernel, first, second, third, 
     same(kernel, steps, start.extended(points[first:], values[first:]), EVERYWHERE[:50, :2])
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=examples(10), deadline=None)
 @given(kernels, st.integers(100, 200), seeds)
 def test_points_that_stand_for_all_make_the_process_of_the_equations(kernel, count, seed):
     """Snelson and Ghahramani's, with matrices as large as there are values."""

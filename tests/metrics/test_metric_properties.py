@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import examples
 from cornercase._common.geometry import box_corners, box_distance
 from cornercase.metrics import METRICS, Distance, Pet, TrafficQuality, TrajectoryDistance, Ttc, Wttc
 from cornercase.recordings import Recording
@@ -141,7 +142,7 @@ def test_trajectory_distance_falls_by_the_ways_driven_and_ends_when_one_has_pass
     assert known[: known.sum()].all()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 @given(
     st.floats(0.3, 2.8),
     st.floats(25, 60),

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import cornercase as cc
+from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Formula, Signals
 from cornercase.metrics.formulas.terms import Predicate
@@ -100,7 +101,7 @@ def recordings(draw):
     return Signals(np.arange(count) * STEP, dict(zip(SIGNALS, at, strict=True)))
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=examples(80), deadline=None, derandomize=True)
 @given(formulas, recordings())
 def test_robustness_is_that_of_the_definition_and_of_rtamt(text, given):
     formula = Formula.parse(text)

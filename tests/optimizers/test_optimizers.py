@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import qmc
 
-from conftest import at_night
+from conftest import at_night, examples
 from cornercase._common.errors import InputError
 from cornercase.optimizers import (
     OPTIMIZERS,
@@ -291,7 +291,7 @@ def test_candidates_that_run_out_are_followed_by_others():
     assert len(np.unique(points, axis=0)) == 90
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.integers(0, 30), st.integers(0, 30), st.floats(0.05, 1.0), st.integers(0, 1000))
 def test_random_features_take_values_in_step_by_step_or_at_once(first, second, noise, seed):
     rng = np.random.default_rng(seed)

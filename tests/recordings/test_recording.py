@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lxml import etree
 
+from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.recordings import MOTION, Collision, Recording, read_recording
 from cornercase.recordings.recording import COLUMNS
@@ -58,7 +59,7 @@ def test_a_written_recording_is_read_back_bit_by_bit(tmp_path):
     assert (tmp_path / "new" / "r.csv").read_text().startswith(HEADER + ",collision\n")
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(st.lists(st.floats(-1e9, 1e9), min_size=4, max_size=4))
 def test_any_number_survives(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("any") / "r.csv"

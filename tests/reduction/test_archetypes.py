@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.spatial.distance import pdist, squareform
 
+from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.reduction.cluster_selection import choose_by_cluster
 from cornercase.reduction.coverage import measure_coverage
@@ -35,7 +36,7 @@ def test_corners_of_a_cube():
     assert volume == pytest.approx(1.0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(n=st.integers(1, 25), d=st.integers(1, 4), flat=st.integers(0, 4), seed=st.integers(0, 10**6))
 def test_every_scenario_lies_between_the_archetypes(n, d, flat, seed):
     # Points of any rank: in a flat of `flat` dimensions through the cube, turned and moved.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
 
+from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import PlacedDistances, analyze, analyzing, landmarks
 from cornercase.reduction import choose_medoids, gap_sums, measure_coverage, reduce, reducing
@@ -35,7 +36,7 @@ def test_the_choice_by_places_is_that_by_the_matrix(scenarios):
     assert [one.index for one in placed] == [one.index for one in choose_scenarios(points, matrices, labels, cover=0.1)]
 
 
-@pytest.mark.parametrize("size", [20, 60, 400])
+@pytest.mark.parametrize("size", at_night([20, 60, 400], {60}))
 def test_the_choice_by_cells_is_that_by_the_matrix(scenarios, monkeypatch, size):
     points, places, _, labels = scenarios
     # Of 300 scenarios all distances are in memory; these are made to be too many, and do not fill the last cell.

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from command_line import SPACE, X, cornercase
+from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.clustering import read_analyses, read_distances
 from cornercase.reduction import read_reduction, reduce
@@ -32,7 +33,7 @@ def two_clusters(count=120, seed=0):
 
 
 @given(size=st.integers(1, 40), seed=st.integers(0, 5))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_it_has_the_size_that_is_asked_for_and_nothing_twice(size, seed):
     points, distances, labels = two_clusters(seed=seed)
     kept = choose_scenarios(points, distances, labels, size=size)

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from command_line import cornercase
-from conftest import EXAMPLES
+from conftest import EXAMPLES, examples
 from cornercase._common.errors import InputError
 from cornercase.reduction import reduce
 from cornercase.scenario import Constraint, Declaration, LogicalScenario, Parameter, ParameterSpace
@@ -43,7 +43,7 @@ def spaces(draw):
     return ParameterSpace(PARAMETERS, declarations)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(spaces(), st.integers(0, 2**32 - 1))
 def test_a_space_that_was_written_admits_the_same(space, seed):
     points = np.random.default_rng(seed).random((60, 3))
@@ -53,7 +53,7 @@ def test_a_space_that_was_written_admits_the_same(space, seed):
         np.testing.assert_array_equal(again.admits(points), admitted)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.sampled_from(RULES), st.integers(0, 10))
 def test_a_rule_holds_where_its_comparison_does(rule, bound):
     space = ParameterSpace(PARAMETERS[:1], [Declaration("a", "double", "0", ((Constraint(rule, str(bound)),),))])

@@ -454,7 +454,7 @@ ALIKE = [path for path in EXAMPLES if "suite" in path.parts or path.stem == "cut
 
 
 @pytest.mark.parametrize("path", at_night(EXAMPLES, ALIKE), ids=lambda path: path.stem)
-@pytest.mark.parametrize("driver", [None, "normal"])
+@pytest.mark.parametrize("driver", at_night([None, "normal"], {None}))
 @pytest.mark.parametrize(("most", "duration"), [FEW, pytest.param(8, 12.0, marks=pytest.mark.slow)])
 def test_examples_give_the_same_alone_and_among_others(path, driver, most, duration):
     values = varied(Scenario.read(path), most=most)

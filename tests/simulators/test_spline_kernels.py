@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import examples
 from cornercase.simulators.builtin.tracks import chord_kernels, pool
 from cornercase.simulators.builtin.tracks import place_kernels as kernels
 from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
@@ -53,7 +54,7 @@ def _check(tracks: pool.Tracks, spline: ClothoidSpline, offset: float) -> None:
 
 
 @given(_splines(), st.sampled_from([0.0, 1.5, -3.0]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_splines_are_the_same_compiled(spline: ClothoidSpline, offset: float) -> None:
     tracks = pool.TrackPool().gather([[spline]])
     assert tracks.kind.tolist() == [pool.CHORDS]

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import road_networks as rn
+from conftest import examples
 from cornercase._common.typing import FloatArray
 from cornercase.roads import LanePath, RoadNetwork, road_heading, road_tables
 from cornercase.simulators.builtin.tracks import columns, lane_kernels, line_kernels, nearest_kernels, pool
@@ -40,7 +41,7 @@ def _lines(draw: st.DrawFn) -> Polyline:
 
 
 @given(_lines(), st.lists(st.floats(-0.5, 1.5), min_size=1, max_size=8), st.sampled_from([0.0, 1.5, -3.0]))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_lines_are_the_same_compiled(line: Polyline, shares: list[float], offset: float) -> None:
     tracks = pool.TrackPool().gather([[line]])
     assert tracks.kind.tolist() == [pool.LINE]
@@ -209,7 +210,7 @@ def test_the_nearest_points_of_lanes_are_found_without_looking_at_all_samples(tm
 
 
 @given(_lines(), st.floats(-250.0, 250.0), st.floats(-250.0, 250.0))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_the_nearest_points_of_lines_are_the_same_compiled(line: Polyline, x: float, y: float) -> None:
     tracks, rows = pool.TrackPool().gather([[line]]), np.arange(len(line.x))
     for at_x, at_y in ((x, y), (np.nan, y)):
