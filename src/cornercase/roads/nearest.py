@@ -45,12 +45,9 @@ class NearestPoints:
         if len(asked) * len(self._points) > _FEW:
             near = np.reshape(self._tree.query(asked, k=count)[1], (len(asked), count))
         else:
-            apart = np.zeros((len(asked), len(self._points)))
-            for axis in (0, 1):
-                # In place, as the system hands out large arrays slowly.
-                away = asked[:, None, axis] - self._points[:, axis]
-                away *= away
-                apart += away
+            points = self._points
+            # In one expression, as NumPy takes its memory again then.
+            apart = (asked[:, None, 0] - points[:, 0]) ** 2 + (asked[:, None, 1] - points[:, 1]) ** 2
             near = np.argpartition(apart, count - 1, axis=1)[:, :count] if count > 1 else apart.argmin(axis=1)[:, None]
         return np.sort(near, axis=1).astype(np.int64)
 
