@@ -2,17 +2,27 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo docs test test-all durations torture coverage lint bench dist clean
+.PHONY: demo docs links test test-all durations torture coverage lint bench dist clean
 
-# The stamp is newer than pyproject.toml once everything in it is installed.
-$(VENV)/.installed: pyproject.toml
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+SOURCES := $(shell find src examples -type f -not -path '*/__pycache__/*')
+
+# A copy in .venv, so that bytecode and compiled code lie there too, and nothing in a cache of pip's. Where the checkout
+# itself is installed, for tests or documentation, it stays.
+$(VENV)/.installed: pyproject.toml $(SOURCES)
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@test -e $(VENV)/.editable || $(PIP_INSTALL) --no-cache-dir .
 	@touch $@
 
-$(VENV)/.installed-dev: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
-	@touch $@
+$(VENV)/.installed-dev: pyproject.toml
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP_INSTALL) --editable ".[dev]"
+	@touch $(VENV)/.editable $@
+
+$(VENV)/.installed-docs: pyproject.toml
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP_INSTALL) --editable ".[docs]"
+	@touch $(VENV)/.editable $@
 
 demo: $(VENV)/.installed
 	$(BIN)/cornercase demo x-intersection --output demo/x-intersection
@@ -43,18 +53,21 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-docs: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -W --keep-going -q docs docs/_build/html
 	@echo "The documentation is docs/_build/html/index.html"
 
+# Links of the documentation to other sites, which needs the network.
+links: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -b linkcheck -D sphinx_gallery_conf.plot_gallery=0 -q docs docs/_build/links
+
 bench: $(VENV)/.installed-dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
+	$(PIP_INSTALL) --editable ".[bench]"
 	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark --quick || exit 1; done
 
 # Wheel and sdist, looked at as an index would.
 dist: $(VENV)/.installed-dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check build check-wheel-contents twine
+	$(PIP_INSTALL) build check-wheel-contents twine
 	rm -rf dist
 	$(BIN)/python -m build
 	$(BIN)/python -m twine check --strict dist/*

@@ -19,6 +19,9 @@ PAGES = [
     ROOT / "docs" / "start" / "first-study.md",
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
     *sorted((ROOT / "docs" / "howto").glob("own-*.md")),
+    ROOT / "docs" / "simulators" / "recordings.md",
+    ROOT / "docs" / "simulators" / "sumo.md",
+    ROOT / "docs" / "warm-starts.md",
 ]
 BY_DEFAULT = ("first-study.md", "search.md")
 # Their answer may be no.

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from contextlib import closing, suppress
 from dataclasses import replace
@@ -235,6 +237,21 @@ def test_no_scheduler_is_told(tmp_path, monkeypatch):
         start_simulator("builtin", {}, cluster=str(tmp_path / "scheduler.json"))
     with pytest.raises(InputError, match="`workers`: are those of the cluster"):
         start_simulator("builtin", {}, cluster="tcp://127.0.0.1:9", workers=2)
+
+
+def test_another_program_that_listens_is_no_scheduler():
+    """Dask takes the first bytes that it gets for lengths, and would ask for exabytes of memory."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+
+        def answer():
+            line, _ = other.accept()
+            with line:
+                line.sendall(b"HTTP/1.1 400 Bad Request\r\n" * 9)
+                line.recv(1)
+
+        threading.Thread(target=answer, daemon=True).start()
+        with pytest.raises(InputError, match="no scheduler answers there"):
+            start_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
 
 
 def test_a_worker_of_another_version_is_told():

@@ -67,6 +67,6 @@ def test_the_study_remembers_the_set_that_represents_it(demonstrated):
 def test_where_a_driver_has_no_mutants_it_says_so_and_goes_on(tmp_path):
     done = cornercase("demo", "t-intersection", "--budget", "12", "--driver", "cc-human", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "There is no suite of tests: " in done.stderr
+    assert "No suite of tests was made. " in done.stderr
     assert (tmp_path / "report.html").exists()
     assert not (tmp_path / "suite").exists()

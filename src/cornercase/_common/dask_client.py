@@ -121,7 +121,8 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     try:
         address = json.loads(read_file(cluster))["address"] if there else cluster
         return Client(str(address), timeout=_ANSWERS)
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    # Another program's answer is taken for the length of a message.
+    except (OSError, ValueError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise InputError(
             f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
             " as tcp://host:8786, or the file that a scheduler wrote."

@@ -404,7 +404,7 @@ def _keep_suite(study: Study, folder: Path, mutants: int, scenario: Scenario) ->
     try:
         exposure = find_exposure(study, mutants, scenario=scenario, progress=True)
     except InputError as why:
-        err.print(f"There is no suite of tests: {in_words_of_the_command_line(str(why))}")
+        err.print(f"No suite of tests was made. {in_words_of_the_command_line(str(why))}")
         return
     kept = reduction.reduce(study, folder, size=_SUITE, exposure=exposure, scenario=scenario)
     out.print(f"{len(kept.kept)} scenarios that expose worse drivers are in {folder}; run them with another one:")

@@ -222,7 +222,7 @@ def require_builtin(simulator: str) -> None:
         It is not the builtin one.
     """
     if simulator.partition(":")[0] != _BUILTIN:
-        raise InputError(f"`mutants`: they drive in the builtin simulator only, not in '{simulator}'.")
+        raise InputError(f"Mutants drive in the builtin simulator only, not in '{simulator}'.")
 
 
 def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:

@@ -105,7 +105,7 @@ class CarMakerSimulator(Simulator):
         projects = project.split("+")
         for folder in projects:
             if not Path(folder).is_dir():
-                raise InputError(f"{folder}: there is no such folder; project is that of the CarMaker project.")
+                raise InputError(f"{folder}: there is no such folder; give that of the CarMaker project as project=DIR.")
         if via not in ("auto", "cmapi", "port"):
             raise InputError(f"via={via}: {suggestion(str(via), ('auto', 'cmapi', 'port'))}")
         if via == "cmapi" and not has_cmapi():
