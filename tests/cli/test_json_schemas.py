@@ -82,6 +82,34 @@ def test_a_manifest_of_the_first_format_is_run(folder, tmp_path):
     validate("test", done.stdout)
 
 
+def test_estimate(folder, tmp_path):
+    run = ("estimate", folder / "study.db", "--scenario", X, "--budget", "100", "-o", tmp_path / "estimate.db")
+    found = validate("estimate", cornercase(*run, "--json").stdout)
+    assert found["scenarios"] == 100
+    shown = validate("show", cornercase("show", tmp_path / "estimate.db", "--json").stdout)
+    assert shown["probability"] == found
+
+
+def test_compare(folder, tmp_path):
+    new = tmp_path / "new.db"
+    more = ("--metric", "trajectory-distance", "--optimizer", "sobol", "--budget", "24", "--audit", "0.25")
+    assert cornercase(*SEARCH, *more, "--driver", "Ego=aggressive", "-o", new).returncode == 0
+    found = validate("compare", cornercase("compare", folder / "study.db", new, "--json").stdout)
+    assert found["changed"]
+    assert found["changed_pairs"]
+    assert found["space"]["gained"]
+    same = validate("compare", cornercase("compare", folder / "study.db", folder / "study.db", "--json").stdout)
+    assert not same["changed"]
+
+
+def test_compare_of_suites(folder, tmp_path):
+    for name, driver in (("old", "normal"), ("new", "aggressive")):
+        run = ("test", folder / "reduced", "--driver", f"Ego={driver}", "--require", "wttc > 0.3")
+        assert cornercase(*run, "-o", tmp_path / f"{name}.db").returncode in (0, 1)
+    found = validate("compare", cornercase("compare", tmp_path / "old.db", tmp_path / "new.db", "--json").stdout)
+    assert found["verdicts"]
+
+
 def test_verify(folder, tmp_path):
     study = tmp_path / "study.db"
     shutil.copy(folder / "study.db", study)

@@ -89,6 +89,13 @@ def test_a_page_holds_the_replay_and_nothing_else(study, tmp_path):
     assert again.read_bytes() == page.read_bytes()
 
 
+def test_the_threshold_is_the_one_that_is_given(study, tmp_path):
+    own = contents(cc.replay(study, 3, tmp_path / "run.html"))["critical"]["threshold"]
+    other = contents(cc.replay(study, 3, tmp_path / "other.html", critical=own + 9.0))
+    assert other["critical"]["threshold"] == own + 9.0
+    assert other["scenarios"]["critical"] == [1]
+
+
 def test_a_scenario_beside_itself_is_held_once(study, tmp_path):
     page = cc.replay(study, 2, tmp_path / "run.html", beside=2)
     assert contents(page)["scenarios"]["id"] == [2]

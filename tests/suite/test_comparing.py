@@ -274,7 +274,7 @@ def test_a_zero_with_another_sign_is_not_the_same_bytes_and_no_change(tmp_path):
         ({"other": "Ego", "ego": "B"}, "measure others (Ego and B; B and Ego)"),
         ({"metrics": ("ttc",)}, "have other metrics (distance; ttc)"),
         ({"metrics": ("distance", "ttc")}, "choose among distance with `metrics`"),
-        ({"critical": 2.0}, "take other scores for critical (1, 2)"),
+        ({"critical": 2.0}, "have different thresholds (1, 2); give one for both with `critical`"),
     ],
 )
 def test_studies_of_something_else_are_refused(tmp_path, more, words):
@@ -282,6 +282,21 @@ def test_studies_of_something_else_are_refused(tmp_path, more, words):
     with pytest.raises(InputError) as refused:
         compared(old, new)
     assert words in str(refused.value)
+
+
+def test_one_threshold_for_both_takes_the_place_of_their_own(tmp_path):
+    old = written(tmp_path / "old.db", GAPS)
+    new = written(tmp_path / "new.db", GAPS, critical=2.0)
+    between = float(np.median(GAPS))
+    found = compared(old, new, critical=between)
+    critical = [pair.critical for pair in found.pairs]
+    assert critical == [(gap <= between,) * 2 for gap in GAPS]
+    assert found.to_json()["critical"] == between
+    assert f"from a score of {between:g} on" in tell_comparison(found)[0].sentences[-1]
+    result = cornercase("compare", old, new, "--critical", between, "-o", tmp_path / "page.html")
+    assert result.returncode == 0, result.stderr
+    with Study.open(new) as study:
+        assert study.meta.critical == 2.0
 
 
 def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path):

@@ -11,7 +11,7 @@ _BEGINS_WITH_A_NUMBER: Final = re.compile(r"(\d+)_(.+)")
 
 
 def identifier(words: str) -> str:
-    """Make an identifier of the words of a key.
+    """Make an identifier in lower case of the words of a key.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def identifier(words: str) -> str:
     >>> identifier("first order, 90 % interval"), identifier("95 % interval")
     ('first_order_interval_90', 'interval_95')
     """
-    found = _NO_LETTERS.sub("_", words).strip("_")
+    found = _NO_LETTERS.sub("_", words).strip("_").lower()
     return _BEGINS_WITH_A_NUMBER.sub(r"\2_\1", found)
 
 

@@ -23,6 +23,10 @@ def compare(
     metric: Annotated[
         list[str] | None, typer.Option("--metric", metavar="NAME", help="Metric to compare by; default: all.")
     ] = None,
+    critical: Annotated[
+        float | None,
+        typer.Option(metavar="X", help="Use this threshold for both studies, which keep their own."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write, with replays.")
@@ -46,7 +50,7 @@ def compare(
     """
     from cornercase import suite
 
-    found = suite.compare(old, new, metrics=metric)
+    found = suite.compare(old, new, metrics=metric, critical=critical)
     if output is not None:
         from cornercase.report import write_comparison
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cornercase._common.json_keys import with_identifiers
 from cornercase._common.texts import json_text
 from cornercase.cli import parsing
 from cornercase.cli.interrupting import exit_code
@@ -90,7 +91,7 @@ def estimate(
         progress=True,
     )
     if as_json:
-        sys.stdout.write(json_text(found.to_json()) + "\n")
+        sys.stdout.write(json_text(with_identifiers(found.to_json(), {})) + "\n")
     else:
         _tell(found)
     if found.interrupted:

@@ -336,6 +336,7 @@ def replay(
             metavar="FILE.xosc", help="Scenario that was explored; default: found beside the study or in this folder."
         ),
     ] = None,
+    critical: CriticalAnew = None,
 ) -> None:
     """Replay a scenario, as a page or as a film.
 
@@ -347,7 +348,15 @@ def replay(
     from cornercase import report
 
     written = report.replay(
-        study, scenario_id, output, beside=beside, fps=fps, speed=speed, scenario=scenario, progress=True
+        study,
+        scenario_id,
+        output,
+        beside=beside,
+        fps=fps,
+        speed=speed,
+        scenario=scenario,
+        critical=critical,
+        progress=True,
     )
     out.print(f"The replay is {written.resolve()}")
 

@@ -110,11 +110,12 @@ class Estimation:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
+        """Return plain values, as a study holds them.
 
         Returns
         -------
         dict of str to object
+            By words; ``cornercase estimate --json`` prints identifiers in their place.
         """
         given = {
             "critical given an encounter": self.critical_given_encounter,

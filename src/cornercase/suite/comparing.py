@@ -28,7 +28,11 @@ _NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "
 
 
 def compare(
-    old: Study | Path | str, new: Study | Path | str, *, metrics: str | Sequence[str] | None = None
+    old: Study | Path | str,
+    new: Study | Path | str,
+    *,
+    metrics: str | Sequence[str] | None = None,
+    critical: float | None = None,
 ) -> Comparison:
     """Tell what changed between two versions of what is tested, each of which was run into a study.
 
@@ -43,6 +47,8 @@ def compare(
         is compared.
     metrics : str or sequence of str, optional
         Metrics to compare by; by default all, which have to be the same in both.
+    critical : float, optional
+        Threshold for both studies, which keep their own; by default these, which have to be the same.
 
     Returns
     -------
@@ -57,7 +63,10 @@ def compare(
         no scenario, and fewer than 20 each that were chosen whatever the scores are; or one is of a suite that has not
         been run to its end.
     """
-    with open_study(old, readonly=True) as before, open_study(new, readonly=True) as after:
+    with (
+        open_study(old, readonly=True, critical=critical) as before,
+        open_study(new, readonly=True, critical=critical) as after,
+    ):
         chosen = require_comparable(before, after, None if metrics is None else texts("metrics", metrics))
         for study in (before, after):
             _require_finished(study)
@@ -84,6 +93,7 @@ def compare(
             kinds=_kinds(before, after, pairs),
             space=find_space_change(sides[0], sides[1], pairs),
             telling=choose_telling(pairs, chosen, _searched(before.meta, chosen)),
+            critical=critical,
         )
 
 

@@ -121,7 +121,7 @@ def knows_critical(study: Study) -> bool:
     -------
     bool
     """
-    return study.meta.critical is not None and not study.meta.pareto
+    return study.critical is not None and not study.meta.pareto
 
 
 def key_of(study: Study, row: Row) -> tuple[object, ...]:
@@ -279,7 +279,7 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
                 raise InputError(f"`metrics` {name}: is not in both studies; both have {', '.join(both) or 'none'}.")
     if knows_critical(old) and knows_critical(new) and _criterion(old) != _criterion(new):
         raise InputError(
-            f"{pair}: take other scores for critical ({a.critical:g}, {b.critical:g}); give both the same."
+            f"{pair}: have different thresholds ({a.critical:g}, {b.critical:g}); give one for both with `critical`."
         )
     return chosen
 
@@ -294,7 +294,7 @@ def _of_the_same(a: StudyMeta, b: StudyMeta) -> bool:
 
 def _criterion(study: Study) -> tuple[object, ...]:
     meta = study.meta
-    return meta.critical, dict(meta.weights), meta.metrics[0] if not meta.weights else None
+    return study.critical, dict(meta.weights), meta.metrics[0] if not meta.weights else None
 
 
 def sample_of(side: Side, metrics: Sequence[str]) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:

@@ -229,6 +229,8 @@ class Comparison:
         None where nothing says what is critical.
     telling : tuple of Telling
         At most five.
+    critical : float or None
+        Threshold that was given for the comparison; None where the studies' own holds.
     """
 
     names: tuple[str, str]
@@ -246,6 +248,7 @@ class Comparison:
     kinds: Mapping[str, tuple[KindChange, ...]]
     space: SpaceChange | None
     telling: tuple[Telling, ...]
+    critical: float | None = None
 
     def __bool__(self) -> bool:
         return self.changed
@@ -285,6 +288,7 @@ class Comparison:
             "level": LEVEL,
             "repeatable": self.certain,
             "differences": list(self.differences),
+            "critical": self.critical,
             "pairs": {
                 "count": len(self.pairs),
                 "same": self.count("the same"),

@@ -73,5 +73,5 @@ def _sets(old: Study, new: Study) -> tuple[SetDifference | None, str]:
 
 def _critical_set(study: Study) -> CriticalSet:
     objective = Objective.of_study(study.meta)
-    threshold = objective.flip(float(study.meta.critical or 0.0))
+    threshold = objective.flip(float(study.critical or 0.0))
     return critical_set_of(study, objective.oriented_of(study), threshold, seed=_SEED)

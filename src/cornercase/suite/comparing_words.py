@@ -66,7 +66,8 @@ def _sections(found: Comparison) -> Iterator[Section]:
 def _answer(found: Comparison) -> Section:
     word = "Changed" if found.changed else "No change"
     other = found.differences or ("The studies were made with the same settings.",)
-    return Section("answer", f"{word}: {found.reason}", tuple(other))
+    asked = () if found.critical is None else (f"Scenarios count as critical from a score of {found.critical:g} on.",)
+    return Section("answer", f"{word}: {found.reason}", (*other, *asked))
 
 
 def _pairs(found: Comparison) -> Iterator[Section]:

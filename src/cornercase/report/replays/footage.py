@@ -156,7 +156,7 @@ def read_footage(study: Study, ids: Sequence[int], scenario: Path | str | Scenar
     metrics = tuple(METRICS.create(name) for name in meta.metrics)
     objective = Objective.of_study(meta)
     # A front has no threshold, and that of a weighted sum is none of a course.
-    threshold = None if objective.pareto or objective.weights else meta.critical
+    threshold = None if objective.pareto or objective.weights else study.critical
     outcomes = study.outcomes()
     rows = {row.id: row for row in study.rows()}
     takes = []
@@ -165,7 +165,7 @@ def read_footage(study: Study, ids: Sequence[int], scenario: Path | str | Scenar
         scores = study.scores_of(one)
         courses = {metric.name: metric.capped(study.course(one, metric.name)) for metric in metrics}
         every = np.array([[scores[metric.name] for metric in metrics]])
-        critical = bool(objective.critical(every, meta.critical)[0])
+        critical = bool(objective.critical(every, study.critical)[0])
         against = study.against_of(one)
         takes.append(Take(row, study.recording(one), courses, scores, outcomes.get(one, ""), critical, against))
     region = recorded_region(take.recording for take in takes)

@@ -40,6 +40,7 @@ def replay(
     fps: float | None = None,
     speed: float = 1.0,
     scenario: Path | str | Scenario | None = None,
+    critical: float | None = None,
     progress: bool = False,
 ) -> Path:
     """Write the replay of a scenario: who drives where on the road, and how critical that is.
@@ -63,6 +64,8 @@ def replay(
     scenario : path or Scenario, optional
         The scenario file that was explored, for the road; by default it is looked for beside the study and in the
         current folder. Where it is not found, there is no road.
+    critical : float, optional
+        Another threshold than the study's own, which stays as it is.
     progress : bool, default False
         Show how far it is, on standard error.
 
@@ -100,7 +103,7 @@ def replay(
         from cornercase.report.replays.encoding import find_ffmpeg
 
         find_ffmpeg()
-    with open_study(study, readonly=True) as opened:
+    with open_study(study, readonly=True, critical=critical) as opened:
         require_other_file(path, opened.path)
         footage = read_footage(opened, ids, scenario)
     if footage.road_missing and ending != ".html":

@@ -59,7 +59,11 @@ def write_comparison(
         The file cannot be written, a study cannot be read, or the `scenario` is another one.
     """
     path = arguments.path("path", path)
-    with open_study(old, readonly=True) as before, open_study(new, readonly=True) as after:
+    asked = found.critical
+    with (
+        open_study(old, readonly=True, critical=asked) as before,
+        open_study(new, readonly=True, critical=asked) as after,
+    ):
         require_other_file(path, before.path)
         require_other_file(path, after.path)
         page = _filled(found, before, after, scenario)
@@ -123,9 +127,9 @@ def _contents(found: Comparison, old: Study, new: Study) -> dict[str, Any]:
     meta = old.meta
     subject = tell_subject(meta, old.path.name)
     critical = None
-    if meta.critical is not None and not meta.weights and not meta.pareto:
+    if old.critical is not None and not meta.weights and not meta.pareto:
         first = METRICS.create(meta.metrics[0])
-        critical = {"threshold": meta.critical, "lower_is_critical": first.lower_is_critical, "unit": first.unit}
+        critical = {"threshold": old.critical, "lower_is_critical": first.lower_is_critical, "unit": first.unit}
     shown = [one for one in subject["metrics"] if one["name"] in metrics] or subject["metrics"]
     known = [(old, new)[side].against_of(row.id) for _, side, row in each]
     return subject | {

@@ -105,7 +105,7 @@ class CarMakerSimulator(Simulator):
         projects = project.split("+")
         for folder in projects:
             if not Path(folder).is_dir():
-                raise InputError(f"{folder}: there is no such folder; give that of the CarMaker project as project=DIR.")
+                raise InputError(f"{folder}: there is no such folder; give the CarMaker project's as project=DIR.")
         if via not in ("auto", "cmapi", "port"):
             raise InputError(f"via={via}: {suggestion(str(via), ('auto', 'cmapi', 'port'))}")
         if via == "cmapi" and not has_cmapi():
