@@ -272,17 +272,23 @@ def test_stumble_10_a_study_file_stands_for_many_options(searched, tmp_path, mon
     ("line", "words"),
     [
         ('mteric = ["wttc"]', "has 'mteric', which is not known; did you mean 'metric'?"),
-        ('driver = ["Ego=mine:Driver"]', "code, which no file names: give it on the command line, --driver Ego="),
+        (
+            'driver = ["Ego=mine:Driver"]',
+            "code, which a study file may not name: give it on the command line, --driver Ego=",
+        ),
         ('driver = ["Ego=normal:horizon=x"]', "in a file, options are numbers"),
         ('simulator = "carla:port=1"', "has options, which may name programs"),
-        ('cluster = "tcp://10.0.0.1:8786"', "'cluster' is not for a file; give --cluster on the command line"),
-        ('output = "../study.db"', "'output' is not for a file"),
+        (
+            'cluster = "tcp://10.0.0.1:8786"',
+            "'cluster' cannot stand in a study file; give --cluster on the command line",
+        ),
+        ('output = "../study.db"', "'output' cannot stand in a study file"),
         ('budget = "3"', "'budget' is no whole number"),
-        ("critical = true", "'critical' is no number"),
-        ("ego = 3", "'ego' is no text"),
-        ("metric = [3]", "'metric' is no list of texts"),
+        ("critical = true", "'critical' is not a number"),
+        ("ego = 3", "'ego' is not a text"),
+        ("metric = [3]", "'metric' is not a list of texts"),
         ('pareto = "yes"', "'pareto' is neither true nor false"),
-        ("ego = ", "is no TOML"),
+        ("ego = ", "is not valid TOML"),
     ],
 )
 def test_stumble_10_a_study_file_names_no_code_and_nothing_unknown(line, words, tmp_path, monkeypatch):

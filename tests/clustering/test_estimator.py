@@ -77,7 +77,7 @@ def test_scenarios_that_are_all_the_same_are_one_cluster_and_so_is_a_new_one():
 def test_refuses_in_one_sentence():
     points = np.random.default_rng(0).random((12, 2))
     model = ScenarioClustering().fit(cdist(points, points))
-    for distances, words in ((np.zeros((2, 5)), "do not go to the 12"), (np.full((1, 12), np.nan), "not finite")):
+    for distances, words in ((np.zeros((2, 5)), "do not fit the 12"), (np.full((1, 12), np.nan), "not finite")):
         with pytest.raises(InputError, match=words):
             model.predict(distances)
     with pytest.raises(InputError, match="did you mean 'hdbscan'"):

@@ -121,7 +121,7 @@ def test_what_is_no_study_is_refused(tmp_path):
         Study.open(tmp_path / "text.db", readonly=False)
     with sqlite3.connect(tmp_path / "other.db") as connection:
         connection.execute("CREATE TABLE a (b)")
-    with pytest.raises(InputError, match="no cornercase study"):
+    with pytest.raises(InputError, match="not a cornercase study"):
         Study.open(tmp_path / "other.db", readonly=False)
     with pytest.raises(InputError, match="no such study"):
         Study.open(tmp_path / "absent.db", readonly=False)
@@ -345,7 +345,7 @@ def test_a_simulator_that_raises_in_the_same_process_is_named_and_what_has_ended
                 yield run
 
     with opened(tmp_path / "s.db") as study:
-        with pytest.raises(InputError, match=r"^The simulator 'builtin' failed \(KeyError: .*\); mend it.*\.$"):
+        with pytest.raises(InputError, match=r"^The simulator 'builtin' failed \(KeyError: .*\); fix it.*\.$"):
             explorer(study, Broken(), "sobol", budget=10).run()
         assert [row.state == "pending" for row in study.rows()] == [False] * 4 + [True] * 6
     with opened(tmp_path / "s.db") as study:

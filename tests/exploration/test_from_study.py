@@ -112,7 +112,9 @@ def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other
     cases: dict[str, dict[str, Any]] = {
         "this space has no parameter": {"logical": fewer},
         "bayes learns nothing from a study; use level-set": {"optimizer": "bayes"},
-        "is not of the condition 'collision'; begin from one with the same `critical_if`": {"critical_if": "collision"},
+        "was not searched for the condition 'collision'; begin from one with the same `critical_if`": {
+            "critical_if": "collision"
+        },
         "there is no such study": {"from_study": tmp_path / "missing.db"},
         "10 with different scores are needed": {"logical": LogicalScenario.read(X, SPACE, ["ego_start=80:90"])},
     }

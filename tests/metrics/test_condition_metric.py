@@ -131,7 +131,7 @@ def test_a_recording_alone_cannot_be_measured_by_it():
     for asked in (["critical-if:collision"], ["critical-if:collision and not reference:fsm"]):
         with pytest.raises(InputError, match="critical_if"):
             measure(run(1.0), "Ego", "Other", asked)
-    with pytest.raises(InputError, match="no formula can speak of"):
+    with pytest.raises(InputError, match="which a formula cannot use"):
         Formula.parse("critical-if < 1")
     made = CriticalIf.of("collision")
     assert set(measured([made], run(1.0), "Ego", "Other")) == {made.name}

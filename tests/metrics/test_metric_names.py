@@ -79,7 +79,7 @@ def test_what_is_no_metric_is_refused(monkeypatch):
         """Has a course, but no cap."""
 
     monkeypatch.setitem(METRICS._factories, "unrelated", (Unrelated, {}))
-    with pytest.raises(InputError, match=r"no subclass of cornercase\.metrics\.Metric"):
+    with pytest.raises(InputError, match=r"not a subclass of cornercase\.metrics\.Metric"):
         METRICS.create("unrelated")
 
 
@@ -97,7 +97,7 @@ def test_of_a_metric_only_its_course_has_to_be_written():
     assert metric.score(course) == 10.0
     np.testing.assert_array_equal(metric.capped(np.array([np.nan, -1.0, np.inf])), [0.0, 0.0, np.inf])
     assert (metric.most_critical, metric.critical, metric.source) == (None, None, "")
-    with pytest.raises(InputError, match="no threshold of its own"):
+    with pytest.raises(InputError, match="no default threshold"):
         metric.find_threshold()
     assert metric.find_threshold(3) == 3.0
 

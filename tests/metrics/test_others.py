@@ -107,7 +107,7 @@ def test_names_are_taken_once_and_a_star_is_everybody_else():
     assert name_others("*", "Ego", ("A", "Ego", "B")) == ("A", "B")
     assert name_others(["B", "*"], "Ego", ("A", "Ego", "B")) == ("B", "A")
     assert name_others("A,B", "Ego", ("A,B", "A", "B", "Ego")) == ("A,B",)
-    with pytest.raises(InputError, match="`other` A, B: is no entity; name one at a time, several times"):
+    with pytest.raises(InputError, match="`other` A, B: is not an entity; give several one by one"):
         name_others("A, B", "Ego", ("A", "Ego", "B"))
     with pytest.raises(InputError, match="there is nobody but Ego"):
         name_others("*", "Ego", ("Ego",))

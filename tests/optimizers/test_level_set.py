@@ -254,7 +254,7 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
     assert "another threshold" in other.stderr
     none = cornercase(*common, "--metric", "distance", "--budget", "40", "-o", tmp_path / "d.db")
     assert none.returncode == 2
-    assert "say with --critical what is critical" in none.stderr
+    assert "give one with --critical" in none.stderr
     assert not (tmp_path / "d.db").exists()
     high = cornercase(*common, "--metric", "drac", "--critical", "3.4", "--budget", "30", "-o", tmp_path / "h.db")
     assert high.returncode == 0, high.stderr

@@ -203,7 +203,7 @@ def test_an_optimizer_of_another_package_gets_what_it_declares(monkeypatch):
     with pytest.raises(InputError, match="what is critical"):
         create_optimizer("mine", CUBE, 0, threshold=None, budget=30)
     monkeypatch.setitem(OPTIMIZERS._factories, "function", (lambda space, seed: None, {}))
-    with pytest.raises(InputError, match="no subclass"):
+    with pytest.raises(InputError, match="not a subclass"):
         create_optimizer("function", CUBE, 0, threshold=None, budget=30)
 
 

@@ -23,7 +23,7 @@ FCD = '<fcd-export><timestep time="{}"><vehicle id="a" x="{}" y="0" angle="90" s
         ("fcd.xml", FCD.format("nan", "0", "").encode(), "a time that is not finite"),
         ("fcd.xml", FCD.format("0", "0", ' length="-1" width="2"').encode(), "a has a box of -1.0 m x 2.0 m"),
         ("fcd.xml", b"<fcd-export><timestep time='0'/></fcd-export>", "holds no moving entity"),
-        ("run.log", b"something else", "is no file of CARLA's recorder"),
+        ("run.log", b"something else", "is not a file of CARLA's recorder"),
     ],
 )
 def test_a_file_that_cannot_be_used(tmp_path, name, content, words):

@@ -144,7 +144,7 @@ def test_times_that_go_back_are_refused_in_their_own_scenario(tmp_path):
 def test_a_scenario_without_entities_is_refused(tmp_path):
     path = scenario_file(tmp_path, init="", entities="", parameters=declared("p", "0"))
     for others in ((), ({"p": 1.0},)):
-        with pytest.raises(InputError, match="has no entities, so that there is nothing to simulate"):
+        with pytest.raises(InputError, match="has no entities, so there is nothing to simulate"):
             results(path, {}, *others)
 
 

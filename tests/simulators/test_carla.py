@@ -298,7 +298,7 @@ def test_it_is_listed_with_what_it_needs(monkeypatch):
         ({"drivers": {"Ego": "agressive"}}, "did you mean 'aggressive'"),
         ({"record": "clinet"}, "did you mean 'client'"),
         ({"agent": "agent.py"}, "agent=agent.py: there is no such file"),
-        ({"hosts": "a:b"}, "'a:b' is no host; write it as host or host:port"),
+        ({"hosts": "a:b"}, "'a:b' is not a host; write it as host or host:port"),
         ({"port": 70000}, "give a host, and a port from 1 to 65535"),
         ({"patience": 0.0}, "give a time above 0 s"),
     ],

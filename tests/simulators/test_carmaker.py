@@ -285,7 +285,7 @@ def test_values_are_one_tcl_word(project):
         ({"StartSim": "close"}, "CarMaker closed the line in its answer to 'StartSim'", True),
         ({"GetLastResultFName": "Ocut"}, "CarMaker closed the line in its answer to 'GetLastResultFName'", True),
         ({"SimStatus": ["O-6\r\n\r\n"]}, "CarMaker ended the TestRun with a fatal error", True),
-        ({"SimStatus": "Owell\r\n\r\n"}, "tells the status 'well', which is no number", False),
+        ({"SimStatus": "Owell\r\n\r\n"}, "tells the status 'well', which is not a number", False),
         ({"GetLastResultFName": "O\r\n\r\n"}, "stored no result file", False),
         ({"GetLastResultFName": "OSimOutput/none.erg\r\n\r\n"}, "cannot be read", False),
     ],
@@ -401,7 +401,7 @@ def test_a_real_result_without_positions_says_what_to_store(project):
 def test_entities_that_carmaker_does_not_have_are_refused(project):
     path = project.parent / "s.xosc"
     path.write_text(SCENARIO.replace('"T00"', '"Pedestrian"'))
-    with pytest.raises(InputError, match=r"'Pedestrian' is no entity of CarMaker; .* Ego, T00, T01"):
+    with pytest.raises(InputError, match=r"'Pedestrian' is not an entity of CarMaker; .* Ego, T00, T01"):
         run(project, Port())
 
 
@@ -448,7 +448,7 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
     [
         ("raise", SimulatorError, "CarMaker, by cmapi: RuntimeError: the application is gone"),
         ("hang", SimulationError, "CarMaker did not end the TestRun within 2 s"),
-        ("no file", SimulationError, "CarMaker wrote 0 result files in SimOutput, where one was awaited"),
+        ("no file", SimulationError, "CarMaker wrote 0 result files in SimOutput, where one was expected"),
     ],
 )
 def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, kind, words):

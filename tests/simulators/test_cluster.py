@@ -185,7 +185,7 @@ def analysed(path):
 def test_processes_of_no_cluster_are_refused(tmp_path):
     configuration = replace(demonstration("x-intersection", budget=2), duration=2.0)
     explore_configuration(configuration, tmp_path / "study.db")
-    with pytest.raises(InputError, match="`workers`: are those of a local cluster"):
+    with pytest.raises(InputError, match="`workers`: needs a local cluster"):
         cc.analyze(tmp_path / "study.db", workers=2)
 
 
@@ -235,7 +235,7 @@ def test_no_scheduler_is_told(tmp_path, monkeypatch):
     (tmp_path / "scheduler.json").write_text("{}")
     with pytest.raises(InputError, match="no scheduler answers there"):
         start_simulator("builtin", {}, cluster=str(tmp_path / "scheduler.json"))
-    with pytest.raises(InputError, match="`workers`: are those of the cluster"):
+    with pytest.raises(InputError, match="`workers`: the cluster has its own"):
         start_simulator("builtin", {}, cluster="tcp://127.0.0.1:9", workers=2)
 
 

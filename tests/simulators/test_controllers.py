@@ -178,7 +178,7 @@ def test_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
     first, lost, last = driven_by(tmp_path, decide)
     assert [first.speed[0, -1], last.speed[0, -1]] == pytest.approx([10.0, 14.0])
     assert isinstance(lost, SimulationError)
-    assert str(lost) == "the driver of Ego gave an acceleration that is no finite number"
+    assert str(lost) == "the driver of Ego gave an acceleration that is not a finite number"
 
 
 @pytest.mark.parametrize(

@@ -192,7 +192,7 @@ def test_refuses_in_one_sentence(monkeypatch, tmp_path):
         SIMULATORS.create("esmini")
     with pytest.raises(InputError, match="no such file"):
         EsminiSimulator(library=str(tmp_path / "none.so"))
-    with pytest.raises(InputError, match="no drivers of cornercase"):
+    with pytest.raises(InputError, match="none of cornercase's drivers"):
         EsminiSimulator(drivers={"Ego": "normal"})
     assert "download esmini" in EsminiSimulator.availability().missing
     done = subprocess.run(

@@ -68,14 +68,16 @@ def test_what_subclasses_nothing_is_refused_in_one_sentence(what):
     registry: Registry[Simulator] = Registry("simulator", "cornercase.none", Simulator)
     registry.register("duck", what)
     for ask in (registry.create, registry.class_of):
-        with pytest.raises(InputError, match=r"'duck' is .*no subclass of cornercase\.simulators\.Simulator; make it"):
+        with pytest.raises(
+            InputError, match=r"'duck' is .*not a subclass of cornercase\.simulators\.Simulator; derive it"
+        ):
             ask("duck")
 
 
 def test_one_that_cannot_be_loaded_is_not_available(monkeypatch):
     monkeypatch.setitem(SIMULATORS._factories, "duck", (Duck, {}))
     found = availabilities()
-    assert "no subclass" in found["duck"].missing
+    assert "not a subclass" in found["duck"].missing
     assert found["builtin"].missing == ""
 
 

@@ -175,7 +175,7 @@ def test_a_study_that_is_cut_ends_what_writes_to_it(path):
     with pytest.raises(StudyLostError, match="or it was cut"):
         study.fail(1, SimulationError("nowhere"))
     assert path.read_bytes() == b""
-    with pytest.raises(InputError, match="is empty, and no study"):
+    with pytest.raises(InputError, match="is empty, and not a study"):
         Study.open(path)
 
 

@@ -57,7 +57,7 @@ def test_a_scenario_file_whose_name_is_no_text_is_refused_before_a_study_is_made
     assert not (tmp_path / "s.db").exists()
     result = cornercase("convert", EXAMPLE / "x_intersection.xosc", "--ego", "Ego", "-o", scenario.with_name(NO_TEXT))
     assert result.returncode == 2
-    assert "its name is none that XML can hold" in result.stderr
+    assert "its name has characters that XML cannot hold" in result.stderr
 
 
 def test_a_study_that_may_only_be_read_is_not_written_and_nothing_is_left_beside_it(tmp_path):

@@ -158,7 +158,7 @@ def test_a_note_sets_off_nothing_that_a_stranger_put_into_the_file(explored):
 def test_what_is_no_study_is_left_alone(tmp_path):
     with closing(sqlite3.connect(tmp_path / "other.db")) as connection, connection:
         connection.execute("CREATE TABLE notes (scenario, note)")
-    with pytest.raises(InputError, match="no cornercase study"):
+    with pytest.raises(InputError, match="not a cornercase study"):
         write_note(tmp_path / "other.db", 1, "x")
     with pytest.raises(InputError, match="no such study"):
         write_note(tmp_path / "missing.db", 1, "x")

@@ -377,7 +377,7 @@ def test_a_study_that_would_do_something_is_refused(sent, statement):
     for one in (("show", sent), ("analyze", sent)):
         result = cornercase(*one)
         assert result.returncode == 2
-        assert "is no study as cornercase writes it; it holds the " in result.stderr
+        assert "is not a study that cornercase wrote; it holds the " in result.stderr
 
 
 def test_a_view_in_place_of_a_table_is_refused(sent):

@@ -34,9 +34,9 @@ def run(path, *statements):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (b"", "is empty, and no study; copy the study here anew, or remove the file"),
-        (b"time,entity\n0.0,Ego\n" * 1000, "is no cornercase study, or nothing is left of one"),
-        (bytes(100_000), "is no cornercase study, or nothing is left of one"),
+        (b"", "is empty, and not a study; copy the study here again, or remove the file"),
+        (b"time,entity\n0.0,Ego\n" * 1000, "is not a cornercase study, or nothing is left of one"),
+        (bytes(100_000), "is not a cornercase study, or nothing is left of one"),
     ],
 )
 def test_what_is_no_study_is_bad_input(tmp_path, content, told, repair):
@@ -53,7 +53,7 @@ def test_what_is_no_study_is_bad_input(tmp_path, content, told, repair):
     ("statement", "told"),
     [
         ("PRAGMA user_version = 7", "has schema version 7, this cornercase reads up to 6"),
-        ("PRAGMA application_id = 1196444487", "is a database, but no cornercase study"),
+        ("PRAGMA application_id = 1196444487", "is a database, but not a cornercase study"),
     ],
 )
 def test_a_study_of_a_later_version_or_of_another_program_is_left_as_it_is(path, statement, told, repair):
@@ -70,7 +70,7 @@ def test_a_database_of_another_program_is_bad_input(tmp_path):
     run(tmp_path / "a.db", "CREATE TABLE songs (name TEXT)", "INSERT INTO songs VALUES ('one')")
     result = cornercase("verify", tmp_path / "a.db", "--repair")
     assert result.returncode == 2
-    assert "is no cornercase study" in result.stderr
+    assert "is not a cornercase study" in result.stderr
 
 
 def test_a_study_whose_head_is_zeroed_is_a_damaged_one(path):

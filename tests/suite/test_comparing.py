@@ -238,7 +238,7 @@ def test_verdicts_on_the_requirements_of_both_are_compared_first(tmp_path):
 
 def test_runs_of_other_suites_are_refused(tmp_path):
     old, new = (written(tmp_path / f"{one}.db", GAPS, suite=one) for one in ("a", "b"))
-    with pytest.raises(InputError, match="are of other versions of the same suite"):
+    with pytest.raises(InputError, match="are of different versions of the same suite"):
         compared(old, new)
 
 
@@ -269,10 +269,10 @@ def test_a_zero_with_another_sign_is_not_the_same_bytes_and_no_change(tmp_path):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"space": ParameterSpace.from_ranges(["a=0:1", "b=0:2"])}, "are of other parameter spaces"),
-        ({"space": ParameterSpace.from_ranges(["a=0:1", "c=0:1"])}, "are of other parameter spaces (a, b; a, c)"),
+        ({"space": ParameterSpace.from_ranges(["a=0:1", "b=0:2"])}, "have different parameter spaces"),
+        ({"space": ParameterSpace.from_ranges(["a=0:1", "c=0:1"])}, "have different parameter spaces (a, b; a, c)"),
         ({"other": "Ego", "ego": "B"}, "measure others (Ego and B; B and Ego)"),
-        ({"metrics": ("ttc",)}, "have other metrics (distance; ttc)"),
+        ({"metrics": ("ttc",)}, "have different metrics (distance; ttc)"),
         ({"metrics": ("distance", "ttc")}, "choose among distance with `metrics`"),
         ({"critical": 2.0}, "have different thresholds (1, 2); give one for both with `critical`"),
     ],

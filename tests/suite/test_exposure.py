@@ -107,7 +107,7 @@ def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):
         cc.test(tmp_path / "reduced", tmp_path / "run.db", simulator="sumo", mutants=5)
     with pytest.raises(InputError, match="driver cc-human has no mutants"):
         cc.test(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cc-human"}, mutants=5)
-    with pytest.raises(InputError, match="no reference is asked about mutants"):
+    with pytest.raises(InputError, match="mutants are not judged by a reference driver"):
         cc.test(tmp_path / "reduced", tmp_path / "run.db", require=["no collision unless rss collides"], mutants=5)
     assert not (tmp_path / "run.db").exists()
     with pytest.raises(InputError, match="`exposure`, `cover`: give one of them"):
@@ -121,5 +121,5 @@ def test_an_ego_without_a_driver_has_no_mutants(tmp_path):
     path = tmp_path / "study.db"
     cut_in = cc.LogicalScenario.read(EXAMPLES / "r157" / "cut_in.xosc", ranges=["gap=10:40"])
     cc.explore(cut_in, path, ego="Other", other="Ego", metrics=["ttc"], optimizer="sobol", budget=2)
-    with pytest.raises(InputError, match="`mutants`: Other has no driver; say with `drivers` who drives"):
+    with pytest.raises(InputError, match="Mutants need a driver of Other; name one with `drivers`"):
         find_exposure(path, 3, scenario=EXAMPLES / "r157" / "cut_in.xosc")

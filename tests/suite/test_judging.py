@@ -175,7 +175,7 @@ def test_what_decides_is_the_robustness_and_changes_it(values, text):
         ("tcc > 1.5", "ttc"),
         ("ttc > 1.5 m", "unit 'm' does not fit"),
         ("ttc >", "ttc >"),
-        ('for " ": ttc > 1', "is no pattern of names"),
+        ('for " ": ttc > 1', "is not a pattern of names"),
         (r'for "\*": ttc > 1', "write it as in JSON"),
         ("not " * 30 + "(ttc > 1)", "nested more than"),
         ("for *:no collision", "with a space after the colon"),

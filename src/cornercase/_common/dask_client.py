@@ -99,7 +99,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     """
     cluster = cluster_argument(cluster)
     if workers > 1 and cluster != LOCAL:
-        raise InputError("`workers`: are those of the cluster; leave it out.")
+        raise InputError("`workers`: the cluster has its own; leave it out.")
     if not isinstance(cluster, str):
         return cluster
     try:
@@ -197,7 +197,7 @@ def _started_cluster(workers: int, guardian: Guardian) -> LocalCluster:
         except RuntimeError as error:
             if tries + 1 == _STARTS:
                 raise InputError(
-                    f"`cluster` {LOCAL}: its workers end before they have begun ({error}); mend what ends them, and run"
+                    f"`cluster` {LOCAL}: its workers end as they start ({error}); fix the cause, and run"
                     " the same command again."
                 ) from error
     raise AssertionError
@@ -269,7 +269,7 @@ def connected(cluster: str | Client | None, workers: int = 1, *, else_none: bool
     """
     if cluster is None:
         if else_none and workers > 1:
-            raise InputError("`workers`: are those of a local cluster; give `cluster` 'local' too.")
+            raise InputError("`workers`: needs a local cluster; give `cluster` 'local' too.")
         yield None
         return
     client = connect(cluster, workers)

@@ -67,7 +67,7 @@ def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
     path = Path(path)
     # No system has such a name.
     if "\0" in str(path):
-        raise InputError(f"{path}: is no name of a file.")
+        raise InputError(f"{path}: is not a valid file name.")
     # A device or a pipe may never end.
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file.")

@@ -195,7 +195,9 @@ class Registry(Generic[T]):
         if base is not None and not (isinstance(loaded, type) and issubclass(loaded, base)):
             place = f"{getattr(loaded, '__module__', '?')}.{getattr(loaded, '__qualname__', loaded)}"
             public = f"{base.__module__.rpartition('.')[0]}.{base.__qualname__}"
-            raise InputError(f"The {self._kind} '{name}' is {place}, which is no subclass of {public}; make it one.")
+            raise InputError(
+                f"The {self._kind} '{name}' is {place}, which is not a subclass of {public}; derive it from that."
+            )
         return loaded
 
 

@@ -89,7 +89,7 @@ def _sentence(error: Exception) -> str:
         try:
             require_whole(error.object)
         except ValueError as half:
-            return f"{whose}{half}, which no file can hold; rename what is called so."
+            return f"{whose}{half}, which no file can hold; rename it."
     if isinstance(error, OSError) and error.strerror:
         named = error.filename if isinstance(error.filename, str) else "the output, or a temporary file"
         return f"{named}: cannot be read or written ({error.strerror}); make room, or choose another place."

@@ -24,7 +24,7 @@ def _begin(context: typer.Context, file: Path | None) -> Path | None:
     """Profile the command from here on; the file is written when it has ended, however it ends."""
     if file is not None:
         if file.is_dir() or (file.exists() and not file.read_bytes().startswith(_HEAD.encode())):
-            raise InputError(f"`profile`: {file} is there already, and is no profile; name another file.")
+            raise InputError(f"`profile`: {file} exists already and is not a profile; choose another file.")
         context.with_resource(_profiled(file))
     return file
 

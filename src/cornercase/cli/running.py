@@ -221,7 +221,7 @@ def check(
     from cornercase import simulators
 
     if space is not None and len(scenarios) > 1:
-        raise InputError("--space: is of one scenario; check one at a time with it.")
+        raise InputError("--space: belongs to one scenario; check one scenario at a time.")
     bad = []
     for scenario in scenarios:
         if len(scenarios) > 1:

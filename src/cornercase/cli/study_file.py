@@ -50,14 +50,14 @@ def read_study_file(path: Path) -> dict[str, Any]:
     except InputError:
         raise
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is no text in UTF-8 ({error.reason}).") from error
+        raise InputError(f"{path}: is not UTF-8 text ({error.reason}).") from error
     except (ValueError, RecursionError) as error:
         # Also of whole numbers that are too long for Python.
-        raise InputError(f"{path}: is no TOML ({str(error)[:200]}).") from error
+        raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
     found = {}
     for key, value in plain.items():
         if key in _TYPED:
-            raise InputError(f"{path}: '{key}' is not for a file; give --{key} on the command line.")
+            raise InputError(f"{path}: '{key}' cannot stand in a study file; give --{key} on the command line.")
         if key not in KEYS:
             raise InputError(f"{path}: has '{key[:60]}', which is not known; {suggestion(key, KEYS)}")
         found[_PARAMETERS.get(key, key.replace("-", "_"))] = _value(path, key, value)
@@ -68,7 +68,7 @@ def _value(path: Path, key: str, value: Any) -> Any:
     if key in _LISTS:
         texts = [value] if isinstance(value, str) else value
         if not isinstance(texts, list) or not all(isinstance(one, str) and one for one in texts):
-            raise InputError(f"{path}: '{key}' is no list of texts; write {key} = [\"…\"].")
+            raise InputError(f"{path}: '{key}' is not a list of texts; write {key} = [\"…\"].")
         if key == "driver":
             for one in texts:
                 _require_harmless_driver(path, one)
@@ -80,10 +80,10 @@ def _value(path: Path, key: str, value: Any) -> Any:
     if key in _WHOLE or key in _NUMBERS:
         kinds = (int,) if key in _WHOLE else (int, float)
         if isinstance(value, bool) or not isinstance(value, kinds):
-            raise InputError(f"{path}: '{key}' is no {'whole ' if key in _WHOLE else ''}number.")
+            raise InputError(f"{path}: '{key}' is not a {'whole ' if key in _WHOLE else ''}number.")
         return value
     if not isinstance(value, str) or not value:
-        raise InputError(f"{path}: '{key}' is no text; write {key} = \"…\".")
+        raise InputError(f"{path}: '{key}' is not a text; write {key} = \"…\".")
     if key == "simulator" and ":" in value:
         raise InputError(
             f"{path}: 'simulator' has options, which may name programs; give --simulator {value} on the command line."
@@ -98,7 +98,7 @@ def _require_harmless_driver(path: Path, text: str) -> None:
     _, _, name = text.partition("=")
     if name and not is_registered(name):
         raise InputError(
-            f"{path}: there is no driver '{name}'; a class of your own is code, which no file names: give it on the"
+            f"{path}: there is no driver '{name}'; a class is code, which a study file may not name: give it on the"
             f" command line, --driver {text}."
         )
     try:

@@ -223,8 +223,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         matrix = np.asarray(distances, dtype=np.float64)
         if matrix.ndim != 2 or matrix.shape[1] != self.n_features_in_:
             raise InputError(
-                f"Distances of shape {matrix.shape} do not go to the {self.n_features_in_} scenarios that were"
-                " clustered."
+                f"Distances of shape {matrix.shape} do not fit the {self.n_features_in_} scenarios that were clustered."
             )
         if not np.isfinite(matrix).all() or (matrix < 0.0).any():
             raise InputError("A distance is negative or not finite; give finite distances of at least 0.")

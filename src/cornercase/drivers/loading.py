@@ -167,7 +167,7 @@ def load_driver(name: str) -> Driver:
         raise InputError(f"The driver '{name}' cannot be made without arguments: {in_one_line(error)}.") from error
     if not is_driver(driver):
         raise InputError(
-            f"The class '{name}' is no driver: it neither derives from cornercase.drivers.Driver nor has start(),"
+            f"The class '{name}' is not a driver: it neither derives from cornercase.drivers.Driver nor has start(),"
             " acceleration() and a dict called settings."
         )
     _note_source(driver, module)

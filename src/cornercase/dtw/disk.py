@@ -175,9 +175,9 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
     try:
         view: FloatMap = np.lib.format.open_memmap(path, "w+" if new else "r+", dtype, (size, size))
     except ValueError as error:
-        raise InputError(f"{path}: is no NumPy file; give another path.") from error
+        raise InputError(f"{path}: is not a NumPy file; give another path.") from error
     if view.shape != (size, size) or view.dtype != dtype or not view.flags.c_contiguous:
-        raise InputError(f"{path}: is {view.dtype} of shape {view.shape} in the place of this matrix.")
+        raise InputError(f"{path}: holds {view.dtype} of shape {view.shape}, which is another matrix.")
     return view
 
 
@@ -188,7 +188,7 @@ def _header_size(path: Path) -> int:
             version = _FORMAT.read_magic(file)
             (_FORMAT.read_array_header_1_0 if version == (1, 0) else _FORMAT.read_array_header_2_0)(file)
         except ValueError as error:
-            raise InputError(f"{path}: is no NumPy file; give another path.") from error
+            raise InputError(f"{path}: is not a NumPy file; give another path.") from error
         return file.tell()
 
 
@@ -207,7 +207,7 @@ def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
     if first != fingerprint:
         raise InputError(
-            f"{journal}: tells of other series or settings; give those again, or delete it and the matrix."
+            f"{journal}: belongs to other series or settings; give those again, or delete it and the matrix."
         )
     noted = {}
     for line in squares:

@@ -310,7 +310,7 @@ def _checked(
                 f"{name} {index} has {array.shape[1]} dimensions where series 0 has {dims}; give all the same."
             )
         if dims > MAX_DIMENSIONS:
-            raise InputError(f"{name} {index} has {dims} dimensions; up to {MAX_DIMENSIONS} are known.")
+            raise InputError(f"{name} {index} has {dims} dimensions; at most {MAX_DIMENSIONS} are supported.")
         if not np.isfinite(array).all():
             instant = int(np.argmin(np.isfinite(array).all(axis=1)))
             raise InputError(f"{name} {index} is not finite at instant {instant}; fill or cap it, or leave it out.")

@@ -49,14 +49,14 @@ def configuration_of(
     meta, settings = study.meta, study.meta.settings
     source = explored_scenario(study, scenario)
     if source is None:
-        raise InputError(f"`study` {file}: is of imported recordings, and no other scenario of it can be run.")
+        raise InputError(f"`study` {file}: holds imported recordings, so no further scenario can be run.")
     known: dict[str, str | Driver] = dict(by_name("drivers", drivers))
     for entity, driver in settings.get("drivers", {}).items():
         # What a study names is no reason to import a module.
         if isinstance(driver, str) and ":" not in driver:
             known.setdefault(entity, driver)
         elif entity not in known:
-            raise InputError(f"`drivers` {entity}: the study has a driver of its own there; give it again.")
+            raise InputError(f"`drivers` {entity}: the study was run with a custom driver there; give it again.")
     given: dict[str, Any] = {
         name: settings[name] for name in ("time_step", "duration", "on_collision") if name in settings
     }

@@ -133,8 +133,8 @@ def _oriented(study: Study, objective: Objective, rows: Sequence[Row], ego: str,
         else:
             if condition := condition_of([metric.name]):
                 raise InputError(
-                    f"`from_study` {study.path}: is not of the condition '{condition}'; begin from one with the same"
-                    " `critical_if`."
+                    f"`from_study` {study.path}: was not searched for the condition '{condition}'; begin from one with"
+                    " the same `critical_if`."
                 )
             metric.require()
             missing.append((k, metric))

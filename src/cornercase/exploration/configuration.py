@@ -299,5 +299,5 @@ def _driver(entity: str, driver: object) -> str | Driver:
     if isinstance(driver, str) and driver:
         return driver
     if not is_driver(driver):
-        raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or one that is made.")
+        raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or an instance.")
     return driver

@@ -115,7 +115,7 @@ def estimate(
     flag("progress", progress)
     with Study.open(file, readonly=True) as source:
         if _NAME.fullmatch(source.meta.optimizer):
-            raise InputError(f"`study` {file}: is an estimate itself; name the study that it was made of.")
+            raise InputError(f"`study` {file}: is an estimate itself; name the study that it was made from.")
         about = _configuration(source, scenario, budget, critical, seed, simulator, drivers or {})
         about = replace(about, workers=workers, cluster=cluster, timeout=timeout, retries=retries)
         learn, known = _agreed(made, round(_LEARN_SHARE * budget))

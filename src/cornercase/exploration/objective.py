@@ -182,7 +182,7 @@ class Objective:
             raise InputError("`pareto`: what is critical needs one score; weigh the metrics with `weights` instead.")
         if self.weights:
             if given is None:
-                raise InputError("`weights`: say with `critical` up to which weighted sum a scenario is critical.")
+                raise InputError("`weights`: give with `critical` the weighted sum up to which a scenario is critical.")
             return float(given)
         return self.flip(self.metrics[0].find_threshold(given))
 

@@ -186,14 +186,14 @@ def _require_runnable(file: Path, remains: Remains) -> None:
     meta, again = remains.meta, len(remains.again)
     if meta.simulator == IMPORTED or meta.optimizer == "none" or meta.optimizer.startswith("importance-sampling:"):
         command = "import" if meta.simulator == IMPORTED else "test" if meta.suite else "estimate"
-        what = f"{again} of its scenarios are damaged" if again else "it is lost how many scenarios it had"
+        what = f"{again} of its scenarios are damaged" if again else "the number of its scenarios is lost"
         raise InputError(
-            f"{file}: {what}, and they are not made by a search; make it again with `{command}`, under another name."
+            f"{file}: {what}, and no search can make them again; make it again with `{command}`, under another name."
         )
     if meta.asynchronous and not all(remains.rounds.values()):
         raise InputError(
-            f"{file}: it is lost which scenarios were run, and its search had no rounds, so that it cannot be asked"
-            " again; run `explore` again, into another study."
+            f"{file}: the list of its scenarios is lost, and a search without rounds cannot be repeated; run"
+            " `explore` again, into another study."
         )
 
 

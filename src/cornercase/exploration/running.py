@@ -234,7 +234,7 @@ class ScenarioRunner:
         except Exception as error:
             words = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(
-                f"The simulator '{self._configuration.simulator}' failed ({words}); mend it, and run the same command"
+                f"The simulator '{self._configuration.simulator}' failed ({words}); fix it, and run the same command"
                 " again to go on."
             ) from error
 

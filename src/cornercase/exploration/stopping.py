@@ -131,9 +131,9 @@ class Stopping:
         elsewhere: Elsewhere | None = None,
     ) -> None:
         if not audited and any(one.what == "audited-missed" for one in criteria):
-            raise InputError("`stop_when`: audited-missed needs audits; ask for some with `audit`, as 0.1.")
+            raise InputError("`stop_when`: audited-missed needs audits; ask for some with `audit`, such as 0.1.")
         if criteria and threshold is None:
-            raise InputError("`stop_when`: say with `critical` what is critical.")
+            raise InputError("`stop_when`: needs a threshold; give one with `critical`.")
         self._criteria, self._space, self._threshold, self._seed = tuple(criteria), space, threshold, seed
         self._optimizer, self._elsewhere = optimizer, elsewhere
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)

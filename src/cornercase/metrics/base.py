@@ -203,9 +203,7 @@ class Metric(ABC):
         """
         value = self.critical if given is None else given
         if value is None:
-            raise InputError(
-                f"The metric '{self.name}' has no threshold of its own; say with `critical` what is critical."
-            )
+            raise InputError(f"The metric '{self.name}' has no default threshold; give one with `critical`.")
         if not np.isfinite(value):
             raise InputError(f"`critical` {value}: give a finite number.")
         return float(value)

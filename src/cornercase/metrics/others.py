@@ -50,7 +50,7 @@ def name_others(other: object, ego: str, known: Sequence[str]) -> tuple[str, ...
     for name in given:
         parts = [part.strip() for part in name.split(",")]
         if name not in known and len(parts) > 1 and set(parts) <= set(known):
-            raise InputError(f"`other` {name}: is no entity; name one at a time, several times.")
+            raise InputError(f"`other` {name}: is not an entity; give several one by one.")
     everyone = [name for name in known if name != ego]
     if EVERYBODY in given and not everyone:
         raise InputError(f"`other` {EVERYBODY}: there is nobody but {ego}.")

@@ -73,7 +73,7 @@ def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: 
     needs = optimizer_needs(name)
     if "threshold" in needs:
         if threshold is None:
-            raise InputError(f"The optimizer '{name}' needs to know what is critical; say so with `critical`.")
+            raise InputError(f"The optimizer '{name}' needs a threshold; give one with `critical`.")
         options["threshold"] = threshold
     if "budget" in needs:
         options["budget"] = budget

@@ -123,7 +123,7 @@ def require_box(path: Path, name: str, length: float, width: float, center_x: fl
     """
     if not (0.0 <= length <= _LONGEST and 0.0 <= width <= _LONGEST and abs(center_x) <= _LONGEST):
         raise InputError(
-            f"{path}: entity {name} has a box of {length} m x {width} m; lengths from 0 to {_LONGEST:g} m can be."
+            f"{path}: entity {name} has a box of {length} m x {width} m; lengths from 0 to {_LONGEST:g} m are read."
         )
 
 
@@ -145,7 +145,7 @@ def require_times(path: Path, time: FloatArray) -> None:
     if not np.isfinite(time).all():
         raise InputError(f"{path}: has a time that is not finite.")
     if len(time) and (latest := float(np.abs(time).max())) > _LATEST:
-        raise InputError(f"{path}: has a time of {latest:g} s, where at most {_LATEST:g} s can be.")
+        raise InputError(f"{path}: has a time of {latest:g} s, at most {_LATEST:g} s are read.")
 
 
 def require_motion(path: Path, motion: FloatArray) -> None:
@@ -166,7 +166,7 @@ def require_motion(path: Path, motion: FloatArray) -> None:
     worst = np.nanmax(np.abs(motion), initial=0.0, axis=1)
     for name, most in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
         if most > _FARTHEST:
-            raise InputError(f"{path}: has a {name} of {most:g}, where at most {_FARTHEST:g} can be.")
+            raise InputError(f"{path}: has a {name} of {most:g}, at most {_FARTHEST:g} is read.")
 
 
 @np.errstate(all="ignore")

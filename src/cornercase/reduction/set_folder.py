@@ -139,8 +139,7 @@ class SetFolder:
     def _require_free(self, target: Path) -> None:
         if target.exists() or target.is_symlink():
             raise InputError(
-                f"`folder` {target}: is not of a set that was kept here before; choose another folder, or take the"
-                " file away."
+                f"`folder` {target}: does not belong to an earlier set; choose another folder, or remove the file."
             )
 
 
@@ -226,8 +225,8 @@ def finish_set(folder: Path) -> None:
         shutil.rmtree(hidden, ignore_errors=True)
     except OSError as error:
         raise InputError(
-            f"{folder}: the set in it is not complete yet, and cannot be completed ({error.strerror or error}); let it"
-            " be written, and run the command again."
+            f"{folder}: the set in it is incomplete, and cannot be completed ({error.strerror or error}); make the"
+            " folder writable, and run the command again."
         ) from error
 
 
@@ -296,7 +295,7 @@ def _within(folder: Path, place: str) -> Path:
     if any(
         part in ("", ".", "..") or ":" in part or "\0" in part for part in parts
     ) or not file.parent.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{folder}: names {place[:100]}, which is no file in it; run `reduce` again.")
+        raise InputError(f"{folder}: names {place[:100]}, which is not a file in it; run `reduce` again.")
     return file
 
 

@@ -44,7 +44,7 @@ def tell_study_file(study: Study | Path | str) -> str:
     with open_study(study, readonly=True) as opened:
         options = explore_options(opened.meta)
         if options is None:
-            raise InputError(f"{opened.path}: was not made by `explore`, and no study file makes it again.")
+            raise InputError(f"{opened.path}: was not made by `explore`, so no study file can repeat it.")
         lines = [f"# Makes {opened.path.name} again: cornercase explore --config FILE.toml -o STUDY.db"]
         ended = sum(row.state != "pending" for row in opened.rows())
         scenario, space = None, None

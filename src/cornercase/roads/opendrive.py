@@ -385,7 +385,7 @@ class RoadNetwork:
     @cached_property
     def _locator(self) -> Locator:
         if not any(held for road in self.roads for _, held in road.sections):
-            raise InputError(f"{self.path}: none of its roads has a lane, so nothing has a place on them.")
+            raise InputError(f"{self.path}: none of its roads has a lane, so nothing can be placed on them.")
         return Locator(self.roads)
 
     def path_of_lane(

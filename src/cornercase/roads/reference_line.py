@@ -96,7 +96,7 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
         raise InputError(f"{where}: a <geometry> has the length {length:g} m; it must be above 0.")
     shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
     if shape is None:
-        raise InputError(f"{where}: a <geometry> is no line, arc, spiral, poly3 or paramPoly3.")
+        raise InputError(f"{where}: a <geometry> is not a line, arc, spiral, poly3 or paramPoly3.")
     kind = str(shape.tag)
     names = {
         "line": (),

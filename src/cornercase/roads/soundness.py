@@ -46,8 +46,8 @@ def require_sound(road: Road, where: str) -> None:
         apart = float(np.hypot(x[0] - other.x, y[0] - other.y))
         if apart > _APART:
             raise InputError(
-                f"{where}: the <geometry> at s = {other.s:g} m begins {apart:.3g} m from where the one before is there;"
-                " let them meet."
+                f"{where}: the <geometry> at s = {other.s:g} m begins {apart:.3g} m away from the end of the one"
+                " before; make them meet."
             )
     _require_near(road.offsets, road.length, f"{where}: its <laneOffset>")
     for (start, lanes), end in zip(road.sections, road.seams[1:].tolist(), strict=True):
@@ -70,7 +70,7 @@ def _require_shape(geometry: Geometry, end: float, where: str) -> None:
             raise InputError(f"{where} has a curvature of {bend:g} 1/m; at most {_TIGHTEST:g} 1/m are read.")
     if geometry.kind == "paramPoly3" and not 1 / _STRETCHED <= length / geometry.length <= _STRETCHED:
         raise InputError(
-            f"{where} is a <paramPoly3> that is {length:.3g} m long, and its length is {geometry.length:g} m; correct"
+            f"{where} is a <paramPoly3> that is {length:.3g} m long, but its length says {geometry.length:g} m; correct"
             " its coefficients, or its pRange."
         )
 

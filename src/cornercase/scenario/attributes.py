@@ -287,7 +287,7 @@ class Attributes:
         except ValueError:
             raise self._error(element, attribute, f"is '{text}', which is not a number") from None
         if not np.isfinite(number) and not (endless and number == np.inf):
-            raise self._error(element, attribute, f"is '{text}', which is no finite number")
+            raise self._error(element, attribute, f"is '{text}', which is not a finite number")
         return number
 
     def _error(self, element: _Placed, attribute: str, why: str) -> InputError:

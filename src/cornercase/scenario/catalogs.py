@@ -69,8 +69,9 @@ class Catalogs:
         first = [one for one in found if one[0].stem == catalog] or found
         if len({etree.tostring(element, method="c14n").strip() for _, element in first}) > 1:
             raise InputError(
-                f"{self._source}: the entry '{entry}' of the catalog '{catalog}' stands in"
-                f" {' and in '.join(str(file) for file, _ in first)}, and differs; give the catalogs other names."
+                f"{self._source}: the entry '{entry}' of the catalog '{catalog}' is in"
+                f" {' and in '.join(str(file) for file, _ in first)}, with different contents;"
+                " give the catalogs different names."
             )
         first[0][1].get("name")
         return first[0][1]

@@ -178,7 +178,7 @@ def violations(
                     holds &= _compare(constraint.rule, value, other, declaration.kind)
                 except ValueError:
                     raise InputError(
-                        f"The constraint {in_words([constraint])} of the parameter {declaration.name}: is no value of"
+                        f"The constraint {in_words([constraint])} of the parameter {declaration.name} has no value of"
                         f" the type {declaration.kind}."
                     ) from None
             fulfilled |= holds

@@ -52,7 +52,7 @@ def typed_value(value: Value, kind: str) -> Value:
         except ValueError:
             raise ValueError("which is not a number") from None
         if not math.isfinite(number):
-            raise ValueError("which is no finite number")
+            raise ValueError("which is not a finite number")
         return number if kind == "double" else _whole(number, kind)
     if kind == "boolean":
         truth = _TRUTHS.get(str(value).lower())

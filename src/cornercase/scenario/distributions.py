@@ -136,7 +136,7 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution,
             f"{where}: the distribution reaches from {law.low:g} to {law.high:g}; at most {_LARGEST:g} is searched."
         )
     if not law.discrete and not law.low < law.high:
-        raise InputError(f"{where}: the distribution has hardly a value but {law.low:g}; give it a larger variance.")
+        raise InputError(f"{where}: the distribution has hardly any value but {law.low:g}; give it a larger variance.")
     return law, choices
 
 

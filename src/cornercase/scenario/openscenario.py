@@ -250,7 +250,7 @@ class Scenario:
             It is a network address, or no name that a file can have.
         """
         if any(len(part.encode()) > _LONGEST_NAME for part in Path(reference).parts) or len(reference) > _LONGEST_PATH:
-            raise InputError(f"{self.path}: the {what} '{reference[:60]}…' is no name that a file can have.")
+            raise InputError(f"{self.path}: the {what} '{reference[:60]}…' is not a valid file name.")
         if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", reference) or reference.startswith(("//", "\\\\")):
             raise InputError(f"{self.path}: the {what} '{reference}' is a network address; name a local file.")
         return self.path.parent / reference.replace("\\", "/")

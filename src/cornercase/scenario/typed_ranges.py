@@ -74,5 +74,5 @@ def _whole(parameter: Parameter, kind: str, where: str) -> Parameter:
 
 def _chosen(parameter: Parameter, choices: tuple[str, ...]) -> Parameter:
     if parameter.distribution is not None:
-        raise InputError(f"The parameter {parameter.name} is no number, and cannot have a distribution of numbers.")
+        raise InputError(f"The parameter {parameter.name} is not a number, and cannot have a distribution of numbers.")
     return Parameter(parameter.name, 0.0, len(choices) - 1.0, None, choices, unit=parameter.unit)

@@ -34,8 +34,8 @@ def address(hosts: str, port: int, worker: int, step: int = 1) -> tuple[str, int
     try:
         first = int(own or port)
     except ValueError:
-        raise InputError(f"'{every[worker % len(every)]}' is no host; write it as host or host:port.") from None
+        raise InputError(f"'{every[worker % len(every)]}' is not a host; write it as host or host:port.") from None
     found = first + step * (worker // len(every))
     if not host or not 0 < found < 65536:
-        raise InputError(f"{host}:{found} cannot be; give a host, and a port from 1 to 65535.")
+        raise InputError(f"{host}:{found} is not possible; give a host, and a port from 1 to 65535.")
     return host, found

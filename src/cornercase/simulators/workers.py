@@ -216,7 +216,7 @@ class WorkerSimulator(SimulatorElsewhere):
             if self._lost.count >= _MOST_LOST:
                 raise InputError(
                     f"The simulator '{self.name}' gave no result in {self._lost.count} scenarios in a row; in the last"
-                    f" one {why}. Mend it, and run the same command again to go on."
+                    f" one {why}. Fix it, and run the same command again to go on."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
             kind = LostError if isinstance(why, LostError) else SimulationError

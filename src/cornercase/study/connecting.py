@@ -42,9 +42,7 @@ def sentences(path: Path) -> Iterator[None]:
         yield
     except UnicodeDecodeError as error:
         # SQLite quotes what is damaged in its message.
-        raise InputError(
-            f"{path}: cannot be used as a study (damaged text). `verify` tells what of it is damaged."
-        ) from error
+        raise InputError(f"{path}: cannot be used as a study (damaged text). `verify` says what is damaged.") from error
     except sqlite3.Error as error:
         if is_unreachable(error):
             raise InputError(_unreachable(path, error)) from error
@@ -54,7 +52,7 @@ def sentences(path: Path) -> Iterator[None]:
                 " copy where you may write."
             ) from error
         # What SQLite says of pages that it cannot read.
-        advice = " `verify` tells what of it is damaged." if "malformed" in str(error) else ""
+        advice = " `verify` says what is damaged." if "malformed" in str(error) else ""
         raise InputError(f"{path}: cannot be used as a study ({error}).{advice}") from error
 
 
@@ -128,12 +126,13 @@ def require_file(path: Path) -> None:
             raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
         raise InputError(f"{path}: there is no such study; make one with `explore`.") from error
     except ValueError as error:
-        raise InputError(f"{path}: is no name of a file ({error}).") from error
+        raise InputError(f"{path}: is not a valid file name ({error}).") from error
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{path}: is not a file; name the file of a study.")
     if not found.st_size:
         raise InputError(
-            f"{path}: is empty, and no study; copy the study here anew, or remove the file and make one with `explore`."
+            f"{path}: is empty, and not a study; copy the study here again, or remove the file and make one with"
+            " `explore`."
         )
 
 
@@ -152,7 +151,7 @@ def require_study(path: Path, connection: sqlite3.Connection) -> None:
     """
     (application,) = connection.execute("PRAGMA application_id").fetchone()
     if application != APPLICATION:
-        raise InputError(f"{path}: is a database, but no cornercase study.")
+        raise InputError(f"{path}: is a database, but not a cornercase study.")
     version = schema_version(connection)
     if not 1 <= version <= SCHEMA_VERSION:
         raise InputError(
@@ -186,7 +185,7 @@ def require_plain(path: Path, connection: sqlite3.Connection) -> None:
             columns = connection.execute(f"PRAGMA table_xinfo({name})").fetchall()
             plain = not str(statement).upper().startswith("CREATE VIRTUAL") and not any(one[6] for one in columns)
         if not plain:
-            raise InputError(f"{path}: is no study as cornercase writes it; it holds the {kind} '{name}'.")
+            raise InputError(f"{path}: is not a study that cornercase wrote; it holds the {kind} '{name}'.")
     if today and (missing := set(ALWAYS) - {name for _, name, _ in found}):
         raise DamageError.of(path, f"its table {min(missing)} is missing")
 
@@ -326,7 +325,7 @@ def migrate_alone(path: Path, connection: sqlite3.Connection) -> None:
     beside = path.with_name(path.name + ".lock")
     # Whoever sent the study may have put a link there, and to take a lock empties its file.
     if beside.is_symlink() or (beside.exists() and not beside.is_file()):
-        raise InputError(f"{beside}: is a link or no file, which is not used as the study's lock; remove it.")
+        raise InputError(f"{beside}: is a link or not a file, so it cannot be the study's lock; remove it.")
     lock = None
     if beside.exists():
         try:

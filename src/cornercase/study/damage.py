@@ -38,7 +38,7 @@ class DamageError(InputError):
         -------
         DamageError
         """
-        return cls(f"{path}: is damaged: {what}; `verify` lists all that is, and mends it with `repair`.")
+        return cls(f"{path}: is damaged: {what}; `verify` lists all damage, and repairs it with `repair`.")
 
 
 @contextmanager

@@ -111,7 +111,7 @@ def import_recordings(
     others = _others(other, ego, [folder / file for file in files])
     built = [METRICS.create(name) for name in dict.fromkeys(arguments.texts("metrics", metrics))]
     if not built:
-        raise InputError("`metrics`: there is none; name one at least.")
+        raise InputError("`metrics`: name at least one.")
     known = critical is not None or built[0].critical is not None
     meta = StudyMeta(
         scenario=str(folder.resolve()),
@@ -202,7 +202,7 @@ def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Va
         names = list(reader.fieldnames or ())
         rows = [(reader.line_num, row) for row in reader]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{table}: is no CSV table ({error}).") from error
+        raise InputError(f"{table}: is not a CSV table ({error}).") from error
     if _FILE not in names or len(names) < 2 or len(set(names)) < len(names):
         raise InputError(f"{table}: needs a header with '{_FILE}' and each parameter once, not {', '.join(names)}.")
     if len(rows) < 2:

@@ -298,12 +298,12 @@ class StudyMeta:
             )
         if self.critical not in (None, other.critical):
             raise InputError(
-                f"{path}: belongs to another threshold of what is critical ({self.critical:g}); name another study with"
+                f"{path}: was explored with the threshold {self.critical:g}; name another study with"
                 " `study`, or give the same `critical`."
             )
         if same_budget and self.budget != other.budget:
             raise InputError(
-                f"{path}: its optimizer chose for a budget of {self.budget} scenarios; give the same `budget`."
+                f"{path}: its optimizer planned for a budget of {self.budget} scenarios; give the same `budget`."
             )
 
 

@@ -61,7 +61,7 @@ def _asked(study: Study, threshold: float | None) -> Iterator[None]:
         raise InputError(f"{study.path}: no one score of a Pareto front says what is critical; leave `critical` out.")
     if study.estimate() is not None:
         raise InputError(
-            f"{study.path}: holds the probability of what was critical when it was made; `estimate` takes `critical`."
+            f"{study.path}: holds a probability for the threshold it was made with; give `critical` to `estimate`."
         )
     before = study.ask(threshold)
     try:

@@ -82,7 +82,7 @@ def rebuild(damaged: Path, made: Path) -> Remains:
             meta = None
     if meta is None or tallies.get("meta", _tally("meta", found["meta"])) != _tally("meta", found["meta"]):
         raise InputError(
-            f"{damaged}: what it is about is damaged (its table meta), and cannot be brought back; run `explore` again,"
+            f"{damaged}: its description (the table meta) is damaged and cannot be restored; run `explore` again,"
             " into another study."
         )
     lost = []

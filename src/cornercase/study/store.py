@@ -79,9 +79,7 @@ class Study(StudyContents):
         try:
             require_whole(json.dumps(plain, ensure_ascii=False))
         except ValueError as error:
-            raise InputError(
-                f"{path}: cannot be made, since {error}, which no file can hold; rename what is called so."
-            ) from error
+            raise InputError(f"{path}: cannot be made, since {error}, which no file can hold; rename it.") from error
         return cls(Database.create(Path(path), rows, *_more_tables(meta)))
 
     @classmethod

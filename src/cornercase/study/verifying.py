@@ -108,7 +108,7 @@ def _require_own(path: Path) -> None:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     if not found:
-        raise InputError(f"{path}: is no cornercase study, or nothing is left of one.")
+        raise InputError(f"{path}: is not a cornercase study, or nothing is left of one.")
 
 
 def _has_checksums(path: Path) -> bool:

@@ -135,7 +135,7 @@ def _tests(
     if not found and all(one.run == "in neither" for one in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {filling[0]} and"
-            f" {filling[1]} scenarios that were chosen whatever the scores are, of {FEWEST} that are needed; explore"
+            f" {filling[1]} scenarios were chosen without looking at scores, where {FEWEST} are needed; explore"
             " both with the same `seed`, or with `audit`."
         )
     return correct(found)

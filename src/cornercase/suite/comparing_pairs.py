@@ -253,22 +253,24 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
     # Of recordings that were imported it is that of the recordings.
     if not _of_the_same(a, b) and IMPORTED not in (a.simulator, b.simulator):
         what = "suites" if a.suite and b.suite else "scenarios"
-        versions = f"other versions of the same {what[:-1]}" if a.file_name == b.file_name else f"other {what}"
+        versions = f"different versions of the same {what[:-1]}" if a.file_name == b.file_name else f"other {what}"
         raise InputError(f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same.")
     if a.space.parameters != b.space.parameters:
         raise InputError(
-            f"{pair}: are of other parameter spaces ({', '.join(a.space.names) or 'none'};"
+            f"{pair}: have different parameter spaces ({', '.join(a.space.names) or 'none'};"
             f" {', '.join(b.space.names) or 'none'}); compare studies of the same parameters and ranges."
         )
     if (a.ego, set(a.others)) != (b.ego, set(b.others)):
         whom = "; ".join(f"{one.ego} and {', '.join(one.others)}" for one in (a, b))
         same = "the same two" if len(a.others) == len(b.others) == 1 else "the same entities"
-        raise InputError(f"{pair}: measure others ({whom}); compare studies of {same}.")
+        raise InputError(f"{pair}: measure different entities ({whom}); compare studies of {same}.")
     both = tuple(name for name in a.metrics if name in b.metrics)
     if metrics is None:
         if set(a.metrics) != set(b.metrics):
             advice = f"choose among {', '.join(both)} with `metrics`" if both else "compare studies of the same metrics"
-            raise InputError(f"{pair}: have other metrics ({', '.join(a.metrics)}; {', '.join(b.metrics)}); {advice}.")
+            raise InputError(
+                f"{pair}: have different metrics ({', '.join(a.metrics)}; {', '.join(b.metrics)}); {advice}."
+            )
         chosen = both
     else:
         chosen = tuple(dict.fromkeys(metrics))

@@ -111,7 +111,7 @@ def find_exposure(
     options["drivers"] = {name: one for name, one in drivers.items() if name != who[0]}
     for name, one in options["drivers"].items():
         if not isinstance(one, str):
-            raise InputError(f"`mutants`: a driver of somebody's own drove {name}, and a study does not hold it.")
+            raise InputError(f"Mutants cannot be run: a custom driver drove {name}, and a study does not hold it.")
     with connected(cluster, workers, else_none=True) as client:
         failed, exposed = run_mutants(
             concretes, who, (driver, drawn), [known] * len(rows), options, client=client, progress=progress
@@ -250,10 +250,12 @@ def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scen
         return name_driver(drivers[ego])
     found = {one.drivers.get(ego) for one in scenarios}
     if found == {None}:
-        raise InputError(f"`mutants`: {ego} has no driver; say with `drivers` who drives it.")
+        raise InputError(f"Mutants need a driver of {ego}; name one with `drivers`.")
     if len(found) > 1:
         names = ", ".join(sorted(one or "nobody" for one in found))
-        raise InputError(f"`mutants`: not the same drives {ego} in all files ({names}); say who drives.")
+        raise InputError(
+            f"Mutants need one driver of {ego}, and files name several ({names}); name one with `drivers`."
+        )
     (driver,) = found
     assert driver is not None
     return name_driver(driver)
@@ -333,7 +335,9 @@ def _failures(
 def _require_no_reference(requirements: Sequence[Requirement]) -> None:
     for one in requirements:
         if one.reference:
-            raise InputError(f"`require` {one}: no reference is asked about mutants; leave it out, or the mutants.")
+            raise InputError(
+                f"`require` {one}: mutants are not judged by a reference driver; leave it out, or the mutants."
+            )
 
 
 def _requirements(given: Sequence[str]) -> list[Requirement]:

@@ -70,12 +70,14 @@ def _loaded(path: Path) -> dict[str, Any]:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{path}: is no JSON ({str(error)[:200]}); name the manifest.json that `reduce` wrote."
+            f"{path}: is not valid JSON ({str(error)[:200]}); name the manifest.json that `reduce` wrote."
         ) from error
     if not isinstance(plain, dict) or not isinstance(plain.get("scenarios"), list):
-        raise InputError(f"{path}: is no manifest; name the manifest.json that `reduce` wrote, or a folder of files.")
+        raise InputError(
+            f"{path}: is not a manifest; name the manifest.json that `reduce` wrote, or a folder of files."
+        )
     if plain.get("simulator") == IMPORTED:
-        raise InputError(f"{path}: its recordings were imported, so that there are no scenario files to run.")
+        raise InputError(f"{path}: its recordings were imported, so there are no scenario files to run.")
     if "format" not in plain:
         raise InputError(
             f"{path}: an earlier version of cornercase wrote it, without what it takes to run it again; run `reduce`"
@@ -147,7 +149,7 @@ def _require_file(path: Path, place: str, digest: str) -> None:
     # The manifest may come from anywhere, and names nothing outside of its folder.
     parts = re.split(r"[\\/]", place)
     if any(part in ("", ".", "..") or ":" in part for part in parts):
-        raise InputError(f"{path}: names {place[:100]}, which is no file in its folder; run `reduce` again.")
+        raise InputError(f"{path}: names {place[:100]}, which is not a file in its folder; run `reduce` again.")
     file = path.parent / place
     if not file.is_file():
         raise InputError(f"{file}: is named in {path.name}, but is not there; restore it, or run `reduce` again.")

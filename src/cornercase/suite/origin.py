@@ -107,8 +107,8 @@ def _sources(suite: SuiteContents, study: Study) -> Mapping[int, Row]:
         return found
     if study.meta.fingerprint != suite.fingerprint:
         raise InputError(
-            f"`against` {study.path}: is no study that {suite.place} was made from; name the one that was reduced, or"
-            " an earlier run of the suite."
+            f"`against` {study.path}: is not the study that {suite.place} was made from; name the one that was reduced,"
+            " or an earlier run of the suite."
         )
     found = {}
     for k, one in enumerate(suite.scenarios, start=1):

@@ -54,7 +54,9 @@ def read_suite(place: Path | str) -> SuiteContents:
         manifest = path / MANIFEST
         return read_manifest(manifest) if manifest.is_file() else _of_folder(path)
     if not path.exists():
-        raise InputError(f"{path}: is not there; name a folder of scenarios, or the manifest.json that `reduce` wrote.")
+        raise InputError(
+            f"{path}: does not exist; name a folder of scenarios, or the manifest.json that `reduce` wrote."
+        )
     if path.suffix.lower() == ".xosc":
         raise InputError(f"{path}: is one scenario; name the folder that it lies in.")
     return read_manifest(path)
@@ -65,11 +67,11 @@ def _of_folder(folder: Path) -> SuiteContents:
     for file in files:
         # Databases and other files hold names as text in UTF-8.
         if (odd := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
-            raise InputError(f"{folder}: the name of its file '{odd}' is no plain text; rename the file.")
+            raise InputError(f"{folder}: the name of its file '{odd}' is not plain text; rename the file.")
     read = [Scenario(file) for file in files]
     others = [one.path.name for one in read if _is_of_something_else(one)]
     if others:
-        warnings.warn(f"not run, as they are no scenarios: {', '.join(others)}", NoticeWarning, stacklevel=3)
+        warnings.warn(f"not run, because they are not scenarios: {', '.join(others)}", NoticeWarning, stacklevel=3)
     scenarios = [Scenario.read(one.path) for one in read if one.path.name not in others]
     if not scenarios:
         raise InputError(f"{folder}: holds no scenario; name a folder with .xosc files, or with a manifest.json.")

@@ -109,7 +109,7 @@ class Requirement:
         body = " ".join(body.split())
         if not found and given.startswith("for "):
             raise InputError(
-                f"`require` {given}: is for no pattern; write 'for PATTERN: REQUIREMENT', with a space after the colon."
+                f"`require` {given}: names no pattern; write 'for PATTERN: REQUIREMENT', with a space after the colon."
             )
         one = _collision(body) or _place(body) or _formula(body, given)
         shown = f"{prefix_for(pattern, by_kind=by_kind)}{one.text}" if pattern else one.text
@@ -161,7 +161,7 @@ def _unquoted(pattern: str, given: str) -> str:
     except ValueError:
         found = ""
     if not found.strip():
-        raise InputError(f"`require` {given}: {pattern} is no pattern of names; write it as in JSON.")
+        raise InputError(f"`require` {given}: {pattern} is not a pattern of names; write it as in JSON.")
     return found
 
 
@@ -178,7 +178,7 @@ def _collision(body: str) -> Requirement | None:
         return Requirement(f"no collision with {words[3]}", "no collision with", entity=words[3])
     if (found := _UNLESS.fullmatch(body)) is not None:
         return Requirement(f"no collision unless {found[1]} collides", "no collision unless", reference=found[1])
-    raise InputError(f"`require` {body}: is no requirement; write {_FORMS}.")
+    raise InputError(f"`require` {body}: is not a requirement; write {_FORMS}.")
 
 
 def _place(body: str) -> Requirement | None:
@@ -186,7 +186,7 @@ def _place(body: str) -> Requirement | None:
         return None
     found = _REACH.fullmatch(body)
     if found is None:
-        raise InputError(f"`require` {body}: is no place and time; write 'reach X,Y[,R] within T', in m and s.")
+        raise InputError(f"`require` {body}: is not a place and time; write 'reach X,Y[,R] within T', in m and s.")
     x, y, radius, within = (float(one) if one else REACHED for one in found.groups()[:4])
     if found[5] not in ("", "s"):
         raise InputError(f"`require` {body}: the unit '{found[5]}' does not fit; give the time in s.")

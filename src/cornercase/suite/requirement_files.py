@@ -48,7 +48,7 @@ def read_requirements(path: Path) -> list[Requirement]:
             raise InputError(f"{path}: '{name}' holds no lists by the pattern of {of}.")
         for pattern, requirements in patterns.items():
             if not isinstance(pattern, str) or not pattern.strip():
-                raise InputError(f"{path}: '{str(pattern)[:60]}' in '{name}' is no pattern of {of}.")
+                raise InputError(f"{path}: '{str(pattern)[:60]}' in '{name}' is not a pattern of {of}.")
             prefix = prefix_for(pattern, by_kind=name == "kind")
             found += [f"{prefix}{one}" for one in _texts(path, pattern, requirements)]
     if not found:
@@ -65,7 +65,7 @@ def _parsed(path: Path, text: str) -> Requirement:
 
 def _texts(path: Path, name: str, value: object) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(one, str) and one.strip() for one in value):
-        raise InputError(f"{path}: '{name[:60]}' is no list of texts, such as [\"no collision\"].")
+        raise InputError(f"{path}: '{name[:60]}' is not a list of texts, such as [\"no collision\"].")
     return value
 
 
@@ -74,14 +74,14 @@ def _loaded(path: Path) -> Any:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is no text in UTF-8 ({error.reason}).") from error
+        raise InputError(f"{path}: is not UTF-8 text ({error.reason}).") from error
     if path.suffix.lower() in (".yaml", ".yml"):
         return _of_yaml(path, text)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         # Also of whole numbers that are too long for Python.
-        raise InputError(f"{path}: is no TOML ({str(error)[:200]}).") from error
+        raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
 
 
 def _of_yaml(path: Path, text: str) -> Any:
@@ -89,9 +89,9 @@ def _of_yaml(path: Path, text: str) -> Any:
         import yaml
     except ImportError as error:
         raise InputError(
-            f"{path}: to read YAML takes PyYAML; install it with pip install pyyaml, or write the file as TOML."
+            f"{path}: YAML needs PyYAML; install it with pip install pyyaml, or write the file as TOML."
         ) from error
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise InputError(f"{path}: is no YAML ({' '.join(str(error).split())[:200]}).") from error
+        raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())[:200]}).") from error

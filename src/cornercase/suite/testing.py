@@ -216,7 +216,7 @@ def _require_own(name: str, place: Path, begin: bytes) -> None:
         with place.open("rb") as file:
             content = file.read(len(begin))
         if content and content != begin:
-            raise InputError(f"`{name}` {place}: holds something else already; choose another name, or take it away.")
+            raise InputError(f"`{name}` {place}: holds something else already; choose another name, or remove it.")
 
 
 def _required(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
@@ -288,8 +288,7 @@ def _simulator(suite: SuiteContents, given: str | None) -> str:
     # Options may name files and programs, and a manifest may come from anywhere.
     if colon:
         raise InputError(
-            f"`simulator`: {suite.place} names '{suite.simulator[:100]}', with options; say yourself which simulator is"
-            " to run."
+            f"`simulator`: {suite.place} names '{suite.simulator[:100]}', with options; give the simulator yourself."
         )
     return name or _BUILTIN
 
@@ -300,12 +299,12 @@ def _drivers(suite: SuiteContents, given: Mapping[str, str | Driver] | None) -> 
         if (isinstance(driver, str) and driver) or is_driver(driver):
             drivers[entity] = told_driver(driver)
         else:
-            raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or one that is made.")
+            raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or an instance.")
     for entity in suite.lost_drivers:
         if entity not in drivers:
             raise InputError(
-                f"`drivers`: a driver of somebody's own drove {entity} when {suite.place} was made, and no file can"
-                " name it; say who drives."
+                f"`drivers`: a custom driver drove {entity} when {suite.place} was made, and a file cannot"
+                " name it; give a driver."
             )
     return drivers
 

@@ -95,7 +95,7 @@ def unit_of(name: str) -> str:
     if base == FORMULAS:
         raise InputError(f"'{FORMULAS}' is the metric of a formula; write the formula itself, in brackets.")
     if base == CONDITION:
-        raise InputError(f"'{CONDITION}' is the metric of a condition, which no formula can speak of.")
+        raise InputError(f"'{CONDITION}' is the metric of a condition, which a formula cannot use.")
     if base not in METRICS:
         raise InputError(f"there is no signal '{name}'; {suggestion(name, [*_OWN, *metric_names()])}")
     return METRICS.create(name).unit

@@ -55,7 +55,7 @@ def read_carla_log(path: Path | str) -> Recording:
     path = Path(path)
     data = read_file(path, _LARGEST)
     if not data[4:].startswith(_MAGIC):
-        raise InputError(f"{path}: is no file of CARLA's recorder.")
+        raise InputError(f"{path}: is not a file of CARLA's recorder.")
     try:
         actors, touched = _actors(data)
     except (struct.error, UnicodeDecodeError, IndexError) as error:

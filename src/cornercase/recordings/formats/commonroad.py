@@ -100,7 +100,7 @@ def _require_numbers(path: Path, root: etree._Element) -> None:
         most = _MOST_TURNED if any(one.tag == "orientation" for one in (element, *element.iterancestors())) else _MOST
         if not number <= most:
             raise InputError(
-                f"{path}, line {element.sourceline}: <{element.tag}> is {element.text}; at most {most:g} can be."
+                f"{path}, line {element.sourceline}: <{element.tag}> is {element.text}; at most {most:g} is read."
             )
 
 

@@ -51,7 +51,7 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
     about = path.with_name(path.name + ".info")
     data, text = read_file(path, _LARGEST), read_file(about).decode("utf-8", "replace")
     if len(data) < _HEADER or data[:8] != b"CM-ERG\0\0":
-        raise InputError(f"{path}: is no result file of CarMaker; it has to begin with CM-ERG.")
+        raise InputError(f"{path}: is not a result file of CarMaker, which begins with CM-ERG.")
     facts = dict(_facts(text))
     names = {int(found[1]): name for key, name in facts.items() if (found := _NAME.fullmatch(key))}
     end = ">" if facts.get("File.ByteOrder") == "BigEndian" else "<"

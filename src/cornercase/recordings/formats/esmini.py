@@ -69,7 +69,7 @@ def _rows(path: Path, lines: list[str]) -> Iterator[list[str]]:
     try:
         yield from csv.reader(lines, skipinitialspace=True)
     except csv.Error as error:
-        raise InputError(f"{path}: is no CSV table ({error}).") from error
+        raise InputError(f"{path}: is not a CSV table ({error}).") from error
 
 
 def _add(

@@ -68,7 +68,7 @@ class _Answers:
     def _require_same(self, request: Request) -> None:
         asked = request.query_params.get("epoch")
         if asked is not None and asked != self._teller.follower.epoch:
-            raise InputError("Another study lies there by now.")
+            raise InputError("Another study has taken its place.")
 
     def recording(self, request: Request) -> Response:
         self._require_same(request)
@@ -105,7 +105,7 @@ class _Answers:
                     raise InputError(f"The note is too long; at most {LONGEST_NOTE} characters are kept.")
             note = body.decode("utf-8")
         except (UnicodeDecodeError, ClientDisconnect):
-            raise InputError("The note is no text in UTF-8.") from None
+            raise InputError("The note is not UTF-8 text.") from None
         await run_in_threadpool(write_note, self._path, _id(request), note)
         return Response(status_code=204)
 

@@ -68,7 +68,7 @@ def watch(
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file; name the file of a study.")
     if not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}, in which a study could be.")
+        raise InputError(f"{path}: there is no folder {path.parent}; make it, or correct the path.")
     if path.exists() and path.stat().st_size:
         # What is no study will not become one; an empty file may.
         with open_study(path, readonly=True):

@@ -98,7 +98,7 @@ def replay(
     if ending not in _ENDINGS:
         raise InputError(f"`path` {path}: ends with none of {', '.join(_ENDINGS)}, which say what is written.")
     if ending == ".html" and (fps is not None or speed != 1.0):
-        raise InputError("`fps` and `speed` are those of a film; who plays a page chooses there: leave them out.")
+        raise InputError("`fps` and `speed` are for films, and a page has its own controls; leave them out.")
     if ending == ".mp4":
         from cornercase.report.replays.encoding import find_ffmpeg
 

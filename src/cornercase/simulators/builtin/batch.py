@@ -82,7 +82,7 @@ class Batch:
         network = prepared.network(road_file) if road_file else None
         objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
         if not objects:
-            raise InputError(f"{scenario.path}: has no entities, so that there is nothing to simulate.")
+            raise InputError(f"{scenario.path}: has no entities, so there is nothing to simulate.")
         if len(objects) > _MOST_ENTITIES:
             raise InputError(
                 f"{scenario.path}: has {len(objects)} entities; the builtin simulator moves {_MOST_ENTITIES}."

@@ -85,8 +85,8 @@ def _body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Elem
         scope = scope.within(body)
     if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
         raise InputError(
-            f"{scope.source}: the entity '{name}' is no vehicle, pedestrian or misc object, which the builtin"
-            " simulator can move."
+            f"{scope.source}: the entity '{name}' is not a vehicle, pedestrian or misc object, the only ones that"
+            " the builtin simulator can move."
         )
     return body, scope
 

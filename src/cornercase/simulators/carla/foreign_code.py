@@ -48,6 +48,6 @@ def refuse_code(root: etree._Element, source: Path) -> None:
     for condition in root.iter("Condition"):
         if condition.get("name", "").startswith("criteria_"):
             raise InputError(
-                f"{source}: the condition '{condition.get('name')}' would be the name of a class for ScenarioRunner,"
-                " which it would make; give it another name."
+                f"{source}: ScenarioRunner would take the condition '{condition.get('name')}' for the name of a class,"
+                " and create it; give it another name."
             )

@@ -183,12 +183,12 @@ def write_1_0(
         try:
             file.set("filepath", town or road_file)
         except ValueError as error:
-            raise InputError(f"{target}: its name is none that XML can hold; choose another one.") from error
+            raise InputError(f"{target}: its name has characters that XML cannot hold; choose another one.") from error
     wrong = schema_errors(root)
     if wrong is None:
         notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
     elif wrong:
-        raise InputError(f"{scenario.path}: cannot be said in OpenSCENARIO 1.0 ({wrong[0]}).")
+        raise InputError(f"{scenario.path}: cannot be expressed in OpenSCENARIO 1.0 ({wrong[0]}).")
     content = io.BytesIO()
     # Into memory: written to a file by lxml, what does not fit on the disk may be lost without a word.
     etree.ElementTree(root).write(content, encoding="utf-8", xml_declaration=True, pretty_print=True)
@@ -240,7 +240,7 @@ def concrete_tree(scenario: Scenario, values: Mapping[str, Value]) -> etree._Ele
     # Each is held against all others.
     if len(scenario.entities) > _MOST_ENTITIES:
         raise InputError(
-            f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MOST_ENTITIES} can be said."
+            f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MOST_ENTITIES} can be written."
         )
     root = etree.fromstring(etree.tostring(scenario.root))
     scope = Scope.of_file(str(scenario.path), scenario.root, [dict(values)], scenario.catalog_entry)
@@ -439,7 +439,7 @@ def _conditions(root: etree._Element, source: Path, notes: list[str]) -> None:
             element.set("rule", _RULES[str(rule)])
             notes.append(f"'{rule}' became '{_RULES[str(rule)]}', which may be true a time step later.")
         elif rule == "notEqualTo":
-            raise InputError(f"{source}: 'notEqualTo' of <{element.tag}> cannot be said in OpenSCENARIO 1.0.")
+            raise InputError(f"{source}: 'notEqualTo' of <{element.tag}> cannot be expressed in OpenSCENARIO 1.0.")
     for event in root.iter("Event"):
         if event.get("priority") == "override":
             event.set("priority", "overwrite")
@@ -456,7 +456,7 @@ def _synchronised(root: etree._Element, scenario: Scenario, notes: list[str]) ->
         steady = action.find("FinalSpeed")
         if steady is not None and steady.find("*/SteadyState") is not None:
             raise InputError(
-                f"{scenario.path}: a steady state of <SynchronizeAction> cannot be said in OpenSCENARIO 1.0."
+                f"{scenario.path}: a steady state of <SynchronizeAction> cannot be expressed in OpenSCENARIO 1.0."
             )
         if steady is not None:
             continue

@@ -129,7 +129,7 @@ class CarlaSimulator(Simulator):
         for entity, driver in (drivers or {}).items():
             if driver not in BEHAVIORS:
                 raise InputError(
-                    f"`drivers` {entity}: CARLA has no drivers of cornercase; {suggestion(str(driver), BEHAVIORS)}"
+                    f"`drivers` {entity}: CARLA has none of cornercase's drivers; {suggestion(str(driver), BEHAVIORS)}"
                 )
         if record not in ("client", "recorder"):
             raise InputError(f"record={record}: {suggestion(str(record), ('client', 'recorder'))}")
@@ -255,7 +255,8 @@ class CarlaSimulator(Simulator):
             vehicle = element.find("Vehicle")
             if vehicle is not None and vehicle.get("vehicleCategory") in _UNKNOWN:
                 raise InputError(
-                    f"{scenario.path}: '{name}' is a {vehicle.get('vehicleCategory')}, which CARLA does not have."
+                    f"{scenario.path}: '{name}' is a {vehicle.get('vehicleCategory')}, which CARLA does not have;"
+                    " use another category."
                 )
             driver = self._drivers.get(name, scenario.drivers.get(name, ""))
             if driver in BEHAVIORS:
@@ -318,7 +319,7 @@ class CarlaSimulator(Simulator):
         self._server.end_recording()
         if not path.is_file():
             raise SimulationError(
-                f"CARLA left no recording {path}; the server has to see that folder, give one by carla:folder="
+                f"CARLA left no recording {path}; the server needs access to that folder; name one with carla:folder="
             )
         try:
             whole = read_carla_log(path)

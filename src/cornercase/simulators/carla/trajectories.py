@@ -51,7 +51,7 @@ def sample(scenario: Scenario, values: Mapping[str, Value], time_step: float, du
     for k, name in enumerate(found.names):
         if not np.isfinite(found.x[k, 0]):
             raise InputError(
-                f"{scenario.path}: '{name}' is not there at the beginning, and ScenarioRunner needs all entities then;"
+                f"{scenario.path}: '{name}' does not exist at the beginning, when ScenarioRunner needs all entities;"
                 " give it a <TeleportAction> in <Init>."
             )
     return found

@@ -64,8 +64,8 @@ def warn_of_missing(scenario: Scenario) -> None:
     if missing:
         have = "has" if len(missing) == 1 else "have"
         warnings.warn(
-            f"{scenario.path}: {', '.join(missing)} {have} no <BoundingBox>, and CarMaker's result files tell no sizes;"
-            f" taken for a car of {_USUAL.length:g} m x {_USUAL.width:g} m",
+            f"{scenario.path}: {', '.join(missing)} {have} no <BoundingBox>, and CarMaker's result files hold no sizes;"
+            f" assumed to be a car of {_USUAL.length:g} m x {_USUAL.width:g} m",
             NoticeWarning,
             stacklevel=3,
         )

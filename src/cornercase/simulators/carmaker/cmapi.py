@@ -65,8 +65,8 @@ class CarMakerApi:
             # It may come up yet, and would hold its licence.
             self.close()
             raise InputError(
-                f"CarMaker does not start by IPG's cmapi ({str(error) or 'no answer'}); see to its installation and"
-                " licence, or use a CarMaker that runs already by carmaker:via=port."
+                f"CarMaker does not start by IPG's cmapi ({str(error) or 'no answer'}); check its installation and"
+                " licence, or use a running CarMaker with carmaker:via=port."
             ) from error
 
     def _live(self) -> None:
@@ -143,8 +143,8 @@ class CarMakerApi:
         written = before.written()
         if len(written) != 1:
             raise SimulationError(
-                f"CarMaker wrote {len(written)} result files in SimOutput, where one was awaited; let the TestRun store"
-                " its results, and let nothing else use the project"
+                f"CarMaker wrote {len(written)} result files in SimOutput, where one was expected; let the TestRun"
+                " store its results, and let nothing else use the project"
             )
         return written[0]
 

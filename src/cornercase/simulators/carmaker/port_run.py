@@ -143,7 +143,7 @@ class PortRun:
         if not name:
             raise SimulationError("CarMaker stored no result file; let the TestRun store its results")
         if not path.is_file():
-            raise SimulationError(f"{path}: cannot be read; see to it that project is the folder of CarMaker's project")
+            raise SimulationError(f"{path}: cannot be read; check that project is the folder of CarMaker's project")
         raise SimulationError(
             f"CarMaker names {path} as its last result, which was there before this run; let the TestRun store its"
             " results"
@@ -171,7 +171,7 @@ class PortRun:
         try:
             status = int(text)
         except ValueError:
-            raise SimulationError(f"CarMaker tells the status '{text}', which is no number") from None
+            raise SimulationError(f"CarMaker reports the status '{text}', which is not a number") from None
         if status == _LICENCE:
             raise InputError(
                 "CarMaker waits for a licence, or has lost its licence; restore the licence server and run the same"
@@ -193,5 +193,5 @@ def _word(value: Value) -> str:
     """A value as one Tcl word."""
     text = f"{value:.9g}" if isinstance(value, float) else str(value)
     if any(sign in text for sign in "{}\\\r\n"):
-        raise SimulationError(f"'{text}' has a sign that Tcl would take for its own")
+        raise SimulationError(f"'{text}' has a character with a meaning in Tcl")
     return text if text.replace(".", "").replace("-", "").replace("_", "").isalnum() else f"{{{text}}}"

@@ -97,7 +97,7 @@ class CarMakerSimulator(Simulator):
         speedup: float = 1.0,
     ) -> None:
         if drivers:
-            raise InputError("`drivers`: CarMaker has no drivers of cornercase; its own stands in the TestRun.")
+            raise InputError("`drivers`: CarMaker has none of cornercase's drivers; the TestRun names its own.")
         if on_collision != "continue":
             raise InputError("`on_collision` stop: in CarMaker a collision ends a run only where the TestRun says so.")
         if not testrun or not project:
@@ -114,16 +114,18 @@ class CarMakerSimulator(Simulator):
                 " installation to PYTHONPATH, or use carmaker:via=port."
             )
         if any(sign in testrun for sign in '"$[]{}\\;\r\n'):
-            raise InputError(f"The TestRun '{testrun}' has a sign in its name that Tcl would take for its own.")
+            raise InputError(f"The TestRun '{testrun}' has a character with a meaning in Tcl in its name.")
         if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
-            raise InputError(f"A duration of {duration:g} s at a speed-up of {speedup:g} cannot be; give both above 0.")
+            raise InputError(
+                f"A duration of {duration:g} s at a speed-up of {speedup:g} is not possible; give both above 0."
+            )
         self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
         self._host, self._port = address(hosts, port, worker)
         self._patience = duration / speedup + WAITING
         self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
         if self._api_wanted and worker >= len(projects):
             raise InputError(
-                f"`workers`: by cmapi each needs a CarMaker project of its own, and there are {len(projects)}; give"
+                f"`workers`: with cmapi each worker needs its own CarMaker project, and there are {len(projects)}; give"
                 " more as project=A+B, or use carmaker:via=port."
             )
         self._api: CarMakerApi | None = None
@@ -205,7 +207,7 @@ class CarMakerSimulator(Simulator):
         for name in scenario.entities:
             if not re.fullmatch(r"Ego|T\d{2,}", name):
                 raise InputError(
-                    f"{scenario.path}: '{name}' is no entity of CarMaker; call the ego and the TestRun's traffic"
+                    f"{scenario.path}: '{name}' is not an entity of CarMaker; call the ego and the TestRun's traffic"
                     " objects Ego, T00, T01, …, as its result files do."
                 )
         # Once a file.

@@ -135,7 +135,7 @@ def state_of(lib: ctypes.CDLL, one: int) -> State:
     """
     state = State()
     if lib.SE_GetObjectState(one, ctypes.addressof(state)) != 0:
-        raise InputError("esmini does not tell the state of one of its objects; take another version of it.")
+        raise InputError("esmini does not report the state of one of its objects; use another version.")
     return state
 
 
@@ -156,15 +156,13 @@ def require_layout(lib: ctypes.CDLL, one: int) -> None:
     size = ctypes.sizeof(State)
     buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL]) * (2 * size))
     if lib.SE_GetObjectState(one, ctypes.addressof(buffer)) != 0:
-        raise InputError("esmini does not tell the state of one of its objects; take another version of it.")
+        raise InputError("esmini does not report the state of one of its objects; use another version.")
     written = bytes(buffer)
     # The last field is an int, which is followed by padding up to the next multiple of 8.
     if written[size - 8 : size - 4] == bytes([_FILL]) * 4 or written[size:] != bytes([_FILL]) * size:
-        raise InputError(
-            "esmini's library has another layout than that of esmini 3.6, which this cornercase knows; take that one."
-        )
+        raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
     if State.from_buffer_copy(written[:size]).id != one:
-        raise InputError("esmini's library has another layout than that of esmini 3.6; take that one.")
+        raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
 
 
 def set_parameter(lib: ctypes.CDLL, name: str, value: Value, kind: str) -> int:

@@ -74,7 +74,7 @@ class EsminiSimulator(Simulator):
         library: str | None = None,
     ) -> None:
         if drivers:
-            raise InputError("`drivers`: esmini has no drivers of cornercase; its own stand in the scenario file.")
+            raise InputError("`drivers`: esmini has none of cornercase's drivers; its own stand in the scenario file.")
         self._path = library_path(library)
         self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
         self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)

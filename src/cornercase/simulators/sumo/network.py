@@ -96,6 +96,6 @@ def _netconvert() -> str:
         found = which("netconvert", path=str(Path(sumo.SUMO_HOME) / "bin"))
     if found is None:
         raise InputError(
-            "netconvert, which makes SUMO's network of OpenDRIVE, is missing; pip install 'cornercase[sumo]'."
+            "netconvert, which makes SUMO's network from OpenDRIVE, is missing; pip install 'cornercase[sumo]'."
         )
     return found

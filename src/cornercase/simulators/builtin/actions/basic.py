@@ -178,7 +178,7 @@ class ValueAction(Action):
         numeric = values[self._name].dtype.kind == "f"
         self._value = scope.number(given, "value") if numeric else np.full(scope.scenarios, scope.text(given, "value"))
         if not numeric and not self._set:
-            raise InputError(f"{where}: '{self._name}' is no number and can only be set.")
+            raise InputError(f"{where}: '{self._name}' is not a number and can only be set.")
 
     def start(self, world: World, where: BoolArray) -> None:
         values = self._values[self._name]

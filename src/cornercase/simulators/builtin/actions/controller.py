@@ -67,7 +67,7 @@ class Driving:
             if rows.any() and not timed:
                 acceleration = self._decided(self._situation(k, track, dt, rows))
                 lost = rows & ~np.isfinite(acceleration)
-                world.fail(lost, f"the driver of {world.names[e]} gave an acceleration that is no finite number")
+                world.fail(lost, f"the driver of {world.names[e]} gave an acceleration that is not a finite number")
                 speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
 

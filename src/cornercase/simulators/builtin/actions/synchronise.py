@@ -88,7 +88,7 @@ class SynchronizeAction(Action):
             self._of_final = FINAL_FACTOR if factor else FINAL_DIFFERENCE
         else:
             raise InputError(
-                f"{scope.source}, line {element.sourceline}: <FinalSpeed> is no <AbsoluteSpeed> or"
+                f"{scope.source}, line {element.sourceline}: <FinalSpeed> holds neither an <AbsoluteSpeed> nor a"
                 " <RelativeSpeedToMaster>."
             )
         distance, time = element.find("TargetDistanceSteadyState"), element.find("TargetTimeSteadyState")

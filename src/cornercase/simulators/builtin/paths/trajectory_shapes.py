@@ -100,7 +100,7 @@ def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: Po
     kind = None if shape is None else next(iter(shape.iterchildren("*")), None)
     if kind is None or kind.tag not in ("Polyline", "Clothoid", "ClothoidSpline", "Nurbs"):
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: a <Trajectory> is no <Polyline>, <Clothoid>,"
+            f"{scope.source}, line {element.sourceline}: a <Trajectory> is not a <Polyline>, <Clothoid>,"
             " <ClothoidSpline> or <Nurbs>."
         )
     closed = inner.flag(element, "closed", False)

@@ -43,7 +43,7 @@ class Watch:
     def __init__(self, state: str, scenarios: int, where: str) -> None:
         if state not in _STATES and state not in _TRANSITIONS:
             states = (*_STATES, *_TRANSITIONS)
-            raise InputError(f"{where}: '{state}' is no state of a storyboard element; {suggestion(state, states)}")
+            raise InputError(f"{where}: '{state}' is not a state of a storyboard element; {suggestion(state, states)}")
         self._state, self._transition = _STATES.get(state), _TRANSITIONS.get(state)
         # The element's state, and that which the condition knows of.
         self._latest, self._known = (np.full(scenarios, INIT, dtype=np.int8) for _ in range(2))
