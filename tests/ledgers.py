@@ -63,9 +63,9 @@ def _noted(entries: list[Entry]) -> list[str]:
     rows: dict[tuple[str, tuple[str, ...]], dict[str, list[str]]] = {}
     for entry in entries:
         rows.setdefault((entry.note, entry.unless), {}).setdefault(entry.element, []).append(entry.attribute)
-    lines = ["| what | why, and what instead | said unless it is |", "| --- | --- | --- |"]
+    lines = ["| what | why, and what to do instead | no notice if it is |", "| --- | --- | --- |"]
     for (note, unless), names in rows.items():
-        never = "never said" if unless == ("*",) else ", ".join(f"`{one}`" for one in unless)
+        never = "anything" if unless == ("*",) else ", ".join(f"`{one}`" for one in unless)
         whats = (
             ", ".join(f"`{one}`" for one in attributes if one) + (" of " if any(attributes) else "") + f"`{element}`"
             for element, attributes in names.items()

@@ -30,14 +30,18 @@ INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("1")}</Private>'
 HEAD = """
 # What cornercase reads of OpenDRIVE
 
-Road files of OpenDRIVE 1.4 to 1.8 are read. Each element and attribute of the standard is used, has no effect, or is
-refused. What a file holds that has no effect is named by `cornercase check`, and in a notice by `simulate` and
-`explore`; what is refused ends with its name, its line and exit code 2. What a file holds beyond the standard is named
-as not known. An element without effect, or refused, says so for all that it holds.
+cornercase reads road files of OpenDRIVE 1.4 to 1.8. It uses each element and attribute of the standard, ignores it with a
+notice, or refuses it.
 
-Beyond single elements it is named where roads climb or bank by more than 2 %, since vehicles drive in the plane; where
-lanes are for buses, taxis, trams or full cars only, since everybody may drive on them; and where two roads are linked
-but lie apart, since no way leads from one to the other.
+- **Without effect**: `cornercase check` lists what a file contains and cornercase ignores; `simulate` and `explore` print it as
+  notices. They also list what the standard does not know.
+- **Refused**: the command ends with exit code 2 and one sentence that names the element and its line.
+
+If an element is refused or without effect, the same holds for everything inside it.
+
+There are three more notices, which do not concern a single element: roads that climb or bank by more than 2 %, because vehicles
+drive in the plane; lanes for buses, taxis, trams or full cars only, because everybody may drive on them; and linked roads that do
+not touch, because no way leads from one to the other.
 """
 SCHEMAS = {
     "1.8.0": "OpenDRIVE_Core.xsd",
@@ -144,7 +148,7 @@ def test_check_names_what_of_a_road_has_no_effect(tmp_path):
     found = check(scenario)
     assert found.good
     assert [str(one) for one in found.notices if one.file.name == "road.xodr"] == [
-        "<controller> (road.xodr, line 1): vehicles heed no signs and lights of the road file"
+        "<controller> (road.xodr, line 1): vehicles ignore the signs and lights of the road file"
     ]
 
 

@@ -26,16 +26,17 @@ PAGE = Path(__file__).parents[2] / "docs" / "openscenario.md"
 
 HEAD = """# OpenSCENARIO, element by element
 
-What the builtin simulator does with each element and attribute of OpenSCENARIO XML 1.3. Files of versions 1.0 to 1.2 are read the
-same way.
+This page lists what the builtin simulator does with each element and attribute of OpenSCENARIO XML 1.3. It reads files of
+versions 1.0 to 1.2 in the same way.
 
-`cornercase check SCENARIO.xosc` names what of a file has no effect, with its lines and the reason; `simulate` and `explore` say it
-too, in Python as a `NoticeWarning`. They also name what this page does not know, such as elements of later versions or of other
-programs, and what stands where nothing reads it. What is refused ends the command with one sentence and exit code 2.
+- **Without effect**: `cornercase check SCENARIO.xosc` lists what a file contains and the simulator ignores, with lines and reasons.
+  `simulate` and `explore` print the same as notices (in Python a `NoticeWarning`). They also list elements that this page does not
+  know, such as those of later versions or other programs, and elements in places where nothing reads them.
+- **Refused**: the command ends with exit code 2 and one sentence.
 
-An element that is refused or without effect stands for all that it holds. This page is made from the table that the simulator
-itself goes by, `simulators/builtin/openscenario.csv`: run `PYTHONPATH=tests python tests/simulators/test_openscenario_ledger.py`
-after a change.
+If an element is refused or without effect, the same holds for everything inside it. This page is generated from the table
+that the simulator itself uses, `simulators/builtin/openscenario.csv`; after a change, run
+`PYTHONPATH=tests python tests/simulators/test_openscenario_ledger.py`.
 """
 
 

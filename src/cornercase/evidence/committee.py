@@ -40,8 +40,8 @@ class Committee:
 
     The first member learns from what happened in the runs. A score jumps where a scenario goes another way, such as
     where the other goes first; features of the recordings, as how near both come and when, tell the ways apart. So
-    Gaussian processes foretell the features of each scenario from those of all others, and extremely randomised trees
-    learn from the foretold features and the parameters what is critical. Where there are no features, the score stands
+    Gaussian processes predict the features of each scenario from those of all others, and extremely randomised trees
+    learn from the predicted features and the parameters what is critical. Where there are no features, the score stands
     for them. The second member is a random forest of the parameters, which follows jumps too; the third the
     `boundary_process`, which knows smooth boundaries best.
 
@@ -61,7 +61,7 @@ class Committee:
         What each column of the features is.
     seed : int, default 0
     foretold : bool, default False
-        Whether the last coordinate of points is what another study foretells, as of `Elsewhere`.
+        Whether the last coordinate of points is what another study predicts, as of `Elsewhere`.
 
     Attributes
     ----------
@@ -209,7 +209,7 @@ class Committee:
         return iter(folds.split(self._points, self._critical))
 
     def _grown(self, some: IntArray, count: int) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
-        """Trees of the foretold features, which tell kinds, and a forest of the parameters, which tells critical."""
+        """Trees of the predicted features, which tell kinds, and a forest of the parameters, which tells critical."""
         from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
 
         # Of all features the best one is taken at each fork: few of them tell the ways of a scenario apart.

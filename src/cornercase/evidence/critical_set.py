@@ -76,7 +76,7 @@ class CriticalSet:
     happened : tuple of (sequence of Feature, ndarray of float64, shape (n, f)), optional
         Features, and what they are in the recordings of `points`; NaN for a scenario that failed.
     elsewhere : Elsewhere, optional
-        What another study foretells. It is one more coordinate of the process, which leaves it out where it misleads;
+        What another study predicts. It is one more coordinate of the process, which leaves it out where it misleads;
         the correction is learned from the scenarios at hand alone.
 
     Raises

@@ -13,7 +13,7 @@ class Elsewhere:
 
     A `boundary_process` of the other study's scores says at each place how far its scenario is from the threshold, with
     0 at the threshold. A process of the scores at hand takes that for one more coordinate, `boundary_process` with
-    ``foretold``. Where the other study foretells them, the new process varies along this coordinate and little along
+    ``foretold``. Where the other study predicts them, the new process varies along this coordinate and little along
     the others, so that few scenarios are enough to learn how the one follows from the other; where it does not, the
     coordinate is left out.
 

@@ -1,4 +1,4 @@
-"""Features of recordings, foretold by Gaussian processes."""
+"""Features of recordings, predicted by Gaussian processes."""
 
 from __future__ import annotations
 
@@ -83,12 +83,12 @@ class Foretold:
                     self._each.append((kernel, _short(process.weights, kernel)))
                     left_out.append(process.leave_one_out()[0])
         by_others = np.array(left_out).reshape(-1, len(self._points)).T
-        # What the processes do not know they foretell without it anyway.
+        # What the processes do not know they predict without it anyway.
         self.left_out = by_others if known is None else self.predict(points)
         self.left_out[some] = by_others
 
     def predict(self, points: FloatArray) -> FloatArray:
-        """Foretell the features at points.
+        """Predict the features at points.
 
         Parameters
         ----------

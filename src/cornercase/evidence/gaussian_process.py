@@ -31,7 +31,7 @@ _LOWEST = 0.1
 _FAR = 0.02
 # Log-probability of what is left out, the process, and the number of coordinates that it may hang on.
 _Tried = tuple[float, "GaussianProcess", int]
-# Logarithm of the factor by which what another study foretells has to make scores likelier.
+# Logarithm of the factor by which what another study predicts has to make scores likelier.
 _FORETOLD = float(np.log(100.0))
 # Places at which both precisions are compared, and how far they may differ at most of them, in standard deviations.
 _COMPARED, _ALIKE, _MOST = 64, 0.1, 0.9
@@ -123,7 +123,7 @@ def boundary_process(
     which side of the threshold each scenario is that is left out, of 512 of them at most: by the others of these, and
     of more than 4,000 scenarios by the nearest of all. A function that is smooth all over is told best by what lies far
     from the threshold too, so two standard deviations are tried beside `nearness`; and the most critical tenth of the
-    scores is always near. What another study foretells is taken where that makes the scores that are left out 100 times
+    scores is always near. What another study predicts is taken where that makes the scores that are left out 100 times
     as likely.
 
     Parameters
@@ -134,7 +134,7 @@ def boundary_process(
         Not all the same.
     threshold : float
     foretold : bool, default False
-        Whether the last coordinate is what another study foretells, as of `Elsewhere`.
+        Whether the last coordinate is what another study predicts, as of `Elsewhere`.
 
     Returns
     -------

@@ -87,7 +87,7 @@ def learns_from_features(optimizer: str) -> bool:
 
 
 def elsewhere_of(study: Study, threshold: float) -> Elsewhere | None:
-    """What another study foretells, where the search of a study began from one.
+    """What another study predicts, where the search of a study began from one.
 
     Parameters
     ----------

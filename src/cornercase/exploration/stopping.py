@@ -112,7 +112,7 @@ class Stopping:
     audited : bool, default False
         Whether there are audits.
     elsewhere : Elsewhere, optional
-        What the study that the search began from foretells.
+        What the study that the search began from predicts.
 
     Raises
     ------

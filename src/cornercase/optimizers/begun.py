@@ -10,14 +10,14 @@ from cornercase._common.typing import FloatArray
 from cornercase.evidence import Elsewhere, encoded, with_foretold
 from cornercase.optimizers.candidates import CandidateOptimizer
 
-# Points from which on it is looked whether another study foretells their scores.
+# Points from which on it is looked whether another study predicts their scores.
 _BEGUN: Final = 10
 
 
 class BegunOptimizer(CandidateOptimizer):
-    """Takes what another study foretells for one more coordinate of its model (`Elsewhere`).
+    """Takes what another study predicts for one more coordinate of its model (`Elsewhere`).
 
-    Where that study foretells the scores of the first points, from ten on, the model is learned from them; else from as
+    Where that study predicts the scores of the first points, from ten on, the model is learned from them; else from as
     many as without it.
 
     Parameters are those of `CandidateOptimizer`, and the threshold up to which a scenario is critical.

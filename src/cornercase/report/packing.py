@@ -15,7 +15,7 @@ from cornercase.report.data import ReportData
 from cornercase.study import Study
 
 _IN_BLOCK: Final = 16
-# Recordings of which the size of all is foretold.
+# Recordings of which the size of all is predicted.
 _TRIED: Final = 64
 # Characters of the recordings that a page has, where all are few enough, and where only some are in it: with what else
 # there is of 20,000 scenarios, a page has less than 30 MB.

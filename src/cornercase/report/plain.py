@@ -229,7 +229,7 @@ def _sensitivity(found: Sensitivity) -> dict[str, Any]:
             }
             for name, first, firsts, total, totals in each
         },
-        "foretold": found.predicted,
+        "predicted variance": found.predicted,
         "of little influence": list(found.little),
     }
     if not found.foretold:
