@@ -283,7 +283,7 @@ def test_stumble_10_a_study_file_stands_for_many_options(searched, tmp_path, mon
             "'cluster' cannot stand in a study file; give --cluster on the command line",
         ),
         ('output = "../study.db"', "'output' cannot stand in a study file"),
-        ('budget = "3"', "'budget' is no whole number"),
+        ('budget = "3"', "'budget' is not a whole number"),
         ("critical = true", "'critical' is not a number"),
         ("ego = 3", "'ego' is not a text"),
         ("metric = [3]", "'metric' is not a list of texts"),

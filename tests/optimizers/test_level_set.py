@@ -251,7 +251,7 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
     assert shown["critical"]["scenarios"] == expected
     other = cornercase(*common, "--metric", "wttc", "--critical", "0.5", "--budget", "40", "-o", tmp_path / "own.db")
     assert other.returncode == 2
-    assert "another threshold" in other.stderr
+    assert "the threshold 1;" in other.stderr
     none = cornercase(*common, "--metric", "distance", "--budget", "40", "-o", tmp_path / "d.db")
     assert none.returncode == 2
     assert "give one with --critical" in none.stderr

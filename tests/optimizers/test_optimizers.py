@@ -200,7 +200,7 @@ def test_an_optimizer_of_another_package_gets_what_it_declares(monkeypatch):
     assert optimizer_needs("mine:gain=2") == {"threshold", "budget"}
     made: Any = create_optimizer("mine:gain=2", CUBE, 0, threshold=0.5, budget=30)
     assert made.given == (0.5, 30, 2)
-    with pytest.raises(InputError, match="what is critical"):
+    with pytest.raises(InputError, match="needs a threshold"):
         create_optimizer("mine", CUBE, 0, threshold=None, budget=30)
     monkeypatch.setitem(OPTIMIZERS._factories, "function", (lambda space, seed: None, {}))
     with pytest.raises(InputError, match="not a subclass"):
