@@ -115,9 +115,9 @@ def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
         ("own_drivers:Absent", "has no class 'Absent'"),
         ("own_drivers:constant", "has no class 'constant'"),
         ("own_drivers:Picky", "cannot be made without arguments"),
-        ("own_drivers:Engine", "is no driver"),
+        ("own_drivers:Engine", "is not a driver"),
         ("own_drivers:Forgetful", "cannot be made without arguments"),
-        ("own_drivers:Nameless", "is no driver"),
+        ("own_drivers:Nameless", "is not a driver"),
     ],
 )
 def test_what_is_no_driver_is_refused_in_one_sentence(name, says):

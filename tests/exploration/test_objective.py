@@ -66,7 +66,7 @@ def test_what_cannot_be_searched_is_refused(weights, pareto, words):
 def test_what_is_critical_needs_one_score():
     with pytest.raises(InputError, match="needs one score"):
         Objective([TTC, DRAC], pareto=True).threshold(1.0)
-    with pytest.raises(InputError, match="up to which weighted sum"):
+    with pytest.raises(InputError, match="the weighted sum up to which"):
         Objective([TTC, DRAC], {"ttc": 1.0}).threshold(None)
 
 
@@ -162,7 +162,7 @@ def test_an_explorer_stops_when_enough_is_known(tmp_path):
     with opened(tmp_path / "t.db") as study:
         never = ("missed<0.1", "unvisited(0.0001)<0.001")
         assert explorer(study, optimizer="sobol", budget=100, stop_when=never, **limit).run().ended == 100
-    with opened(tmp_path / "u.db") as study, pytest.raises(InputError, match="needs a threshold"):
+    with opened(tmp_path / "u.db") as study, pytest.raises(InputError, match="has no default threshold"):
         explorer(study, stop_when=never)
 
 

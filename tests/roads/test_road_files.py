@@ -30,7 +30,7 @@ def network(folder, *edits: tuple[str, str]) -> RoadNetwork:
         ("</OpenDRIVE>", ROAD[ROAD.index("<road ") :], "two roads have the same id"),
         ("<planView>", '<link><successor elementType="road" elementId="7" contactPoint="start"/></link><planView>',
          "road 1: is linked to the road 7, which does not exist"),
-        (LINE, "<loop/>", "is no line, arc, spiral, poly3 or paramPoly3"),
+        (LINE, "<loop/>", "is not a line, arc, spiral, poly3 or paramPoly3"),
         ('hdg="0" length="500"', 'hdg="0" length="0"', r"a <geometry> has the length 0(\.0)? m"),
         ('hdg="0" length="500"', 'hdg="here" length="500"', "hdg of <geometry> is 'here', not a finite number"),
         (ROAD[ROAD.index("<geometry") : ROAD.index("</planView>")], "", "has no <geometry>"),

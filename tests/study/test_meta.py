@@ -35,7 +35,7 @@ def test_what_was_written_is_read_back(meta):
         ({"settings": {}}, "other simulator settings"),
         ({"repeats": 1}, "another number of repeats"),
         ({"simulator": "other:host=a"}, "another simulator"),
-        ({"critical": 0.6}, r"the threshold \(0.5\)"),
+        ({"critical": 0.6}, r"the threshold 0.5"),
     ],
 )
 def test_a_study_of_something_else_is_refused(change, words):

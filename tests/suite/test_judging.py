@@ -168,7 +168,7 @@ def test_what_decides_is_the_robustness_and_changes_it(values, text):
     ("requirement", "words"),
     [
         ("no colision", "write 'no collision'"),
-        ("no collision with", "is no requirement"),
+        ("no collision with", "is not a requirement"),
         ("reach 3 within 5", "write 'reach X,Y"),
         ("reach 3,4 within 5 km", "the unit 'km' does not fit; give the time in s"),
         ("reach 3,4,0 within 5", "a radius and a time above 0"),

@@ -298,7 +298,7 @@ class StudyMeta:
             )
         if self.critical not in (None, other.critical):
             raise InputError(
-                f"{path}: was explored with the threshold {self.critical:g}; name another study with"
+                f"{path}: belongs to the threshold {self.critical:g}; name another study with"
                 " `study`, or give the same `critical`."
             )
         if same_budget and self.budget != other.budget:

@@ -67,7 +67,7 @@ def _checked(note: object) -> str:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        raise InputError("`note`: is not valid Unicode.") from None
+        raise InputError("`note`: holds half a character, which no file can hold.") from None
     if "\0" in text:
         raise InputError("`note`: holds the character 0, which no note can hold.")
     return text
