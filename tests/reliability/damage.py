@@ -26,7 +26,7 @@ BUDGET = 12
 # The clock is in the one, who writes in the other.
 _APART = ("elapsed", "lease")
 # What is said where what the study is about is gone, or a number in its head is that of something else.
-_REFUSED = ("cannot be restored", "nothing is left of one", "has schema version", "no cornercase study")
+_REFUSED = ("cannot be restored", "nothing is left of one", "has schema version", "not a cornercase study")
 _ANALYSED = ("analyses", "arrays", "outcomes", "tallies")
 
 

@@ -254,7 +254,7 @@ def test_a_suite_is_compared_with_the_study_that_it_was_reduced_from_alone(tmp_p
         assert found.space is None
     for origin in ("", "another", "first file"):
         other = written(tmp_path / f"other {origin}.db", GAPS[:5], GRID[:5], origin=origin, **suite)
-        with pytest.raises(InputError, match="are of (other|different)"):
+        with pytest.raises(InputError, match=r"are of (other|different)"):
             compared(explored, other)
 
 
