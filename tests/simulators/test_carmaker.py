@@ -285,7 +285,7 @@ def test_values_are_one_tcl_word(project):
         ({"StartSim": "close"}, "CarMaker closed the line in its answer to 'StartSim'", True),
         ({"GetLastResultFName": "Ocut"}, "CarMaker closed the line in its answer to 'GetLastResultFName'", True),
         ({"SimStatus": ["O-6\r\n\r\n"]}, "CarMaker ended the TestRun with a fatal error", True),
-        ({"SimStatus": "Owell\r\n\r\n"}, "tells the status 'well', which is not a number", False),
+        ({"SimStatus": "Owell\r\n\r\n"}, "reports the status 'well', which is not a number", False),
         ({"GetLastResultFName": "O\r\n\r\n"}, "stored no result file", False),
         ({"GetLastResultFName": "OSimOutput/none.erg\r\n\r\n"}, "cannot be read", False),
     ],
@@ -371,9 +371,9 @@ def test_explores(project):
     [
         ({"testrun": ""}, "needs a TestRun"),
         ({"project": "/no/such/folder"}, "no such folder"),
-        ({"testrun": "a[exit]"}, "Tcl would take"),
-        ({"port": 0}, "localhost:0 cannot be"),
-        ({"drivers": {"Ego": "normal"}}, "no drivers of cornercase"),
+        ({"testrun": "a[exit]"}, "a meaning in Tcl"),
+        ({"port": 0}, "localhost:0 is not possible"),
+        ({"drivers": {"Ego": "normal"}}, "none of cornercase's drivers"),
         ({"on_collision": "stop"}, "only where the TestRun says so"),
         ({"speedup": 0.0}, "both above 0"),
     ],
@@ -434,7 +434,7 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
     assert process.poll() is None
     simulator.close()
     assert process.wait(120) is not None
-    with pytest.raises(InputError, match=r"each needs a CarMaker project of its own, and there are 1; give more as"):
+    with pytest.raises(InputError, match=r"each worker needs its own CarMaker project, and there are 1; give more as"):
         CarMakerSimulator(testrun="Crossing", project=str(project), worker=1)
     CarMakerSimulator(testrun="Crossing", project=f"{project}+{project.parent}", worker=1)
     # The port can still be chosen.

@@ -68,15 +68,15 @@ BAD = {
     "another format": (lambda f: spoilt(f, format=3), "has the format 3"),
     "an early version": (lambda f: spoilt(f, format=None), "an earlier version of cornercase wrote it"),
     "imported": (lambda f: spoilt(f, simulator="imported"), "its recordings were imported"),
-    "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "with options; say yourself"),
-    "a file elsewhere": (lambda f: spoilt(f, files={"../../secret": "0"}), "is no file in its folder"),
-    "no JSON": (lambda f: (f / "manifest.json").write_text("{"), "is no JSON"),
-    "no manifest": (lambda f: (f / "manifest.json").write_text("[]"), "is no manifest"),
+    "options of a stranger": (lambda f: spoilt(f, simulator="esmini:library=evil.so"), "with options; give the simulator"),
+    "a file elsewhere": (lambda f: spoilt(f, files={"../../secret": "0"}), "is not a file in its folder"),
+    "no JSON": (lambda f: (f / "manifest.json").write_text("{"), "is not valid JSON"),
+    "no manifest": (lambda f: (f / "manifest.json").write_text("[]"), "is not a manifest"),
     "half a character": (lambda f: spoilt(f, study="\ud800.db"), "holds half a character"),
     "nothing in it": (lambda f: spoilt(f, space=None), "cannot be used as a manifest"),
     "no texts": (lambda f: spoilt(f, ego=3), "cannot be used as a manifest"),
     "a driver of somebody's own": (
-        lambda f: spoilt(f, settings={"drivers": {"Ego": {"class": "Mine"}}}), "say who drives",
+        lambda f: spoilt(f, settings={"drivers": {"Ego": {"class": "Mine"}}}), "give a driver",
     ),
     "values of nothing": (lambda f: spoilt_value(f, {}), "do not fit the parameters of its space"),
     "values that are too large": (lambda f: spoilt_value(f, {"ego_speed_mps": 10**400}), "manifest.json: "),
@@ -107,7 +107,7 @@ def test_a_suite_that_cannot_be_used_is_refused_in_a_sentence(case, reduced, tmp
         ({"require": ["tcc > 1.5"]}, "ttc"),
         ({"require": ["no collision with Pedestrian"]}, "has no entity 'Pedestrian'"),
         ({"require": ["no collision with Ego"]}, "is the ego itself"),
-        ({"require": ['for "\\ud800": no collision']}, "no pattern of names"),
+        ({"require": ['for "\\ud800": no collision']}, "not a pattern of names"),
         ({"require": ["no collision with \udcff"]}, "holds half a character"),
         ({"require": ["for x*.xosc: no collision"]}, "none of the files"),
         ({"metrics": ["tcc"]}, "did you mean 'ttc'"),
@@ -153,7 +153,7 @@ def test_a_name_that_is_no_text_is_refused(reduced, tmp_path):
     (reduced / "manifest.json").unlink()
     source = next(reduced.glob("*.xosc"))
     shutil.copy(source, os.fsencode(reduced) + b"/bad\xff.xosc")
-    with pytest.raises(cc.InputError, match="is no plain text; rename"):
+    with pytest.raises(cc.InputError, match="is not plain text; rename"):
         cc.test(reduced, tmp_path / "run.db", ego="Ego", other="C")
     with pytest.raises(cc.InputError, match="name the folder that it lies in"):
         cc.test(source, tmp_path / "run.db", ego="Ego", other="C")
@@ -162,7 +162,7 @@ def test_a_name_that_is_no_text_is_refused(reduced, tmp_path):
 def test_an_origin_that_is_named_has_to_be_one(explored, tmp_path):
     other = tmp_path / "other.db"
     explore_configuration(demonstration("x-intersection", budget=2), other)
-    with pytest.raises(cc.InputError, match="is no study that"):
+    with pytest.raises(cc.InputError, match="is not the study that"):
         cc.test(explored / "reduced", tmp_path / "run.db", against=other)
     with pytest.raises(cc.InputError, match="is the file that is read"):
         cc.test(explored / "reduced", explored / "study.db")
@@ -179,12 +179,12 @@ def test_a_damaged_study_to_compare_with_is_told_before_anything_is_run(reduced,
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("require = 'no collision'", "is no list of texts"),
+        ("require = 'no collision'", "is not a list of texts"),
         ("requires = ['no collision']", "did you mean 'require'"),
-        ("require = [", "is no TOML"),
+        ("require = [", "is not valid TOML"),
         ("", "holds no requirement"),
         ("[for]\n'a: b' = ['no collision']", "none of the files of"),
-        ("[for]\n' ' = ['no collision']", "is no pattern of file names"),
+        ("[for]\n' ' = ['no collision']", "is not a pattern of file names"),
         ("[kind]\n'no such *' = ['no collision']", "is of such a kind; there are "),
         ("kind = ['no collision']", "'kind' holds no lists by the pattern of names of kinds"),
     ],
@@ -200,8 +200,8 @@ def test_files_of_requirements_that_cannot_be_used_are_refused(content, words, e
     ("requirement", "words"),
     [
         ("no collision unless cautios collides", "did you mean 'cautious'"),
-        ("no collision unless cautious", "is no requirement"),
-        ("no collision unless collides", "is no requirement"),
+        ("no collision unless cautious", "is not a requirement"),
+        ("no collision unless collides", "is not a requirement"),
     ],
 )
 def test_a_reference_that_is_not_there_is_named_before_anything_is_run(explored, tmp_path, requirement, words):
