@@ -149,7 +149,7 @@ def test_all_lanes_of_roads_of_others_join():
             "above 0",
         ),
         ('id="1" length="500"', 'id="1" length="nan"', "finite"),
-        ("<line/>", "<wave/>", "no line, arc"),
+        ("<line/>", "<wave/>", "not a line, arc"),
         ('x="0"', 'x="NaN"', "finite"),
         (
             "<planView>",
