@@ -116,7 +116,7 @@ HOSTILE = {
     "no quantities": (erg(lambda _: ""), "names no quantity"),
     "half a record": (erg(data=lambda data: data[:-5]), "is cut in the middle"),
     "records of NaN": (erg(data=lambda data: data[:16] + b"\xff" * (len(data) - 16)), "a time that is not finite"),
-    "positions of 1e308": (erg(data=lambda data: data[:24] + b"\x7f" * (len(data) - 24)), "is read|not finite"),
+    "positions of 1e308": (erg(data=lambda data: data[:24] + b"\x7f" * (len(data) - 24)), "are read|not finite"),
     "no info": (without_info, "cannot be read"),
     "a packet of 4 GB": (carla(lambda data: data + struct.pack("<BI", 6, 0xFFFFFFFF)), CUT),
     "a count without content": (carla(lambda data: data + struct.pack("<BIH", 6, 2, 0xFFFF)), CUT),
