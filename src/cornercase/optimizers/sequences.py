@@ -56,7 +56,7 @@ class SequenceOptimizer(Optimizer):
         ndarray of float64, shape (m, d)
             None of them was told or is in `besides`; m < n only when the space has no more.
         """
-        while len(found := self._unseen.left(self._ahead, besides)) < n and self._lengthen():
+        while len(found := self._unseen.left(self._ahead, besides)) < n and self._lengthen(n - len(found)):
             pass
         return found[:n]
 
@@ -69,16 +69,19 @@ class SequenceOptimizer(Optimizer):
         self._unseen.tell(points)
         self._ahead = self._unseen.left(self._ahead)
 
-    def _lengthen(self) -> bool:
-        """Draw as many points again; False when there are no more."""
+    def _lengthen(self, missing: int) -> bool:
+        """Draw as many points again, or at least as many as are missing; False when there are no more."""
         size = self._space.size
         if self._over or self._drawn >= _MOST + 4 * len(self._unseen):
             return False
-        if size is not None and size <= _MOST // 4 and self._drawn >= 4 * size:
+        small = size is not None and size <= _MOST // 4
+        if size is not None and small and self._drawn >= 4 * size:
             points = np.random.default_rng(self._seed).permutation(self._space.lattice())
             self._over = True
         else:
             count = max(_CHUNK, self._drawn)
+            while not small and count < min(missing, _MOST):
+                count *= 2
             self._drawn += count
             points = self._draw(count)
         self._ahead = np.concatenate([self._ahead, self._unseen.among(points, besides=self._ahead)])
