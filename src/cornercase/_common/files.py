@@ -11,7 +11,7 @@ from typing import Final
 
 from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
-from cornercase._common.pending_files import pending_files, unwritten
+from cornercase._common.pending_files import OF_SQLITE, pending_files, unwritten
 
 # What a file name of Windows must not have in it and what a terminal takes for orders, the names of its devices, and
 # how long a name may be: file systems take 255 bytes, of which an ending and a temporary name need some.
@@ -117,8 +117,8 @@ def written_whole(path: Path | str) -> Iterator[Path]:
             raise unwritten(path, error) from error
 
 
-# What SQLite and the lock of a study add to its name.
-_BESIDE: Final = ("-wal", "-shm", "-journal", ".lock")
+# What SQLite and the lock of a study of earlier versions add to its name.
+_BESIDE: Final = (*OF_SQLITE, ".lock")
 
 
 def require_other_file(output: Path | str, source: Path | str, name: str = "output") -> None:

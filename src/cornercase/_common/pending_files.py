@@ -22,10 +22,10 @@ from cornercase._common.platform import force_file, force_folder, is_process, ne
 _AT_ONCE: Final = 16
 # Characters of a file's name in its temporary one, which may be no longer than 255 bytes.
 _OF_THE_NAME: Final = 50
-# What SQLite writes beside a database.
-_OF_SQLITE: Final = ("-journal", "-wal", "-shm")
+OF_SQLITE: Final = ("-journal", "-wal", "-shm")
+"""How the names of files end that SQLite writes beside a database."""
 # How temporary names end.
-_LEFT: Final = re.compile(rf"\.[0-9a-f]{{8}}-(\d{{1,9}})-[a-z0-9_]{{8}}({'|'.join(_OF_SQLITE)})?$")
+_LEFT: Final = re.compile(rf"\.[0-9a-f]{{8}}-(\d{{1,9}})-[a-z0-9_]{{8}}({'|'.join(OF_SQLITE)})?$")
 
 
 class PendingFiles:
@@ -105,7 +105,7 @@ class PendingFiles:
     def discard(self) -> None:
         """Remove what has no name yet, and the folders that were made for it."""
         for temporary in self._temporary.values():
-            for ending in ("", *_OF_SQLITE):
+            for ending in ("", *OF_SQLITE):
                 with suppress(OSError):
                     temporary.with_name(temporary.name + ending).unlink(missing_ok=True)
         for folder in reversed(self._made):

@@ -19,6 +19,7 @@ from cornercase._common.arguments import path, whole_number
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit, size_in_words, state_need
+from cornercase._common.pending_files import OF_SQLITE
 from cornercase.drivers import Driver
 from cornercase.exploration.again import configuration_of, require_same_runs
 from cornercase.exploration.asynchronous import AsynchronousExplorer
@@ -30,8 +31,6 @@ from cornercase.scenario import Scenario
 from cornercase.study import IMPORTED, Remains, Row, Study, rebuild, require_alone, verify
 
 _DAMAGED: Final = ".damaged"
-# What SQLite keeps beside a file.
-_OF_SQLITE: Final = ("-wal", "-shm", "-journal")
 # Its rows, and those of a table that is read once more.
 _COPIES: Final = 1.5
 
@@ -111,23 +110,20 @@ def repair(
     if verify(file).sound:
         return Repaired(file, None, (), ())
     require_alone(file)
-    need = _COPIES * file.stat().st_size
-    limit.require(need, f"the contents of a study of {size_in_words(file.stat().st_size)}", "give more")
+    size = file.stat().st_size
+    need = _COPIES * size
+    limit.require(need, f"the contents of a study of {size_in_words(size)}", "give more")
     state_need("The contents of the study", need)
     with _said(file), written_whole(file) as made:
-        try:
-            made.unlink()
-            remains = rebuild(file, made)
-            lost = list(remains.lost)
-            if remains.again or not remains.counted:
-                _require_runnable(file, remains)
-                _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
-            if not remains.counted:
-                lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
-            lost += _still_other(made, remains)
-        finally:
-            for ending in _OF_SQLITE:
-                made.with_name(made.name + ending).unlink(missing_ok=True)
+        made.unlink()
+        remains = rebuild(file, made)
+        lost = list(remains.lost)
+        if remains.again or not remains.counted:
+            _require_runnable(file, remains)
+            _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
+        if not remains.counted:
+            lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
+        lost += _still_other(made, remains)
         # It may have taken long.
         require_alone(file)
         kept = _keep(file)
@@ -153,7 +149,7 @@ def _keep(file: Path) -> Path:
         # Not all file systems have such names.
         with written_whole(kept) as copy:
             shutil.copyfile(file, copy)
-    for ending in _OF_SQLITE:
+    for ending in OF_SQLITE:
         beside = file.with_name(file.name + ending)
         if beside.exists():
             os.replace(beside, kept.with_name(kept.name + ending))
@@ -165,7 +161,7 @@ def _take_back(file: Path) -> None:
     for kept in takewhile(Path.exists, _names(file)):
         if not kept.samefile(file):
             continue
-        for ending in _OF_SQLITE:
+        for ending in OF_SQLITE:
             beside = kept.with_name(kept.name + ending)
             if beside.exists():
                 os.replace(beside, file.with_name(file.name + ending))

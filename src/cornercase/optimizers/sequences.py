@@ -74,13 +74,13 @@ class SequenceOptimizer(Optimizer):
         size = self._space.size
         if self._over or self._drawn >= _MOST + 4 * len(self._unseen):
             return False
-        small = size is not None and size <= _MOST // 4
-        if size is not None and small and self._drawn >= 4 * size:
+        listed = size if size is not None and size <= _MOST // 4 else None
+        if listed is not None and self._drawn >= 4 * listed:
             points = np.random.default_rng(self._seed).permutation(self._space.lattice())
             self._over = True
         else:
             count = max(_CHUNK, self._drawn)
-            while not small and count < min(missing, _MOST):
+            while listed is None and count < min(missing, _MOST):
                 count *= 2
             self._drawn += count
             points = self._draw(count)

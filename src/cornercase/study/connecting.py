@@ -12,6 +12,7 @@ from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.locks import taken_lock
+from cornercase._common.pending_files import OF_SQLITE
 from cornercase.study.damage import DamageError
 from cornercase.study.migrations import OLD_TABLES, migrate, schema_version
 from cornercase.study.schema import ALWAYS, APPLICATION, SCHEMA_VERSION, STATEMENTS
@@ -355,7 +356,7 @@ def remove_log(path: Path) -> None:
     """
     # SQLite would take it into the new one.
     try:
-        for ending in ("-wal", "-shm", "-journal"):
+        for ending in OF_SQLITE:
             path.with_name(path.name + ending).unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
