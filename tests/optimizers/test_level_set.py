@@ -15,7 +15,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 from command_line import SPACE, X, cornercase
 from conftest import at_night
 from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, encoded
-from cornercase.evidence.kernel import _loss
+from cornercase.evidence.kernel import _Loss
 from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.optimizers.dips import below_dips
@@ -219,12 +219,13 @@ def test_the_gradient_of_the_likelihood_is_its_derivative():
     points, values = rng.random((20, 2)), rng.normal(size=20)
     squares: Any = ((points.T[:, :, None] - points.T[:, None]) ** 2).reshape(2, -1)
     at = np.log([0.3, 0.8, 1.2, 0.2])
+    likelihood = _Loss(squares, values)
 
     def loss(place):
-        return _loss(place, squares, values)[0]
+        return likelihood(place)[0]
 
     numeric = approx_fprime(at, loss, 1e-6)
-    np.testing.assert_allclose(_loss(at, squares, values)[1], numeric, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(likelihood(at)[1], numeric, rtol=1e-4, atol=1e-4)
 
 
 def test_the_number_of_threads_does_not_show(monkeypatch):

@@ -139,46 +139,69 @@ def learned_kernel(
     if start is not None:
         begin = np.append(start.widths, (start.signal, start.noise))
     some = chosen(len(values), int(np.clip(_LEARNED * dims, _FEWEST, _MOST)), rare)
-    squares = ((points.T[:, some, None] - points.T[:, None, some]) ** 2).reshape(dims, -1)
+    squares = np.square(points.T[:, some, None] - points.T[:, None, some]).reshape(dims, -1)
     found = minimize(
-        _loss, np.clip(np.log(begin), *bounds.T), (squares, values[some]), jac=True, method="L-BFGS-B",
+        _Loss(squares, values[some]), np.clip(np.log(begin), *bounds.T), jac=True, method="L-BFGS-B",
         bounds=[(low, high) for low, high in bounds.tolist()], options={"maxiter": 50},
     )  # fmt: skip
     *widths, signal, noise = np.exp(found.x).tolist()
     return Kernel(np.array(widths), signal, noise)
 
 
-def _loss(parameters: FloatArray, squares: FloatArray, values: FloatArray) -> tuple[float, FloatArray]:
-    """Negative logarithm of the marginal likelihood and the prior, and its gradient; squares of shape (e, n n)."""
-    *logs, log_signal, log_noise = parameters
-    count = len(values)
-    narrow, signal2, noise2 = np.exp(-2.0 * np.array(logs)), np.exp(2.0 * log_signal), np.exp(2.0 * log_noise)
-    scaled = _ROOT5 * np.sqrt(narrow @ squares)
-    fall = np.exp(-scaled)
-    # The derivative of the correlation by the logarithm of a width, divided by the square.
-    slope = (1.0 + scaled) * fall
-    correlation = slope + (scaled * scaled) * fall * (1.0 / 3.0)
-    covariance = (signal2 * correlation).reshape(count, count)
-    covariance[np.diag_indices(count)] += noise2
-    try:
-        lower = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
-    except LinAlgError:
-        return 1e25, np.zeros_like(parameters)
-    # Of a copy: NumPy's logarithm of a strided array depends, in its last digit, on where its result lies in memory.
-    determinant = np.log(np.diag(lower).copy()).sum()
-    inverse = dpotri(lower, lower=1)[0]
-    inverse += np.tril(inverse, -1).T
-    weights = inverse @ values
-    outer = np.outer(weights, weights) - inverse
-    flat = outer.ravel()
-    gradient = np.empty_like(parameters)
-    gradient[:-2] = squares @ (flat * slope) * narrow * (signal2 * 5.0 / 6.0)
-    gradient[-2] = flat @ correlation * signal2
-    gradient[-1] = np.trace(outer) * noise2
-    likelihood = -0.5 * values @ weights - determinant
-    away = (np.asarray(logs) - np.log(_MEDIAN * np.sqrt(len(logs)))) / _SPREAD
-    gradient[:-2] -= away / _SPREAD
-    return float(-(likelihood - 0.5 * away @ away)), -gradient
+class _Loss:
+    """Negative logarithm of the marginal likelihood and the prior, and its gradient.
+
+    Parameters
+    ----------
+    squares : ndarray of float64, shape (e, n * n)
+        Squared differences of all pairs of points.
+    values : ndarray of float64, shape (n,)
+    """
+
+    def __init__(self, squares: FloatArray, values: FloatArray) -> None:
+        self._squares, self._values = squares, values
+        # Used by all calls: to hand memory back and take it anew costs more than to compute what goes into it.
+        self._work = np.empty((5, squares.shape[1]))
+
+    def __call__(self, parameters: FloatArray) -> tuple[float, FloatArray]:
+        *logs, log_signal, log_noise = parameters
+        squares, values, count = self._squares, self._values, len(self._values)
+        narrow, signal2, noise2 = np.exp(-2.0 * np.array(logs)), np.exp(2.0 * log_signal), np.exp(2.0 * log_noise)
+        correlation, slope, flat, fall = self._work[:4]
+        scaled = np.matmul(narrow, squares, out=flat)
+        np.sqrt(scaled, out=scaled)
+        scaled *= _ROOT5
+        np.exp(np.negative(scaled, out=fall), out=fall)
+        # The derivative of the correlation by the logarithm of a width, divided by the square.
+        np.multiply(np.add(scaled, 1.0, out=slope), fall, out=slope)
+        np.multiply(scaled, scaled, out=correlation)
+        correlation *= fall
+        correlation *= 1.0 / 3.0
+        correlation += slope
+        # Column by column, as LAPACK works in place on it then.
+        covariance = np.multiply(correlation, signal2, out=fall).reshape(count, count).T
+        covariance[np.diag_indices(count)] += noise2
+        try:
+            lower = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+        except LinAlgError:
+            return 1e25, np.zeros_like(parameters)
+        # Of a copy: NumPy's logarithm of a strided array depends, in its last digit, on where its result lies in
+        # memory.
+        determinant = np.log(np.diag(lower).copy()).sum()
+        half = dpotri(lower, lower=1, overwrite_c=1)[0]
+        inverse = np.add(half, half.T, out=self._work[4].reshape(count, count).T)
+        np.fill_diagonal(inverse, np.diag(half))
+        weights = inverse @ values
+        outer = np.outer(weights, weights, out=flat.reshape(count, count))
+        outer -= inverse
+        gradient = np.empty_like(parameters)
+        gradient[-2] = flat @ correlation * signal2
+        gradient[-1] = np.trace(outer) * noise2
+        gradient[:-2] = squares @ np.multiply(flat, slope, out=slope) * narrow * (signal2 * 5.0 / 6.0)
+        likelihood = -0.5 * values @ weights - determinant
+        away = (np.asarray(logs) - np.log(_MEDIAN * np.sqrt(len(logs)))) / _SPREAD
+        gradient[:-2] -= away / _SPREAD
+        return float(-(likelihood - 0.5 * away @ away)), -gradient
 
 
 def _distances(a: Floats, b: Floats) -> Floats:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cornercase._common.threads import one_thread
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.optimizers.base import Optimizer
 from cornercase.optimizers.sequences import SobolOptimizer
@@ -56,6 +57,10 @@ class CandidateOptimizer(Optimizer):
 
     def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose points, as in `Optimizer.ask_beside`: the model knows of `pending` where it is run, and no lie."""
+        with one_thread():
+            return self._ask(n, pending)
+
+    def _ask(self, n: int, pending: FloatArray) -> FloatArray:
         scores = self._scores[self._known]
         if not self._begins() or len(scores) < _FEWEST or np.ptp(scores) == 0.0:
             return self._sequence.ask(n, besides=pending)

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
@@ -93,7 +93,6 @@ class LevelSetOptimizer(BegunOptimizer):
         self._process: GaussianProcess
         self._candidates: FloatArray
         self._everywhere: FloatArray
-        self._tree: cKDTree
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Take scores, shape (m,), of points, shape (m, d), as in `Optimizer.tell`."""
@@ -104,7 +103,9 @@ class LevelSetOptimizer(BegunOptimizer):
         self._process = boundary_process(
             self._coordinates(points), scores, self.threshold, foretold=self._elsewhere is not None
         )
-        candidates = SobolOptimizer(self._space, seed).ask(self._count, besides=points)
+        sequence = SobolOptimizer(self._space, seed)
+        sequence.tell(points, scores)
+        candidates = sequence.ask(self._count)
         mean, deviation = self._process.predict(self._coordinates(candidates))
         likely = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
         self._filling = min(self._least * float(np.interp(_open(likely), _OPEN, _TIMES)), 1.0)
@@ -113,7 +114,7 @@ class LevelSetOptimizer(BegunOptimizer):
             best = best[: 2 * _KEPT]
             best = best[self._runs(candidates[best])]
         self._candidates = candidates[np.sort(best[:_KEPT])]
-        self._everywhere, self._tree = candidates, cKDTree(encoded(self._space, candidates))
+        self._everywhere = candidates
 
     def _runs(self, candidates: FloatArray) -> BoolArray:
         """Tell which candidates are not likely to fail, by a process of what has failed."""
@@ -136,7 +137,11 @@ class LevelSetOptimizer(BegunOptimizer):
         if most == 0:
             return filling[:0]
         places = below_dips(encoded(self._space, self._points), self._scores, self.threshold, most)
-        return self._unseen.left(self._everywhere[self._tree.query(places)[1]], besides=filling)
+        if not len(places) or not len(self._everywhere):
+            return filling[:0]
+        # They are too few for a tree of all candidates.
+        nearest = cdist(places, encoded(self._space, self._everywhere), "sqeuclidean").argmin(axis=1)
+        return self._unseen.left(self._everywhere[nearest], besides=filling)
 
     def _at_boundary(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         """Points of this round where it is least known whether they are critical; parameters as of `_choose`."""

@@ -56,7 +56,7 @@ class SequenceOptimizer(Optimizer):
         ndarray of float64, shape (m, d)
             None of them was told or is in `besides`; m < n only when the space has no more.
         """
-        while len(found := self._unseen.left(self._ahead, besides)) < n and self._lengthen(n - len(found)):
+        while len(found := self._left(besides)) < n and self._lengthen(n - len(found)):
             pass
         return found[:n]
 
@@ -68,6 +68,10 @@ class SequenceOptimizer(Optimizer):
         """Leave these points, shape (m, d), out from now on; the scores are not looked at."""
         self._unseen.tell(points)
         self._ahead = self._unseen.left(self._ahead)
+
+    def _left(self, besides: FloatArray | None) -> FloatArray:
+        # What is ahead was never told, and is looked through again only where there is something to leave out.
+        return self._ahead if besides is None or not len(besides) else self._unseen.left(self._ahead, besides)
 
     def _lengthen(self, missing: int) -> bool:
         """Draw as many points again, or at least as many as are missing; False when there are no more."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cornercase._common.rows import row_keys
+from cornercase._common.rows import row_keys, surely_distinct
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import ParameterSpace
 
@@ -50,8 +50,10 @@ class Unseen:
     def left(self, points: FloatArray, besides: FloatArray | None = None) -> FloatArray:
         """As `among`, of points that are snapped and within the constraints already."""
         left_out = self._told if besides is None else self._told | _keys(self._space.snap(besides))
-        # Of equal points the first stays, as the last one that is put in: in plain calls, as there are 100,000 points.
+        if surely_distinct(points, left_out):
+            return points
         keys = row_keys(points)
+        # Of equal points the first stays, as the last one that is put in: in plain calls, as there are 100,000 points.
         first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
         for key in left_out & first.keys():
             del first[key]
