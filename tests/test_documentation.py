@@ -164,7 +164,9 @@ def test_the_cheap_commands_run_where_their_files_are(page, checkout):
     for block, line in COMMANDS:
         command = shlex.split(line)[1:]
         if block.page == page and command[0] in CHEAP and "…" not in line:
-            files = [value for name, value in parsed(line).items() if isinstance(value, Path) and name != "output"]
+            given = [value for name, value in parsed(line).items() if name != "output"]
+            several = [one for value in given if isinstance(value, list | tuple) for one in value]
+            files = [value for value in (*given, *several) if isinstance(value, Path)]
             if all(file.exists() for file in files):
                 result = CliRunner().invoke(app, command)
                 assert result.exit_code == 0, f"{block.place}: {result.output}"

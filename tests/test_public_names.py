@@ -9,12 +9,12 @@ import cornercase
 
 FUNCTIONS = (
     "analyze", "check", "compare", "convert", "estimate", "explore", "import_recordings", "measure", "read_recording", "reduce", "replay", "simulate",
-    "summarize", "test", "watch", "write_report",
+    "simulate_many", "summarize", "test", "watch", "write_report",
 )  # fmt: skip
 TYPES = (
     "Analysis", "Check", "Comparison", "ConcreteScenario", "Conversion", "Driver", "Estimation", "ExplorationResult", "ImportResult", "LogicalScenario",
     "Measurement", "Metric", "Optimizer", "Parameter", "ParameterSpace", "Recording", "ReducedSet", "ScenarioClustering",
-    "Simulator", "Study", "SuiteResult", "Summary",
+    "SimulatedFolder", "Simulator", "Study", "SuiteResult", "Summary",
 )  # fmt: skip
 REGISTRIES = ("DRIVERS", "METRICS", "OPTIMIZERS", "SIMULATORS")
 ERRORS = ("InputError", "NoticeWarning", "SimulationError")

@@ -33,10 +33,12 @@ from .scenario import ParameterSpace as ParameterSpace
 from .simulators import SIMULATORS as SIMULATORS
 from .simulators import Check as Check
 from .simulators import Conversion as Conversion
+from .simulators import SimulatedFolder as SimulatedFolder
 from .simulators import Simulator as Simulator
 from .simulators import check as check
 from .simulators import convert as convert
 from .simulators import simulate as simulate
+from .simulators import simulate_many as simulate_many
 from .study import ImportResult as ImportResult
 from .study import Study as Study
 from .study import import_recordings as import_recordings

@@ -107,6 +107,14 @@ def merged(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     return tuple(Notice(tuple(names), why, file, tuple(sorted(lines))) for (file, why), (names, lines) in found.items())
 
 
+def distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    """Notices of which those of the same parts for one reason are one, that of the first file."""
+    found: dict[tuple[tuple[str, ...], str], Notice] = {}
+    for notice in notices:
+        found.setdefault((notice.what, notice.why), notice)
+    return tuple(found.values())
+
+
 def warn_of(notices: Iterable[Notice]) -> None:
     """Give each notice as a `NoticeWarning` of whoever called cornercase."""
     level, frame = 1, sys._getframe()

@@ -12,7 +12,7 @@ from cornercase._common.platform import forgive_narrow_output
 
 # Their order is that of the commands in the help.
 # isort: off
-from cornercase.cli import running, studies, testing, estimating, comparing, verifying, warming
+from cornercase.cli import running, simulating, studies, testing, estimating, comparing, verifying, warming
 
 # isort: on
 from cornercase.cli.failures import exit_code_of
@@ -22,7 +22,9 @@ from cornercase.cli.options import app, debugging
 # Python begins with 700: what packages bring with them stays, and would be looked through three times as it is loaded.
 _OBJECTS_BETWEEN_COLLECTIONS: Final = 10_000
 
-__all__ = ["app", "comparing", "estimating", "main", "running", "studies", "testing", "verifying", "warming"]
+__all__ = [
+    "app", "comparing", "estimating", "main", "running", "simulating", "studies", "testing", "verifying", "warming",
+]  # fmt: skip
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -162,11 +163,16 @@ def tell_ending(result: ExplorationResult) -> None:
         raise typer.Exit(exit_code())
     failed = f", {result.failed} of which failed" if result.failed else ""
     out.print(f"{result.ended} scenarios in {result.study}{failed}; ended because {result.reason}.")
-    for reason, count in list(result.reasons.items())[:_REASONS]:
-        out.print(f"  {count} failed: {shorten(reason, _LONGEST_REASON)}")
-    if len(result.reasons) > _REASONS:
-        out.print(f"  and {sum(list(result.reasons.values())[_REASONS:])} more, for other reasons; 'show' tells all.")
+    tell_reasons(result.reasons, "; 'show' tells all")
     for sentence in result.alike:
         out.print(sentence)
     if result.failed and not result.done:
         raise typer.Exit(1)
+
+
+def tell_reasons(reasons: Mapping[str, int], more: str = "") -> None:
+    """Say how many scenarios failed for which reason, the most frequent first, and where more is told."""
+    for reason, count in list(reasons.items())[:_REASONS]:
+        out.print(f"  {count} failed: {shorten(reason, _LONGEST_REASON)}")
+    if len(reasons) > _REASONS:
+        out.print(f"  and {sum(list(reasons.values())[_REASONS:])} more, for other reasons{more}.")

@@ -290,47 +290,6 @@ def convert_(
 
 
 @app.command()
-def simulate(
-    scenario: ScenarioFile,
-    *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.csv", help="Recording to write.")],
-    values: Values = None,
-    time_step: TimeStep = 0.05,
-    duration: Duration = 60.0,
-    on_collision: OnCollision = "continue",
-    driver: Drivers = None,
-    simulator: SimulatorName = "builtin",
-    ego: Annotated[str, typer.Option(help="Entity under test, for a simulator that needs to know it.")] = "Ego",
-    timeout: Timeout = None,
-) -> None:
-    """Run one concrete scenario and write its recording.
-
-    \b
-    Example:
-      cornercase simulate examples/x_intersection/x_intersection.xosc \\
-          --set ego_start=40 -o recording.csv
-    """
-    from cornercase import simulators
-
-    require_other_file(output, scenario)
-    recording = simulators.simulate(
-        scenario,
-        parsing.pairs(values or (), "--set"),
-        time_step=time_step,
-        duration=duration,
-        on_collision=on_collision,
-        drivers=parsing.pairs(driver or (), "--driver"),
-        simulator=simulator,
-        ego=ego,
-        timeout=timeout,
-    )
-    recording.to_csv(output)
-    out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
-    for collision in recording.collisions:
-        out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
-
-
-@app.command()
 def measure(
     recording: Annotated[
         Path,

@@ -20,6 +20,9 @@ from .parameter import Value as Value
 from .parcel import ScenarioParcel as ScenarioParcel
 from .scope import Scope as Scope
 from .space import ParameterSpace as ParameterSpace
+from .value_table import FILE_COLUMN as FILE_COLUMN
+from .value_table import ValueRow as ValueRow
+from .value_table import read_value_table as read_value_table
 from .varied_roads import with_roads as with_roads
 from .varies import VariesError as VariesError
 from .xml import parse_xml as parse_xml

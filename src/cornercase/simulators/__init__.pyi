@@ -14,6 +14,8 @@ from .outcomes import outcomes_of as outcomes_of
 from .registry import SIMULATORS as SIMULATORS
 from .registry import availabilities as availabilities
 from .simulating import simulate as simulate
+from .simulating_many import SimulatedFolder as SimulatedFolder
+from .simulating_many import simulate_many as simulate_many
 from .starting import start_simulator as start_simulator
 from .streams import SimulatorStream as SimulatorStream
 from .sumo.simulator import SumoSimulator as SumoSimulator

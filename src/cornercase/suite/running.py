@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.interrupts import noted_interrupts
-from cornercase._common.ledger import Notice, warn_of
+from cornercase._common.ledger import distinct, warn_of
 from cornercase._common.progress import ProgressBar
 from cornercase.metrics import METRICS, Metric, measured
 from cornercase.simulators import SIMULATORS, Simulator, outcomes_of
@@ -77,11 +77,7 @@ def run_suite(
 def _warn(suite: SuiteContents, simulator: Simulator) -> None:
     """Tell what of the files has no effect; what is the same in several once."""
     notices = SIMULATORS.class_of(simulator.name).notices
-    found: dict[tuple[tuple[str, ...], str], Notice] = {}
-    for one in suite.scenarios:
-        for notice in notices(one.scenario):
-            found.setdefault((notice.what, notice.why), notice)
-    warn_of(found.values())
+    warn_of(distinct(notice for one in suite.scenarios for notice in notices(one.scenario)))
 
 
 def _run(

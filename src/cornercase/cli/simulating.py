@@ -1,0 +1,127 @@
+"""The command that runs concrete scenarios."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cornercase._common.errors import InputError
+from cornercase._common.files import require_other_file
+from cornercase.cli import parsing
+from cornercase.cli.options import (
+    Cluster,
+    Drivers,
+    Duration,
+    OnCollision,
+    Retries,
+    SimulatorName,
+    Timeout,
+    TimeStep,
+    Values,
+    Workers,
+    app,
+    out,
+    tell_reasons,
+)
+
+if TYPE_CHECKING:
+    from cornercase.simulators import SimulatedFolder
+
+
+@app.command()
+def simulate(
+    scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO.xosc…", help="OpenSCENARIO files.")],
+    *,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE.csv|DIR", help="Recording to write; of several a folder."),
+    ],
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--parameters",
+            metavar="FILE.csv",
+            help="Run one concrete scenario for each line: a column for each parameter, and 'file' to name recordings.",
+        ),
+    ] = None,
+    values: Values = None,
+    time_step: TimeStep = 0.05,
+    duration: Duration = 60.0,
+    on_collision: OnCollision = "continue",
+    driver: Drivers = None,
+    simulator: SimulatorName = "builtin",
+    ego: Annotated[str, typer.Option(help="Entity under test, for a simulator that needs to know it.")] = "Ego",
+    workers: Workers = 1,
+    cluster: Cluster = None,
+    timeout: Timeout = None,
+    retries: Retries = 1,
+) -> None:
+    """Run concrete scenarios and write their recordings.
+
+    Several scenarios, or one with --parameters, go into a folder that import can read. The same command again makes
+    the recordings that are missing; exit code 1: some could not be run.
+
+    \b
+    Example:
+      cornercase simulate examples/x_intersection/x_intersection.xosc \\
+          --set ego_start=40 -o recording.csv
+      cornercase simulate reduced/*.xosc --workers 4 -o recordings
+      cornercase simulate examples/x_intersection/x_intersection.xosc \\
+          --parameters values.csv -o recordings
+    """
+    from cornercase import simulators
+
+    given = parsing.pairs(values or (), "--set")
+    drivers = parsing.pairs(driver or (), "--driver")
+    if table is not None or len(scenarios) > 1:
+        result = simulators.simulate_many(
+            scenarios,
+            output,
+            table=table,
+            values=given,
+            time_step=time_step,
+            duration=duration,
+            on_collision=on_collision,
+            drivers=drivers,
+            simulator=simulator,
+            ego=ego,
+            workers=workers,
+            cluster=cluster,
+            timeout=timeout,
+            retries=retries,
+            progress=True,
+        )
+        _tell_many(result)
+        return
+    if workers > 1 or cluster is not None:
+        option = "--cluster" if cluster is not None else "--workers"
+        raise InputError(f"{option}: is for several scenarios; give more files, or --parameters.")
+    (scenario,) = scenarios
+    require_other_file(output, scenario)
+    recording = simulators.simulate(
+        scenario,
+        given,
+        time_step=time_step,
+        duration=duration,
+        on_collision=on_collision,
+        drivers=drivers,
+        simulator=simulator,
+        ego=ego,
+        timeout=timeout,
+    )
+    recording.to_csv(output)
+    out.print(f"{len(recording.names)} entities, {recording.time[-1]:g} s, written to {output}")
+    for collision in recording.collisions:
+        out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
+
+
+def _tell_many(result: SimulatedFolder) -> None:
+    before = f", {result.ran_before} of which were there before" if result.ran_before else ""
+    out.print(f"{result.done} recording{'s' if result.done > 1 else ''} in {result.folder}{before}.")
+    if result.failed:
+        which = f"{result.failed} scenarios" if result.failed > 1 else "1 scenario"
+        out.print(f"{which} failed, {next(iter(result.failures))} first; the same command tries again.")
+        tell_reasons(result.reasons)
+        raise typer.Exit(1)

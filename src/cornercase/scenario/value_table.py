@@ -1,0 +1,89 @@
+"""Values of many concrete scenarios, from a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cornercase._common.errors import InputError, suggestion
+from cornercase._common.files import read_file
+from cornercase._common.texts import text_of_cell
+from cornercase.scenario.constraints import read_declarations
+from cornercase.scenario.declared_types import unusable_values
+from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.parameter import Value
+
+FILE_COLUMN: Final = "file"
+"""Column that names the recording of each scenario."""
+
+
+@dataclass(frozen=True)
+class ValueRow:
+    """One line of a table of values.
+
+    Attributes
+    ----------
+    line : int
+        In the file.
+    file : str
+        What it calls the recording; empty where the table does not say.
+    values : mapping of str to str
+        By parameter.
+    """
+
+    line: int
+    file: str
+    values: Mapping[str, Value]
+
+
+def read_value_table(path: Path, scenario: Scenario) -> tuple[ValueRow, ...]:
+    """Read the values of a scenario's parameters, one concrete scenario a line.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with a column for each parameter that is varied, and possibly ``file``.
+    scenario : Scenario
+        Declares the parameters.
+
+    Returns
+    -------
+    tuple of ValueRow
+
+    Raises
+    ------
+    InputError
+        It is no such table, or a value is not of the type that its parameter is declared with.
+    """
+    try:
+        reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))
+        names = list(reader.fieldnames or ())
+        lines = [(reader.line_num, row) for row in reader]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: is not a CSV table in UTF-8 ({error}).") from error
+    parameters = {name: text_of_cell(name) for name in names if name != FILE_COLUMN}
+    if not parameters or len({*parameters.values()}) + (FILE_COLUMN in names) < len(names):
+        raise InputError(f"{path}: needs a header with each parameter once, not {', '.join(names) or 'an empty one'}.")
+    declared = scenario.parameters
+    for name in parameters.values():
+        if name not in declared:
+            raise InputError(
+                f"{path}: has a column '{name}', but {scenario.path} declares no such parameter;"
+                f" {suggestion(name, declared)}"
+            )
+    if not lines:
+        raise InputError(f"{path}: has a header but no rows.")
+    rows = []
+    for line, cells in lines:
+        if None in cells or None in cells.values() or "" in cells.values():
+            raise InputError(f"{path}, line {line}: has a field too many, or one is empty.")
+        values = {parameter: text_of_cell(cells[name]).strip() for name, parameter in parameters.items()}
+        rows.append(ValueRow(line, text_of_cell(cells.get(FILE_COLUMN, "")), values))
+    declarations = read_declarations(scenario.root, str(scenario.path))
+    for place, why in unusable_values(declarations, [row.values for row in rows]).items():
+        raise InputError(f"{path}, line {rows[place].line}: {why}.")
+    return tuple(rows)
