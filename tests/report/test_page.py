@@ -16,7 +16,7 @@ import pytest
 
 from command_line import cornercase
 from conftest import EXAMPLES, at_night
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.memory import MemoryLimit
 from cornercase._common.version import __version__
 from cornercase.clustering import analyze
@@ -27,7 +27,7 @@ from cornercase.report.answers import page_answers
 from cornercase.report.blocks import pack_block, pack_record
 from cornercase.report.data import read_report_data
 from cornercase.report.repeating import name_command
-from cornercase.report.words import percent
+from cornercase.report.words import format_value, percent
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study, import_recordings
 from synthetic import SPACE, Synthetic, about, explorer, opened
@@ -267,15 +267,32 @@ def test_every_kind_of_study_has_a_page(tmp_path, kind):
     assert unpacked(page, 1)[1]["course distance"][0][-1] == 100.0
 
 
-def test_where_all_failed_there_is_no_page(tmp_path):
+@pytest.mark.parametrize("of", ["one", "several"])
+def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
+    reasons = ["<b>no road</b>"] if of == "one" else ["too slow", "<b>no road</b>", "<b>no road</b>"]
     with opened(tmp_path / "s.db") as study:
-        points = np.array([[0.99, 0.1]])
-        explorer(study, metrics=("distance",), optimizer="sobol", budget=1)
-        (row,) = study.propose(1, points, SPACE.values(points))
-        study.fail(row.id, next(iter(Synthetic().run([type("C", (), {"values": {"a": 0.99, "b": 0.1}})]))))
-    with pytest.raises(InputError, match="all 1 scenarios failed"):
-        write_report(tmp_path / "s.db", tmp_path / "r.html")
-    assert not (tmp_path / "r.html").exists()
+        points = np.array([[0.9 + 0.01 * k, 0.1] for k in range(len(reasons) + 1)])
+        explorer(study, metrics=("distance",), optimizer="sobol", budget=len(points))
+        rows = study.propose(1, points, SPACE.values(points))
+        with pytest.raises(InputError, match="no scenario was run yet"):
+            write_report(study, tmp_path / "r.html")
+        for row, reason in zip(rows, reasons, strict=False):
+            study.fail(row.id, SimulationError(reason))
+    write_report(tmp_path / "s.db", tmp_path / "r.html", figures=True)
+    page = (tmp_path / "r.html").read_text()
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["r.html", "s.db"]
+    assert "<b>no road" not in page
+    text = " ".join(re.sub("<[^>]*>", " ", page.partition("<main>")[2]).split())
+    if of == "one":
+        assert "The one scenario that ended could not be run. 1 not run yet." in page
+        assert "1 &lt;b&gt;no road&lt;/b&gt; 1 What is missing" in text
+    else:
+        assert "All 3 scenarios that ended could not be run. 1 not run yet." in page
+        assert "2 &lt;b&gt;no road&lt;/b&gt; 2, 3 1 too slow 1 What is missing" in text
+    assert "there is no score" in text
+    assert "--retry-failed" in text
+    value = format_value(rows[0].values["a"])
+    assert f"scenario a b why 1 {value} " in text
 
 
 def test_answers_say_what_show_says(path, tmp_path):

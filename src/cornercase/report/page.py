@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 from markupsafe import Markup
 
@@ -24,6 +24,7 @@ from cornercase._common.texts import plain_text
 from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
 from cornercase.report.details import page_details
+from cornercase.report.failures import fill_failures
 from cornercase.report.packing import PackedRecordings, pack_most, tell_left_out
 from cornercase.report.rerun import tell_rerun
 from cornercase.report.roads import find_roads, pack_roads
@@ -106,7 +107,7 @@ def write_report(
     ----------
     study : Study or path
         The page leaves out what the study was not analysed for. A study that is open for writing notes how long
-        drawing took.
+        drawing took. Where all scenarios failed, the page tells why, and there are no figures.
     path : path
         Of the page.
     figures : bool or path, default False
@@ -131,7 +132,7 @@ def write_report(
     Raises
     ------
     InputError
-        No scenario has ended without failing, the page is the study itself, something cannot be written, `scenario`
+        No scenario has ended, the page is the study itself, something cannot be written, `scenario`
         is not what was explored, or the study needs more memory.
 
     See Also
@@ -146,7 +147,10 @@ def write_report(
         if path.suffix.lower() not in _ENDINGS:
             raise InputError(f"`path` {path}: the report is a page; name a file that ends with .html.")
         if not opened.done():
-            _tell_why_empty(opened)
+            if not opened.failed():
+                raise InputError(f"{opened.path}: no scenario was run yet, so there is nothing to report.")
+            _write(path, fill_failures(opened))
+            return path
         begun = time.monotonic()
         with bars_wanted(progress), step(len(opened.done()), "reading", "recordings") as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, tell=tell)
@@ -164,10 +168,7 @@ def write_report(
             from cornercase.report.album import write_figures
 
             write_figures(data, arguments.path("figures", folder))
-        with written_whole(path) as temporary:
-            temporary.write_text(
-                fill_page(data, packed, roads), encoding="utf-8", errors="backslashreplace", newline="\n"
-            )
+        _write(path, fill_page(data, packed, roads))
     return path
 
 
@@ -199,7 +200,7 @@ def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, An
         contents=contents,
         answers=contents["answers"],
         details=list(page_details(data)),
-        provenance=tell_provenance(data),
+        provenance=tell_provenance(data.study, data.summary),
         blocks=packed.blocks,
     )
 
@@ -240,11 +241,6 @@ def _plotly() -> str:
     return base64.b64encode(zlib.compress(code, 9)).decode()
 
 
-def _tell_why_empty(study: Study) -> NoReturn:
-    failed = study.failed()
-    if not failed:
-        raise InputError(f"{study.path}: no scenario was run yet, so there is nothing to report.")
-    raise InputError(
-        f"{study.path}: all {len(failed)} scenarios failed, so there is nothing to report; the first one as"
-        f" {failed[0].error}"
-    )
+def _write(path: Path, page: str) -> None:
+    with written_whole(path) as temporary:
+        temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")

@@ -93,6 +93,29 @@ def tell_limits(meta: StudyMeta, run: int) -> Iterator[str]:
             yield f"The study holds {run} scenarios of {meta.budget}: the search was ended before, or goes on."
 
 
+def tell_again(meta: StudyMeta) -> str:
+    """Say how the scenarios of a study are run again that failed.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        What the study is about.
+
+    Returns
+    -------
+    str
+        Sentences.
+    """
+    if meta.simulator == IMPORTED:
+        return "Mend the recordings, and import them into another study."
+    if meta.suite or meta.optimizer.startswith(_ESTIMATE):
+        return "Mend the cause, and give the same command with another study."
+    return (
+        "Mend the cause. The command below with --retry-failed runs the failed scenarios again, as long as nothing of"
+        " the scenario or of the simulator's settings has changed; if it has, name another study."
+    )
+
+
 def _is_range(parameter: Parameter) -> bool:
     """Whether an option of the command says it all."""
     plain = not parameter.choices or parameter.choices == _BOOLEANS

@@ -85,7 +85,8 @@ class RecordingsFolder:
         kept = {file: one for file, one in known["recordings"].items() if (path / file).exists()}
         if kept:
             self._require_same_settings(known["settings"])
-        self._recordings = kept | self._planned
+        # Theirs is the order of the table, whichever were there before.
+        self._recordings = self._planned | {file: one for file, one in kept.items() if file not in self._planned}
 
     def place(self, file: str) -> Path:
         """Give the path of a recording.

@@ -145,5 +145,5 @@ def _find(path: Path, surroundings: Surroundings) -> tuple[dict[str, Any], dict[
     parts["outcomes"] = named
     parts["known_of"] = len(ids)
     parts["details"] = [{"name": one.name, "title": one.title, "html": str(one.html)} for one in page_details(data)]
-    parts["provenance"] = str(tell_provenance(data))
+    parts["provenance"] = str(tell_provenance(data.study, data.summary))
     return parts, outcomes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from html import escape
 from importlib.metadata import version
 from pathlib import PurePosixPath, PureWindowsPath
@@ -16,9 +16,10 @@ from cornercase._common.version import __version__
 from cornercase.report.data import ReportData
 from cornercase.report.repeating import name_command, tell_limits
 from cornercase.report.sections.part import Part, make_part
+from cornercase.report.summary import Summary
 from cornercase.report.tables import make_table
 from cornercase.report.words import find_reasons, format_value, list_scenarios, name_range
-from cornercase.study import StudyMeta
+from cornercase.study import Row, StudyMeta
 
 # Columns of the table of scores that hold no number.
 _WORDS: Final = ("metric", "unit", "critical is", "against", "in", "scenarios against")
@@ -74,30 +75,47 @@ def tell_failures(data: ReportData) -> Iterator[Part]:
         One where a scenario failed.
     """
     if data.failed:
-        rows = [[str(len(ids)), why, list_scenarios(ids)] for why, ids in find_reasons(data.failed).items()]
-        table = make_table(["scenarios", "why", "which"], rows, text=(1, 2))
-        yield make_part("failures", "Scenarios that could not be run", [table])
+        yield make_part("failures", "Scenarios that could not be run", [tell_reasons(data.failed)])
 
 
-def tell_provenance(data: ReportData) -> Markup:
+def tell_reasons(failed: Sequence[Row]) -> str:
+    """Tell for what reasons scenarios could not be run, and which.
+
+    Parameters
+    ----------
+    failed : sequence of Row
+        Scenarios that could not be run.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    rows = [[str(len(ids)), why, list_scenarios(ids)] for why, ids in find_reasons(failed).items()]
+    return make_table(["scenarios", "why", "which"], rows, text=(1, 2))
+
+
+def tell_provenance(study: str, summary: Summary) -> Markup:
     """Say how the study was made.
 
     Parameters
     ----------
-    data : ReportData
-        What the report shows.
+    study : str
+        Name of its file.
+    summary : Summary
+        What is known of it.
 
     Returns
     -------
     Markup
         HTML.
     """
-    meta = data.summary.meta
+    meta = summary.meta
     facts: dict[str, Any] = {
-        "study": data.study,
+        "study": study,
         "scenario file": meta.file_name,
         "fingerprint (SHA-256 of the scenario and all files that it uses)": meta.fingerprint,
-        **{f"range of {one.name}": name_range(one) for one in data.parameters},
+        **{f"range of {one.name}": name_range(one) for one in meta.space.parameters},
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
@@ -108,14 +126,12 @@ def tell_provenance(data: ReportData) -> Markup:
         },
         **{
             f"time to {stage} [s]": f"{seconds:.3g}" if seconds < 100.0 else f"{seconds:.0f}"
-            for stage, seconds in data.summary.seconds.items()
+            for stage, seconds in summary.seconds.items()
         },
         **_versions(meta),
     }
     table = make_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
-    limits = "".join(
-        f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, data.summary.run + data.summary.failed)
-    )
+    limits = "".join(f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, summary.run + summary.failed))
     command = f"<pre id='command' tabindex='0'><code>{escape(plain_text(name_command(meta)))}</code></pre>"
     return Markup(f"<p>This command makes it again:</p>{command}{limits}{table}")
 
