@@ -334,4 +334,4 @@ def test_new_scenarios_join_the_clusters_that_are_kept(explored, tmp_path):
         assert (after["labels"][120:] >= 0).mean() > 0.5
         assert info["fitted"] == list(range(1, 121))
     assert cornercase("report", study, "-o", tmp_path / "r.html").returncode == 0
-    assert "Found of 120 scenarios; 12 have joined since." in (tmp_path / "r.html").read_text()
+    assert "Found among 120 scenarios; 12 have joined since." in (tmp_path / "r.html").read_text()

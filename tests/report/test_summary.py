@@ -186,10 +186,10 @@ def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
     [
         (
             {"outcome": 0.95, "stopped": 0.5, "first": 0.2},
-            "say most of outcome (0.95), and something of stopped (0.50).",
+            "say much about outcome (0.95), and something about stopped (0.50).",
         ),
-        ({"outcome": 0.3, "stopped": 0.0}, "say little of how scenarios end: they share at most 0.30 with it."),
-        ({"outcome": -0.01}, "say nothing of how scenarios end: they share at most 0.00 with it."),
+        ({"outcome": 0.3, "stopped": 0.0}, "say little about how scenarios end (mutual information of at most 0.30)."),
+        ({"outcome": -0.01}, "say nothing about how scenarios end (mutual information of at most 0.00)."),
     ],
 )
 def test_what_kinds_tell_is_said_in_a_sentence(path, tells, words):

@@ -101,7 +101,7 @@ def test_an_old_study_is_shown_exported_and_reported(old, tmp_path):
         write_report(study, tmp_path / "r.html")
         study.export(tmp_path / "tables")
         table = study.table()
-    assert "What the kept ones leave out" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "What the kept scenarios leave out" in (tmp_path / "r.html").read_text(encoding="utf-8")
     assert len(table) == 10
     assert table["cluster by distance"].dtype == "Int64"
     # Version 1 did not store it.

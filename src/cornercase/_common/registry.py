@@ -75,7 +75,7 @@ class Registry(Generic[T]):
         Parameters
         ----------
         name : str
-            May hold options behind a colon: ``"ttc:accelerating=true"``; what is built then has the whole of it as its
+            May hold options after a colon: ``"ttc:accelerating=true"``; what is built then has the whole of it as its
             name. A factory whose first parameter is positional-only takes all that stands behind the colon as that, as
             a text: ``"stl:always(clearance > 0.5)"``.
         **options
@@ -159,7 +159,7 @@ class Registry(Generic[T]):
         Parameters
         ----------
         name : str
-            May hold options behind a colon.
+            May hold options after a colon.
 
         Returns
         -------

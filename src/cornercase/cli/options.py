@@ -46,7 +46,7 @@ debugging: ContextVar[bool] = ContextVar("debugging", default=False)
 """Whether tracebacks are shown too."""
 
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
-SpaceFile = Annotated[Path | None, typer.Option(help="ParameterValueDistribution file.")]
+SpaceFile = Annotated[Path | None, typer.Option(metavar="FILE.xosc", help="ParameterValueDistribution file.")]
 StudyOutput = Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or continue.")]
 Critical = Annotated[
     float | None,
@@ -61,7 +61,7 @@ CriticalAnew = Annotated[
     ),
 ]
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
-Ego = Annotated[str, typer.Option(help="Entity under test.")]
+Ego = Annotated[str, typer.Option(metavar="NAME", help="Entity under test.")]
 Other = Annotated[
     list[str],
     typer.Option(
@@ -77,7 +77,7 @@ Metrics = Annotated[
         help="Criticality metric. Repeat it for several: all are stored, the first is searched.",
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Same seed, same result.", min=0)]
+Seed = Annotated[int, typer.Option(metavar="N", help="Same seed, same result.", min=0)]
 TimeStep = Annotated[float, typer.Option(metavar="S", help="Time step in s.")]
 Duration = Annotated[float, typer.Option(metavar="S", help="Longest duration of a scenario in s.")]
 OnCollision = Annotated[str, typer.Option(metavar="stop|continue", help="What a collision does to the run.")]

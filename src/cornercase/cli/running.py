@@ -66,7 +66,7 @@ def explore(
         str,
         typer.Option(
             metavar="NAME",
-            help="bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options behind a colon, as"
+            help="bayes, level-set, committee, evolutionary, optuna, sobol, grid or random; options after a colon, as"
             " in bayes:filling=0.",
         ),
     ] = "bayes",
@@ -371,7 +371,7 @@ def metrics(
 ) -> None:
     """List the criticality metrics, with those of other packages, or print definitions.
 
-    A metric takes options behind a colon, those of its class in the documentation: --metric ttc:accelerating=true
+    A metric takes options after a colon, those of its class in the documentation: --metric ttc:accelerating=true
 
     \b
     Example:

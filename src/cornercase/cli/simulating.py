@@ -52,7 +52,9 @@ def simulate(
     on_collision: OnCollision = "continue",
     driver: Drivers = None,
     simulator: SimulatorName = "builtin",
-    ego: Annotated[str, typer.Option(help="Entity under test, for a simulator that needs to know it.")] = "Ego",
+    ego: Annotated[
+        str, typer.Option(metavar="NAME", help="Entity under test, for a simulator that needs to know it.")
+    ] = "Ego",
     workers: Workers = 1,
     cluster: Cluster = None,
     timeout: Timeout = None,

@@ -68,8 +68,8 @@ def analyze(
 ) -> None:
     """Cluster the scenarios of a study, by behaviour and by criticality.
 
-    Aspects: ego-trajectory, ego-speed, ego-motion, behaviour (the ego's way over time), interaction, relative, bearing
-    (of the other, as the ego sees it), those of other packages, and each metric.
+    Aspects: ego-trajectory, ego-speed, ego-motion, behaviour (the ego's distance over time), interaction, relative,
+    bearing (of the other, as the ego sees it), those of other packages, and each metric.
 
     \b
     Example:
@@ -173,7 +173,7 @@ def reduce(
             help="Requirement that a mutant has to fail, as for test; default: no collision.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the mutants: same seed, same mutants.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the mutants: same seed, same mutants.", min=0)] = 0,
     scenario: Annotated[
         Path | None,
         typer.Option(

@@ -80,7 +80,9 @@ def test_(
     cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
-    ego: Annotated[str | None, typer.Option(help="Entity under test; default: as in the manifest.")] = None,
+    ego: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Entity under test; default: as in the manifest.")
+    ] = None,
     other: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME|*", help="Other entity, also several; default: as in the manifest."),
@@ -102,7 +104,7 @@ def test_(
         int | None,
         typer.Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the mutants: same seed, same mutants.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the mutants: same seed, same mutants.", min=0)] = 0,
 ) -> None:
     """Run a reduced set, or any concrete scenarios, and judge the runs.
 

@@ -187,7 +187,7 @@ def named_driver(name: str) -> Driver:
     Parameters
     ----------
     name : str
-        As it is registered, possibly with options behind a colon, or ``"package.module:Class"``.
+        As it is registered, possibly with options after a colon, or ``"package.module:Class"``.
 
     Returns
     -------

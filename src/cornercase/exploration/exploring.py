@@ -94,7 +94,7 @@ def explore(
     continuous : bool, default False
         Search ranges with steps as continuous intervals.
     optimizer : str, default "bayes"
-        Options stand behind a colon, as in ``"bayes:filling=0"``.
+        Options stand after a colon, as in ``"bayes:filling=0"``.
     critical : float, optional
         Threshold: score from which a scenario is critical; by default the metric's own.
     critical_if : str, optional

@@ -102,7 +102,7 @@ def measure(
         Whom it is measured against; of several the one counts to whom it is most critical, metric by metric. ``"*"``
         stands for all others.
     metrics : sequence of str, optional
-        Options stand behind a colon, as in ``"ttc:accelerating=true"``; by default all metrics that need none.
+        Options stand after a colon, as in ``"ttc:accelerating=true"``; by default all metrics that need none.
 
     Returns
     -------

@@ -21,7 +21,7 @@ class Optimizer(ABC):
     on by telling it again.
 
     A subclass takes ``space`` (a `ParameterSpace`), ``seed`` (int) and what it needs as keyword arguments, and
-    defines `ask` and `tell`. Further arguments have defaults; users set them behind a colon, as in
+    defines `ask` and `tell`. Further arguments have defaults; users set them after a colon, as in
     ``bayes:filling=0``.
 
     Attributes

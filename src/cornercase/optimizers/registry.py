@@ -52,7 +52,7 @@ def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: 
     Parameters
     ----------
     name : str
-        Options may stand behind a colon: ``"bayes:filling=0"``.
+        Options may stand after a colon: ``"bayes:filling=0"``.
     space : ParameterSpace
     seed : int
     threshold : float or None

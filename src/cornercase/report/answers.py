@@ -209,7 +209,7 @@ def _of_missed(known: CriticalKnowledge) -> Answer:
     if found is not None and known.scenarios:
         said.append(
             "That relies on a model of the scores. Without a model: a region in which nothing was run could hide"
-            f" {percent(found.hidden)} of it."
+            f" {percent(found.hidden)} of the critical set."
         )
     if known.audit is not None:
         audits = f"{known.audit.critical} of {known.audit.scenarios} audits, drawn at random, are critical"
@@ -255,7 +255,7 @@ def _of_kinds(data: ReportData) -> Answer:
         return Answer(name, question, f"There are no separate kinds by {_listed(alike)}.")
     one = analyses[chosen]
     noise = int((one.labels < 0).sum())
-    outside = f", and {noise} scenarios that are like few others" if noise else ""
+    outside = f", and {noise} scenarios of noise" if noise else ""
     compared = f" ({what})" if (what := tell_compared(chosen)) else ""
     said = [f"By {chosen}{compared} there are {one.clustering.n_clusters} kinds{outside}."]
     points = [
@@ -276,7 +276,7 @@ def _of_parameters(data: ReportData) -> Answer:
     name, question, found = "parameters", "Which parameters matter?", data.summary.knowledge.sensitivity
     if data.summary.knowledge.front is not None:
         return Answer(
-            name, question, "That can be said for one score only; this study searches the Pareto front of several."
+            name, question, "This is known for a single score only; this study searches the Pareto front of several."
         )
     if found is None:
         return Answer(name, question, "There are too few different scores to say.")
@@ -306,7 +306,7 @@ def _share_of(value: float, interval: tuple[float, float]) -> str:
 
 
 def _of_kept(data: ReportData) -> Answer:
-    name, question, reduced = "kept", "What to keep?", data.summary.reduced
+    name, question, reduced = "kept", "Which scenarios should be kept?", data.summary.reduced
     if reduced is None:
         return Answer(name, question, "The study has not been reduced yet; cornercase reduce finds the few to keep.")
     roles = Counter(str(one.role) for one in reduced.kept)
@@ -325,8 +325,8 @@ def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
     if by is not None:
         count = critical[by].scenarios
         alike = round(count * critical[by].critical)
-        which = "every critical one is" if alike == count else f"{percent(critical[by].critical)} of the critical are"
-        yield (f"In a test with held-out scenarios, {which} like a kept one by {by} ({alike} of {count}).")
+        which = "every one is" if alike == count else f"{percent(critical[by].critical)} are"
+        yield f"Of the held-out critical scenarios, {which} like a kept one by {by} ({alike} of {count})."
     elif reduced.by in reduced.critical and (share := reduced.critical[reduced.by].critical) is not None:
         # Judged by another threshold than they were chosen by.
         yield f"{_about(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."

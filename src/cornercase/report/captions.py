@@ -196,7 +196,7 @@ def of_front(count: int) -> str:
     str
         Sentences.
     """
-    return f"Each scenario that was run, by its scores. {tell_front(count)}"
+    return f"The scores of each scenario that was run. {tell_front(count)}"
 
 
 def of_sensitivity(found: Sensitivity, searched: str) -> str:
@@ -237,8 +237,8 @@ def of_examples(left_out: int) -> str:
         Sentences.
     """
     return (
-        "One scenario of each kind, the one nearest to all others of its kind: seen from above, with times in s along"
-        " the ways and the boxes at their nearest; and speeds over time."
+        "One scenario of each kind: the one with the smallest sum of distances to the others of its kind. Seen from"
+        " above, with times in s along the trajectories and the boxes where they are closest; and speeds over time."
         + (f" {left_out} smaller kinds are not drawn." if left_out else "")
     )
 
@@ -257,7 +257,7 @@ def of_kernel_space(analysis: Analysis) -> str:
         Sentences.
     """
     return (
-        "Scenarios that are alike lie near each other; those of a cluster have one colour and one symbol."
+        "Similar scenarios are near each other; those of a cluster have one colour and one symbol."
         f" {tell_how_found(analysis)}"
     )
 
@@ -291,10 +291,10 @@ def of_hulls(reduced: ReducedSet) -> str:
     str
         A sentence.
     """
-    exposing = " or because they expose mutants of the driver (diamonds)" if reduced.exposing is not None else ""
+    exposing = " or expose mutants of the driver (diamonds)" if reduced.exposing is not None else ""
     return (
-        f"Hull of each cluster by {reduced.by}, or of its near-convex parts; archetypes (circles), the prototype of"
-        f" each (star), and scenarios kept to fill the gaps (triangles){exposing}."
+        f"The hull of each cluster by {reduced.by}, or of its nearly convex parts, and the kept scenarios: archetypes"
+        f" (circles), the prototype of each cluster (star), and scenarios that fill gaps (triangles){exposing}."
     )
 
 
@@ -307,7 +307,7 @@ def of_coverage() -> str:
         Sentences.
     """
     return (
-        "How many of all scenarios, and of the critical ones, have a kept scenario within this distance by Dynamic Time"
-        " Warping. For comparison: k-medoids, and the range of 90 of 100 random choices of the same size. The kept"
-        " scenarios and k-medoids were chosen from these scenarios."
+        "Share of all scenarios, and of the critical ones, that have a kept scenario within this DTW distance. For"
+        " comparison: k-medoids, and the range of 90 of 100 random choices of the same size. The kept scenarios and"
+        " k-medoids were chosen from these scenarios."
     )

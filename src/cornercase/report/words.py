@@ -151,25 +151,27 @@ def judge_clusters(analysis: Analysis) -> str:
     by, found = analysis.by, analysis.clustering
     if found.n_clusters < 2:
         noise = int((found.labels < 0).sum())
-        outside = f", except {noise} that are like few others" if noise and found.n_clusters else ""
-        alike = "all scenarios are one group" if found.n_clusters else "no scenario is like many others"
+        outside = f", except {noise} of noise" if noise and found.n_clusters else ""
+        alike = "all scenarios are one group" if found.n_clusters else "all scenarios are noise"
         return f"No separate kinds: by {by} {alike}{outside}."
     if not any(one.name for one in analysis.profiles):
         return ""
     if not analysis.tells:
         return f"All scenarios end in the same way; the kinds by {by} distinguish how they get there."
-    levels = (("most", _SAYS_MOST, math.inf), ("something", _SAYS_SOMETHING, _SAYS_MOST))
+    levels = (("much", _SAYS_MOST, math.inf), ("something", _SAYS_SOMETHING, _SAYS_MOST))
     said = []
     for much, low, high in levels:
         facts = [f"{fact} ({mutual:.2f})" for fact, mutual in analysis.tells.items() if low <= mutual < high]
         if facts:
-            said.append(f"{much} of {', '.join(facts)}")
+            said.append(f"{much} about {', '.join(facts)}")
     if said:
         return f"The kinds by {by} say {', and '.join(said)}."
     best = max(analysis.tells.values())
     if best < _SAYS_NOTHING:
-        return f"The kinds by {by} say nothing of how scenarios end: they share at most {max(best, 0.0):.2f} with it."
-    return f"The kinds by {by} say little of how scenarios end: they share at most {best:.2f} with it."
+        much, best = "nothing", max(best, 0.0)
+    else:
+        much = "little"
+    return f"The kinds by {by} say {much} about how scenarios end (mutual information of at most {best:.2f})."
 
 
 def name_joining(analysis: Analysis) -> str:
@@ -347,18 +349,18 @@ def tell_how_found(analysis: Analysis) -> str:
     )
     if len(found.landmarks):
         text += (
-            f" The kernel space is that of {len(found.landmarks)} landmarks; this loses"
-            f" {found.error:.1%} of the kernel between others."
+            f" The kernel space is that of {len(found.landmarks)} landmarks, which loses"
+            f" {found.error:.1%} of the kernel between the other scenarios."
         )
     if analysis.inexact is not None:
-        every = f", by every {analysis.every}. instant" if analysis.every > 1 else ""
+        every = f", at one of {analysis.every} instants" if analysis.every > 1 else ""
         text += (
-            f" All were compared with these{every}; distances between others follow from that, with an error of"
-            f" {analysis.inexact:.1%} on average."
+            f" All scenarios were compared with the landmarks{every}. Other distances follow from that, with an error"
+            f" of {analysis.inexact:.1%} on average."
         )
     fitted, joined = len(analysis.fitted), len(analysis.ids) - len(analysis.fitted)
     if joined > 0:
-        text += f" Found of {fitted} scenarios; {joined} have joined since."
+        text += f" Found among {fitted} scenarios; {joined} have joined since."
     return text
 
 

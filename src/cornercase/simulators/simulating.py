@@ -44,7 +44,7 @@ def simulate(
     drivers : mapping of str to str or Driver, optional
         Who drives which entity: a name as on the command line, or a driver. Beats the file's controller properties.
     simulator : str, default "builtin"
-        What runs it: a registered name, with options behind a colon if need be (``"esmini:seed=3"``).
+        What runs it: a registered name, with options after a colon if need be (``"esmini:seed=3"``).
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
     timeout : float, optional

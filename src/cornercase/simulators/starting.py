@@ -33,7 +33,7 @@ def start_simulator(
     Parameters
     ----------
     name : str
-        Registered simulator, with options behind a colon if need be: ``"esmini:seed=3"``.
+        Registered simulator, with options after a colon if need be: ``"esmini:seed=3"``.
     options : mapping, optional
         Keyword arguments that all simulators take: ``time_step``, ``duration``, ``on_collision``, ``drivers``; their
         values have to be picklable.

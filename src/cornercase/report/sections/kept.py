@@ -29,7 +29,7 @@ def show_kept(data: ReportData) -> Iterator[Part]:
     if reduced is None or not reduced.kept:
         return
     yield make_part("kept", "The few to keep", _tell_kept(data, reduced))
-    yield make_part("left-out", "What the kept ones leave out", _tell_left_out(reduced, tell_chosen(data.summary)))
+    yield make_part("left-out", "What the kept scenarios leave out", _tell_left_out(reduced, tell_chosen(data.summary)))
 
 
 def _tell_kept(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
@@ -69,23 +69,23 @@ def _tell_left_out(reduced: ReducedSet, chosen: str) -> Iterator[str]:
     yield tables.tell_coverage(reduced.coverage)
     yield (
         "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"
-        " distance between any two. The kept ones were chosen to make these small.</p>"
+        " distance between any two. The kept scenarios were chosen to make these distances small.</p>"
     )
     if judged := tables.tell_held_out(reduced.coverage):
         yield judged
         yield (
-            "<p>Scenarios that chose a set do not grade it. So this is the same for held-out scenarios: each fifth of"
-            " them (one fifth if there are many) grades a set that was chosen in the same way from the other four."
-            " Beside it stand the number of 100 random subsets of these four that are worse, and k-medoids of these"
-            " four, which leave a small mean in that one clustering.</p>"
+            "<p>The same for held-out scenarios, which the choice has not seen: each fifth of the scenarios (only one"
+            " fifth if there are many) grades a set that was chosen in the same way from the other four fifths. For"
+            " comparison: how many of 100 random choices from these four fifths are worse, and k-medoids of them,"
+            " which make the mean distance small in that one clustering.</p>"
         )
     if reduced.critical:
         if chosen:
             yield f"<p>{escape(chosen)}</p>"
         yield tables.tell_critical_coverage(reduced.critical)
         yield (
-            "<p>Two scenarios are alike if they are closer than a share of the usual distance in a cluster. Held out:"
-            " critical scenarios that did not choose the set, as above. A critical scenario is on the boundary if"
+            "<p>Two scenarios are alike if they are closer than a share of the median distance within clusters. Held"
+            " out: critical scenarios that the choice has not seen, as above. A critical scenario is on the boundary if"
             " one of its neighbours in the parameter space is not critical. The last two columns predict scenarios that"
             " were not run, by Gaussian processes.</p>"
         )

@@ -56,9 +56,9 @@ def compare_kinds(data: ReportData) -> Iterator[Part]:
 def _tell_facts(tells: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
     yield tables.tell_facts(tells)
     yield (
-        "<p>Adjusted mutual information with how a scenario ends (outcome), who is first, who collides, whether the"
-        " ego stopped, and, with a threshold, what is critical: 1 if the clusters say all of it, about 0 if they say"
-        " nothing. What is the same in all scenarios is left out.</p>"
+        "<p>Adjusted mutual information of the clusters with how a scenario ends (outcome), who is first, who"
+        " collides, whether the ego stopped, and, with a threshold, what is critical: 1 if the clusters say all of it,"
+        " about 0 if they say nothing. Facts that are the same in all scenarios are left out.</p>"
     )
 
 
@@ -72,8 +72,8 @@ def _tell_agreement(agreements: Mapping[tuple[str, str], Agreement]) -> Iterator
         text=(0, 1, -1),
     )
     yield (
-        "<p>1 if two clusterings are the same, about 0 if one says nothing about the other. A scenario differs if its"
-        " clusters are not matched with each other.</p>"
+        "<p>1 if two clusterings are the same, about 0 if one says nothing about the other. To count scenarios that"
+        " differ, each cluster is matched with at most one of the other clustering.</p>"
     )
 
 
@@ -97,7 +97,7 @@ def _tell_clusters(data: ReportData, analysis: Analysis) -> Iterator[str]:
         yield chosen_from
         yield (
             "<p>The best setting for each number of clusters. DBCV and silhouette say how dense and how far apart"
-            " clusters are (1 is best), stability how much of them is found again in random parts of 80 %.</p>"
+            " clusters are (1 is best). Stability says how much of them is found again in random parts of 80 %.</p>"
         )
     yield tables.make_table(
         [

@@ -67,7 +67,7 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int, asked: st
         [
             ["critical share of the space", *share(found.share, found.share_doubt is None)],
             ["share of the critical set that is missed", *share(found.missed, found.missed_doubt is None)],
-            ["part of the critical set that an unknown region could be", f"{found.hidden:.2%}", ""],
+            ["share of the critical set that an unknown region could hold", f"{found.hidden:.2%}", ""],
             *(
                 [
                     [f"critical share by {known.audit.scenarios} audits alone", *share(known.audit.share)],
@@ -97,8 +97,9 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int, asked: st
             f"a committee of trees that learn from what happened in the runs, a forest of the parameters and {judge}"
         )
     yield (
-        f"<p>The share, what is missed and what is overlooked come from {judge}, corrected by how well it predicts the"
-        " scenarios that fill the space from all others, and the audits; the rest needs no model.</p>"
+        f"<p>The share, what is missed and what is overlooked come from {judge}. They are corrected by how well it"
+        " predicts the scenarios of the filling, each from all others, and by the audits. The other rows need no"
+        " model.</p>"
     )
 
 

@@ -98,7 +98,7 @@ def _of_scores(pairs: Sequence[Pair], name: str) -> Chart:
     corner = [*_across(ends, low, high).tolist(), *_up(ends, low, high).tolist()]
     return Chart(
         title=f"{name}, scenario by scenario",
-        caption="Score with the old version across, with the new one up; on the line nothing moved.",
+        caption="Score of the old version (horizontal) and of the new one (vertical). On the line they are equal.",
         across=f"old {name}{unit}",
         up=f"new {name}{unit}",
         ticks_across=_ticks(low, high, across=True),
@@ -125,7 +125,7 @@ def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
     first, second = axes
     return Chart(
         title="Where in the space",
-        caption=f"Each scenario that both ran, by {first.name} and {second.name}.",
+        caption=f"Each scenario that both versions ran, by {first.name} and {second.name}.",
         across=_named(first),
         up=_named(second),
         ticks_across=_ticks(first.low, first.high, across=True),
@@ -139,8 +139,8 @@ def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
         ),
         diagonal=None,
         legend=(
-            ("new", f"{what} now only"),
-            ("old", f"{what} no more"),
+            ("new", f"{what} only now"),
+            ("old", f"{what} no longer"),
             ("always", f"{what} with both"),
             ("moved", "went otherwise"),
             ("both", "as before"),

@@ -100,7 +100,7 @@ function missedTrace(missed, k) {
 VIEWS.push(chartView({
   name: "search",
   title: "Search over time",
-  about: "What the search had found after how many scenarios.",
+  about: "What the search had found after each number of scenarios.",
   finding: true,
   wanted: (store) => (store.contents.search?.run.length ?? 0) > 1,
   height: 420,
@@ -137,7 +137,7 @@ VIEWS.push(chartView({
 VIEWS.push(chartView({
   name: "matters",
   title: "What matters",
-  about: "The share of the score's variance that each parameter explains, alone and with all others; lines: 90 %.",
+  about: "The share of the score's variance that each parameter explains, alone and with all others; lines are 90 % intervals.",
   wanted: (store) => Boolean(store.contents.sensitivity?.names.length),
   fill(store) {
     const { sensitivity } = store.contents;
@@ -173,9 +173,9 @@ function coveredAspect(store) {
 
 VIEWS.push(chartView({
   name: "coverage",
-  title: "What the kept ones cover",
+  title: "What the kept scenarios cover",
   about: (store) =>
-    `How many scenarios have a kept one within a distance by ${coveredAspect(store)}; and as many picked otherwise.`,
+    `Scenarios that have a kept one within a distance by ${coveredAspect(store)}; for comparison, other choices of as many.`,
   wanted: (store) => Object.keys(store.contents.coverage ?? {}).length > 0,
   events: ["options"],
   fill(store) {

@@ -168,7 +168,7 @@ VIEWS.push({
     const { metric } = store.options;
     const { cap, unit, lower_is_critical: lower } = store.contents.metrics.find((one) => one.name === metric);
     const beyond = `What is ${lower ? "above" : "below"} ${withUnit(cap, unit)} or not defined is drawn at ${withUnit(cap, unit)}.`;
-    return `How ${metric} goes in each scenario. Thick: the median ${kinds}, in the band that holds 80 %.${line} ${beyond}`;
+    return `${metric} over time in each scenario. Thick: the median ${kinds}, with the band that holds 80 %.${line} ${beyond}`;
   },
   wanted: (store) => Object.keys(store.contents.courses ?? {}).length > 0,
   create(box, store) {

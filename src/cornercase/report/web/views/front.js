@@ -25,7 +25,7 @@ VIEWS.push({
   name: "front",
   title: "Pareto front",
   about: (store) =>
-    `No other scenario is more critical in all metrics than one of the ${store.contents.front.length} in a diamond.`,
+    `Diamonds: ${store.contents.front.length} scenarios; no other is as critical in every metric and more critical in one.`,
   wanted: (store) => Boolean(store.contents.front?.length) && store.contents.metrics.length > 1,
   create(box, store) {
     const names = store.contents.metrics.map(({ name }) => name);

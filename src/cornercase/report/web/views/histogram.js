@@ -1,6 +1,6 @@
 "use strict";
 
-// How many scenarios have which score.
+// Number of scenarios by score.
 class HistogramPlot extends Plot {
   constructor(box, store) {
     super(box, store, { name: "histogram" });
@@ -130,7 +130,7 @@ VIEWS.push({
   about: (store) => {
     const { name, lower_is_critical: low } = store.metricOf();
     const line = store.threshold() === null ? "" : " A dashed line is where critical begins.";
-    return `How many scenarios have which ${name}; ${low ? "low" : "high"} is critical.${line} Drag to keep a range.`;
+    return `Number of scenarios by ${name}; ${low ? "low" : "high"} is critical.${line} Drag to keep a range.`;
   },
   finding: true,
   wanted: () => true,
