@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.texts import plain_text, shorten
 from cornercase._common.version import __version__
 from cornercase.metrics import condition_of
-from cornercase.scenario import ParameterSpace
+from cornercase.scenario import Parameter, ParameterSpace
 
 _DIFFERENT: Final = {
     "scenario": "another scenario",
@@ -279,7 +279,8 @@ class StudyMeta:
                 continue
             if name == "space":
                 # Its constraints follow from the file, and earlier versions did not write them.
-                mine, given = mine.parameters, given.parameters
+                ours, theirs = mine.parameters, given.parameters
+                mine, given = _with_units(ours, theirs), _with_units(theirs, ours)
             if name == "elsewhere":
                 # Its file may lie elsewhere and be called otherwise; its scores may not be others.
                 mine, given = mine.get("sha256"), given.get("sha256")
@@ -305,6 +306,12 @@ class StudyMeta:
             raise InputError(
                 f"{path}: its optimizer planned for a budget of {self.budget} scenarios; give the same `budget`."
             )
+
+
+def _with_units(parameters: tuple[Parameter, ...], like: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """Give parameters without a unit that of others: a range as an option has none, and no value depends on it."""
+    units = {one.name: one.unit for one in like}
+    return tuple(replace(one, unit=one.unit or units.get(one.name, "")) for one in parameters)
 
 
 def _several(names: list[Any]) -> tuple[str, ...]:
