@@ -14,8 +14,12 @@ from command_line import SPACE, X, cornercase
 SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--seed", "1")
 
 
+def schema_of(name):
+    return json.loads(resources.files("cornercase").joinpath("schemas", f"{name}.schema.json").read_bytes())
+
+
 def validate(name, text):
-    schema = json.loads(resources.files("cornercase").joinpath("schemas", f"{name}.schema.json").read_bytes())
+    schema = schema_of(name)
     Draft202012Validator.check_schema(schema)
     found = json.loads(text)
     errors = [f"{one.json_path}: {one.message[:300]}" for one in Draft202012Validator(schema).iter_errors(found)]
@@ -88,6 +92,17 @@ def test_estimate(folder, tmp_path):
     assert found["scenarios"] == 100
     shown = validate("show", cornercase("show", tmp_path / "estimate.db", "--json").stdout)
     assert shown["probability"] == found
+
+
+def test_a_probability_is_described_once():
+    """Each schema holds all that it needs, so that a validator takes it alone; both say the same."""
+    show, estimate = schema_of("show"), schema_of("estimate")
+    name = "probability_of_an_event"
+    assert show["$defs"][name] == estimate["$defs"][name]
+    assert show["properties"]["probability"]["properties"] == estimate["properties"]
+    assert (
+        json.dumps(show).count('"effective_number_met":') == json.dumps(estimate).count('"effective_number_met":') == 1
+    )
 
 
 def test_compare(folder, tmp_path):
