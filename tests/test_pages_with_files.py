@@ -12,6 +12,7 @@ import sqlite3
 import subprocess
 import sys
 import tomllib
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -107,11 +108,14 @@ def make_room(words: list[str]) -> None:
 
 
 def watched(words: list[str]) -> None:
-    """Serve until Ctrl-C, once the address is known."""
+    """Serve until Ctrl-C, once the page has been opened."""
     command = [sys.executable, "-m", "cornercase", *words, "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
         assert running.stdout is not None
-        assert "http://127.0.0.1:" in running.stdout.readline()
+        address = re.search(r"http://127\.0\.0\.1:\S+", running.stdout.readline())
+        assert address is not None
+        with urllib.request.urlopen(address[0]) as page:
+            assert b"<title>cornercase" in page.read()
         running.send_signal(signal.SIGINT)
         assert running.wait(60) == 0
 
