@@ -71,20 +71,20 @@ def about(space, *metrics, **more):
     return StudyMeta(scenario="synthetic.xosc", space=space, metrics=metrics, **given)
 
 
-def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, **options):
+def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, logical=LOGICAL, **options):
     objective = Objective([METRICS.create(name) if isinstance(name, str) else name for name in metrics])
-    configuration = Configuration(LOGICAL, "Ego", "B", (), budget=budget, seed=7, **options)
+    configuration = Configuration(logical, "Ego", "B", (), budget=budget, seed=7, **options)
     threshold = objective.known_threshold(1.0)
-    optimizer = create_optimizer(optimizer, SPACE, 7, threshold=threshold, budget=budget)
+    optimizer = create_optimizer(optimizer, logical.space, 7, threshold=threshold, budget=budget)
     kind = AsynchronousExplorer if configuration.asynchronous else ScenarioExplorer
     return kind(configuration, simulator or Synthetic(), optimizer, study, objective)
 
 
-def opened(path, **more):
+def opened(path, space=SPACE, **more):
     return (
         Study.open(path, readonly=False)
         if os.path.exists(path)
-        else Study.create(path, about(SPACE, "distance", "wttc", **more))
+        else Study.create(path, about(space, "distance", "wttc", **more))
     )
 
 

@@ -26,9 +26,9 @@ from cornercase.exploration import (
 )
 from cornercase.metrics import Metric
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer
-from cornercase.scenario import LogicalScenario
+from cornercase.scenario import Constraint, Declaration, LogicalScenario, ParameterSpace
 from cornercase.study import Study
-from synthetic import Synthetic, explorer, opened
+from synthetic import LOGICAL, Synthetic, explorer, opened
 
 
 def results(path):
@@ -276,6 +276,23 @@ def test_patience_counts_rounds_without_news(tmp_path, rounds, told):
         result = one.run()
     assert result.ended == told
     assert ("nothing new" in result.reason) == (told < len(rounds))
+
+
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_all_of_a_space_was_run_only_where_it_was(asynchronous, tmp_path):
+    def ended(optimizer, space):
+        logical = replace(LOGICAL, space=space)
+        with opened(tmp_path / f"{optimizer} {len(space.declarations)}.db", space, asynchronous=asynchronous) as study:
+            one = explorer(study, optimizer=optimizer, budget=40, logical=logical, asynchronous=asynchronous)
+            return one.run().reason
+
+    finite = ParameterSpace.from_ranges(["a=0:1:0.25", "b=0:1:0.5"])
+    falling = [Declaration("a", "double", "0"), Declaration("b", "double", "0", ((Constraint("lessThan", "$a"),),))]
+    assert ended("sobol", finite) == "all 15 scenarios of the space were run"
+    some = ParameterSpace(finite.parameters, falling)
+    assert ended("sobol", some) == "all 6 scenarios of the space were run"
+    grid = "the search proposes no more than these 36 scenarios"
+    assert ended("grid", LOGICAL.space) == grid
 
 
 def test_scores_at_the_cap_are_no_news(tmp_path):

@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace, read_xml
+from cornercase.scenario import (
+    Constraint,
+    Declaration,
+    LogicalScenario,
+    Parameter,
+    ParameterSpace,
+    distributions,
+    read_xml,
+)
+from cornercase.scenario.distributions import Distribution
 from cornercase.scenario.expressions import evaluate
 
 
@@ -32,6 +41,50 @@ def test_values_and_points_are_inverse(u):
     point = space.snap(np.array([u]))
     np.testing.assert_allclose(space.points(space.values(point)), point, atol=1e-12)
     np.testing.assert_array_equal(space.snap(point), point)
+
+
+EVERY_KIND = ParameterSpace(
+    [
+        Parameter("continuous", -3.0, 7.0),
+        Parameter("stepped", 0.0, 1.0, 0.1),
+        Parameter("whole", 0.0, 900.0, 1.0, whole=True),
+        Parameter("name", 0, 2, choices=("a", "b", "c")),
+        Parameter("set", 0, 1, choices=("0", "1"), sets=((("x", "1.5"), ("y", "p")), (("x", "2.5"), ("y", "q")))),
+        *(
+            Parameter(f"{kind}", low, 9.0, distribution=Distribution(kind, low, 9.0, numbers))
+            for kind, low, numbers in (
+                ("uniform", -4.0, ()),
+                ("normal", -4.0, (2.0, 1.5)),
+                ("lognormal", 0.5, (0.3, 0.9)),
+                ("histogram", 0.0, (0.0, 1.0, 4.0, 9.0, 1.0, 5.0, 2.0)),
+            )
+        ),
+        Parameter("stepped law", 0.0, 3.0, 0.5, distribution=Distribution("normal", 0.0, 3.0, (1.0, 0.7))),
+    ]
+)
+
+
+def test_the_values_of_many_scenarios_are_those_of_each_alone():
+    points = np.random.default_rng(0).random((400, EVERY_KIND.dimension))
+    points[:3] = [[0.0], [1.0], [0.5]]
+    values = EVERY_KIND.values(points)
+    assert values == [EVERY_KIND.values(point[None])[0] for point in points]
+    assert [type(one) for one in values[0].values()] == [float, float, int, str, str, str, *[float] * 5]
+    assert EVERY_KIND.values(points[:0]) == []
+
+
+def test_many_scenarios_ask_a_distribution_once(monkeypatch):
+    asked = []
+    cut = distributions._cut_normal
+    monkeypatch.setattr(distributions, "_cut_normal", lambda *law: asked.append(law) or cut(*law))
+    laws = [Declaration("normal", "double", "0", ((Constraint("greaterThan", "$lognormal"),),))]
+    space = ParameterSpace(
+        [one for one in EVERY_KIND.parameters if one.name in ("normal", "lognormal")],
+        [Declaration("lognormal", "double", "0"), *laws],
+    )
+    share = space.admits(np.random.default_rng(0).random((2000, 2))).mean()
+    assert 0.2 < share < 0.8
+    assert len(asked) == 2
 
 
 def test_space_survives_json():

@@ -104,7 +104,7 @@ class AsynchronousExplorer(ScenarioExplorer):
                         self._give(stream, rows)
                         proposed, number = proposed + len(rows), number + 1
                     else:
-                        reason = f"all {proposed} scenarios of the space were run"
+                        reason = self._used_up(proposed)
                 if not self._pending:
                     self._tell_all()
                     assert reason is not None

@@ -9,7 +9,7 @@ from copy import copy
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from cornercase.metrics import features_of
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
 from cornercase.study import Row, Study
+
+# Scenarios of a space up to which those within its constraints are counted.
+_MOST_COUNTED: Final = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -182,7 +185,7 @@ class ScenarioExplorer:
             number += 1
             rows = self._next(number, done, min(self._configuration.batch, self._configuration.budget - done))
             if not rows:
-                return f"all {done} scenarios of the space were run"
+                return self._used_up(done)
             self._tell(rows, self._simulate(rows, bar))
             done += len(rows)
             self._clock.note()
@@ -206,6 +209,15 @@ class ScenarioExplorer:
         if limits.max_seconds is not None and seconds >= limits.max_seconds:
             return f"{limits.max_seconds:g} s have passed"
         return self._enough()
+
+    def _used_up(self, done: int) -> str:
+        """Say why a search ends that proposes nothing more: it may be a grid, or find nothing within constraints."""
+        size = self._space.size
+        if size is not None and done < size <= _MOST_COUNTED:
+            size = int(self._space.admits(self._space.lattice()).sum())
+        if size is not None and done >= size:
+            return f"all {done} scenarios of the space were run"
+        return f"the search proposes no more than these {done} scenarios"
 
     def _enough(self) -> str | None:
         """Say why enough is known of the critical set; None while it is not."""

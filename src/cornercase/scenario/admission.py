@@ -43,8 +43,10 @@ def admitted(
         # Texts have one value for all; so each combination of them is looked at by itself.
         names = sorted(varies.names)
         keys = [tuple(str(one.get(name)) for name in names) for one in values]
-        for key in dict.fromkeys(keys):
-            rows = [i for i, one in enumerate(keys) if one == key]
+        alike: dict[tuple[str, ...], list[int]] = {}
+        for i, key in enumerate(keys):
+            alike.setdefault(key, []).append(i)
+        for rows in alike.values():
             result[rows] = admitted(declarations, [values[i] for i in rows], source)
         return result
     for broken in scope.broken(declarations).values():

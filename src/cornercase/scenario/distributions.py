@@ -44,15 +44,15 @@ class Distribution:
         """Whether it is one of single values."""
         return self.kind in ("poisson", "set")
 
-    def quantile(self, u: float) -> float:
-        """Value below which the share `u` of the cut-off distribution lies; for the continuous kinds."""
+    def quantiles(self, u: FloatArray) -> FloatArray:
+        """Values below which the shares `u` of the cut-off distribution lie, shape (n,); for the continuous kinds."""
         if self.kind == "uniform":
             return self.low + u * (self.high - self.low)
         if self.kind == "histogram":
             edges, weights = self._bins()
-            return float(np.interp(u, _cumulated(weights), edges))
-        x = float(_cut_normal(*self._normal()).ppf(u))
-        return float(np.clip(np.exp(x) if self.kind == "lognormal" else x, self.low, self.high))
+            return np.asarray(np.interp(u, _cumulated(weights), edges))
+        x = np.asarray(_cut_normal(*self._normal()).ppf(u))
+        return np.clip(np.exp(x) if self.kind == "lognormal" else x, self.low, self.high)
 
     def place(self, value: float) -> float:
         """Share of the cut-off distribution that lies below `value`; for the continuous kinds."""

@@ -114,10 +114,24 @@ class Parameter:
         -------
         dict of str to float or str
         """
+        return {name: value for name, (value,) in self.columns(np.array([u])).items()}
+
+    def columns(self, u: FloatArray) -> dict[str, list[Value]]:
+        """Return the scenario's parameters, and their values, at many places of the unit interval.
+
+        Parameters
+        ----------
+        u : ndarray of float64, shape (n,)
+
+        Returns
+        -------
+        dict of str to list of float or str, length n
+        """
         if not self.sets:
-            return {self.name: self.value(u)}
-        (k,) = self.numbers(np.array([u])).tolist()
-        return dict(self.sets[k])
+            return {self.name: self._values(u)}
+        members = [dict(one) for one in self.sets]
+        numbers = self.numbers(u).tolist()
+        return {name: [members[k][name] for k in numbers] for name in members[0]}
 
     def read(self, values: Mapping[str, Value]) -> Value:
         """Find the value among those of a concrete scenario.
@@ -174,14 +188,22 @@ class Parameter:
         -------
         float, int or str
         """
+        (value,) = self._values(np.array([u]))
+        return value
+
+    def _values(self, u: FloatArray) -> list[Value]:
+        """Values at places of the unit interval, shape (n,)."""
         if self.size is None:
-            x = self.low + u * (self.high - self.low)
-            return float(x if self.distribution is None else self.distribution.quantile(u))
-        (k,) = self.numbers(np.array([u])).tolist()
+            x = self.low + u * (self.high - self.low) if self.distribution is None else self.distribution.quantiles(u)
+            return list(x.tolist())
+        numbers = self.numbers(u)
         if self.choices:
-            return self.choices[int(k)]
-        value = _clean(self.low + k * float(self.step or 0.0))
-        return round(value) if self.whole else value
+            return [self.choices[k] for k in numbers.tolist()]
+        # Of many steps few are met, of few steps each many times.
+        met, which = np.unique(numbers, return_inverse=True)
+        steps = [_clean(self.low + k * float(self.step or 0.0)) for k in met.tolist()]
+        values = [round(value) if self.whole else value for value in steps]
+        return [values[k] for k in which.tolist()]
 
     def unit_place(self, value: Value) -> float:
         """Return the place of a value on the unit interval, the inverse of `value`.

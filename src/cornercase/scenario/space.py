@@ -289,14 +289,12 @@ class ParameterSpace:
         list of dict of str to float or str, length n
             By parameter of the scenario.
         """
-        return [
-            {
-                name: value
-                for parameter, u in zip(self.parameters, point, strict=True)
-                for name, value in parameter.assigned(float(u)).items()
-            }
-            for point in np.clip(points, 0.0, 1.0)
-        ]
+        # In columns, as a search with constraints looks at a hundred thousand points.
+        columns: dict[str, list[Value]] = {}
+        if len(points):
+            for parameter, u in zip(self.parameters, np.clip(points, 0.0, 1.0).T, strict=True):
+                columns |= parameter.columns(u)
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def points(self, values: Sequence[Mapping[str, Value]]) -> FloatArray:
         """Return the points of values, the inverse of `values`.
