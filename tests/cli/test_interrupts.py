@@ -15,14 +15,17 @@ from cornercase._common.interrupts import hear_requests
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it asks as Unix does")
 
 # Its first argument is a signal, the second a function at whose first call the signal comes; where it begins with ~, the
-# signal comes while an object is cleared up, where Python ignores exceptions.
+# signal comes while an object is cleared up, where Python ignores exceptions; where it begins with +, while compiled code
+# loads NumPy, which prints the exception and goes on with an ImportError.
 PROGRAM = """
-import signal, sys, time
+import builtins, signal, sys, time
 from importlib import import_module
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
 from cornercase.cli import main
 
 number, (place, name), sys.argv[1:] = int(sys.argv[1]), sys.argv[2].split(":"), sys.argv[3:]
-module = import_module(place.removeprefix("~"))
+module = import_module(place.lstrip("~+"))
 was = getattr(module, name)
 
 class ClearedUp:
@@ -33,6 +36,17 @@ def asked(*given, **more):
     if place.startswith("~"):
         ClearedUp()
         time.sleep(10)
+    elif place.startswith("+"):
+        usual = builtins.__import__
+        def loaded(name, *given, **more):
+            if name.startswith(("numpy._core", "numpy.core")):
+                builtins.__import__ = usual
+                signal.raise_signal(number)
+            return usual(name, *given, **more)
+        (file,) = Path(find_spec("scipy").origin).parent.glob("sparse/_sparsetools.*.so")
+        spec = spec_from_file_location("_sparsetools", file)
+        builtins.__import__ = loaded
+        spec.loader.exec_module(module_from_spec(spec))
     else:
         signal.raise_signal(number)
     return was(*given, **more)
@@ -72,6 +86,8 @@ def asked(number, place, *command, cwd):
         (signal.SIGTERM, "typer.core:_main", ("show",), "by SIGTERM;"),
         (signal.SIGINT, "~cornercase.report.summary:summarize", ("show",), "Interrupted;"),
         (signal.SIGTERM, "~cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),
+        (signal.SIGINT, "+cornercase.report.summary:summarize", ("show",), "Interrupted;"),
+        (signal.SIGTERM, "+cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),
     ],
 )
 def test_stumble_8_an_interrupted_command_says_a_word(number, place, command, words, study, tmp_path):

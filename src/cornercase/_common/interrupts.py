@@ -23,11 +23,13 @@ _AGAIN: Final = 0.005
 def hear_requests() -> None:
     """Take what asks a program to end as it takes Ctrl-C: as `KeyboardInterrupt`, so that it clears up.
 
-    One that falls where Python ignores exceptions, as into the clearing up of an object, comes again. What is ignored
+    One that falls where Python ignores exceptions, as into the clearing up of an object, comes again, and so does one
+    that compiled code prints and puts another error in the place of, as NumPy does while it is loaded. What is ignored
     here, as by ``nohup``, stays so. To be called in the main thread of a program.
     """
-    if not isinstance(sys.unraisablehook, _HookForLostInterrupts):
-        sys.unraisablehook = _HookForLostInterrupts(sys.unraisablehook)
+    for name in ("unraisablehook", "excepthook"):
+        if not isinstance(usual := getattr(sys, name), _HookForLostInterrupts):
+            setattr(sys, name, _HookForLostInterrupts(usual))
     for number in ending_signals():
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _interrupt)
@@ -51,20 +53,24 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 class _HookForLostInterrupts:
-    """Has an interrupt come again that Python ignored, and tells of other exceptions as before."""
+    """Has an interrupt come again that Python ignored or only printed, and tells of other exceptions as before."""
 
-    def __init__(self, usual: Callable[[Any], object]) -> None:
+    def __init__(self, usual: Callable[..., object]) -> None:
         self._usual = usual
 
-    def __call__(self, ignored: Any) -> None:
-        global _owed
-        if not issubclass(ignored.exc_type, KeyboardInterrupt):
-            self._usual(ignored)
-            return
-        _owed = True
-        # Raised here, it would be ignored again. `threading` is not used, as the main thread may hold its locks here.
-        with suppress(RuntimeError):
-            _thread.start_new_thread(_come_again, ())
+    def __call__(self, ignored: Any, *printed: Any) -> None:
+        if issubclass(ignored if printed else ignored.exc_type, KeyboardInterrupt):
+            _lose()
+        else:
+            self._usual(ignored, *printed)
+
+
+def _lose() -> None:
+    global _owed
+    _owed = True
+    # Raised here, it would be ignored again. `threading` is not used, as the main thread may hold its locks here.
+    with suppress(RuntimeError):
+        _thread.start_new_thread(_come_again, ())
 
 
 def _come_again() -> None:
@@ -72,6 +78,19 @@ def _come_again() -> None:
     # Meanwhile it may have been heard.
     if _owed:
         _thread.interrupt_main(last_request())
+
+
+def take_lost_interrupt() -> bool:
+    """Tell whether an interrupt was lost and is to come again; who asks handles it.
+
+    Returns
+    -------
+    bool
+        Whether what has gone wrong may come of it.
+    """
+    global _owed
+    lost, _owed = _owed, False
+    return lost
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from typing import Any, Final, cast
 import typer
 
 from cornercase._common.errors import InputError, StudyLostError
+from cornercase._common.interrupts import take_lost_interrupt
 from cornercase._common.texts import in_one_line, require_whole, shorten
 from cornercase.cli.interrupting import exit_code, tell_of_interrupt
 from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
@@ -56,8 +57,12 @@ def exit_code_of(command: Callable[[], Any]) -> int:
         tell_of_interrupt()
         return exit_code()
     except Exception as error:
+        lost = take_lost_interrupt()
         if debugging.get():
             err.print("".join(traceback.format_exception(error)).rstrip())
+        if lost:
+            tell_of_interrupt()
+            return exit_code()
         if isinstance(error, OSError) and error.errno == errno.EPIPE:
             _write_to_nobody()
             return 1

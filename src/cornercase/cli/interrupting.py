@@ -10,7 +10,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from cornercase._common.interrupts import last_request
+from cornercase._common.interrupts import hear_requests, last_request
 
 
 class InterruptedGroup(TyperGroup):
@@ -34,6 +34,8 @@ class InterruptedGroup(TyperGroup):
             It was interrupted, with `exit_code`.
         """
         with _end_in_a_sentence():
+            # Again, as typer has put a hook of its own in the place of one.
+            hear_requests()
             return super().make_context(*given, **more)
 
     def invoke(self, ctx: Any) -> Any:
