@@ -40,6 +40,7 @@ myst_heading_anchors = 4
 # Links to files that are no pages lead to the repository's.
 myst_url_schemes = ("http", "https", "mailto")
 
+templates_path = ["_templates"]
 autosummary_generate = True
 autodoc_typehints = "none"
 numpydoc_show_class_members = False

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
+import itertools
+import re
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from types import GenericAlias
@@ -83,7 +87,7 @@ def _first_lines() -> str:
         if name.startswith("_") or name in _WITHOUT_ROOM or inspect.ismodule(shown):
             continue
         room = next(one for one in ROOMS if name in dir(importlib.import_module(f"cornercase.{one}")))
-        first = (inspect.getdoc(shown) or "").partition("\n")[0]
+        first = _about(f"cornercase.{room}", name).partition("\n")[0]
         lines += [f"   * - :py:obj:`cornercase.{name} <cornercase.{room}.{name}>`", f"     - {first}"]
     return "\n".join(lines) + "\n"
 
@@ -98,5 +102,43 @@ def _table(module: str, names: Sequence[str], folder: str) -> str:
         and not inspect.ismodule(getattr(package, name))
         and not isinstance(getattr(package, name), GenericAlias)
     ]
-    lines = "\n".join(f"   {name}" for name in shown)
-    return f".. currentmodule:: {module}\n\n.. autosummary::\n   :toctree: {folder}\n   :nosignatures:\n\n{lines}\n"
+    values = [name for name in shown if _is_value(getattr(package, name))]
+    lines = "\n".join(f"   {name}" for name in shown if name not in values)
+    table = f".. autosummary::\n   :toctree: {folder}\n   :nosignatures:\n\n{lines}\n"
+    described = "\n".join(_describe(module, name) for name in values)
+    return f".. currentmodule:: {module}\n\n{table}" + (
+        f"\nValues and types\n----------------\n\n{described}" if values else ""
+    )
+
+
+def _is_value(shown: object) -> bool:
+    """Whether something has no docstring of its own: a constant, a registry, or a type that others make up."""
+    return not (inspect.isclass(shown) or inspect.isroutine(shown))
+
+
+def _describe(module: str, name: str) -> str:
+    shown = getattr(importlib.import_module(module), name)
+    value = f"   :value: {shown!r}\n" if isinstance(shown, str | float | int) else ""
+    return f".. py:data:: {name}\n{value}\n" + textwrap.indent(_about(module, name), "   ") + "\n"
+
+
+def _about(module: str, name: str) -> str:
+    """Return a docstring; that of a value stands below it in the source."""
+    package = importlib.import_module(module)
+    if not _is_value(getattr(package, name)):
+        return inspect.getdoc(getattr(package, name)) or ""
+    stub = Path(inspect.getfile(package)).with_suffix(".pyi").read_text(encoding="utf-8")
+    source = re.search(rf"^from \.([\w.]+) import {name} as {name}$", stub, re.MULTILINE)
+    if source is None:
+        raise ValueError(f"{module}: says nowhere where {name} comes from")
+    origin = importlib.import_module(f"{module}.{source[1]}")
+    statements = ast.parse(inspect.getsource(origin)).body
+    for before, after in itertools.pairwise(statements):
+        targets = before.targets if isinstance(before, ast.Assign) else [getattr(before, "target", None)]
+        if any(isinstance(one, ast.Name) and one.id == name for one in targets) and (
+            isinstance(after, ast.Expr)
+            and isinstance(after.value, ast.Constant)
+            and isinstance(after.value.value, str)
+        ):
+            return inspect.cleandoc(after.value.value)
+    raise ValueError(f"{module}.{name}: has no docstring below it")

@@ -12,7 +12,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 
 EGO_TRAJECTORY: Final = "ego-trajectory"
-"""The way that the ego takes: the aspect of the paper."""
+"""Name of the aspect of the paper: where the ego goes."""
 
 # Fixed, so that two scenarios are as far apart in every study, and chosen without data: a difference of speed counts as
 # the way that it makes in the time that drivers look ahead, a second of waiting as the way of a slow vehicle.

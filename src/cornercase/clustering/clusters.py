@@ -14,6 +14,7 @@ NOISE: Final = -1
 """Label of a scenario that is in no cluster."""
 
 ClusteringMethod = Literal["dbscan", "hdbscan"]
+"""How clusters are found in the kernel space."""
 
 
 @dataclass(frozen=True)

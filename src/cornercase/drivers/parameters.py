@@ -83,6 +83,7 @@ CAUTIOUS = Behaviour(
     sight_range=100.0,
     horizon=8.0,
 )
+"""Parameters of the driver ``cautious``."""
 
 NORMAL = CAUTIOUS._replace(
     max_speed=50.0 / 3.6,
@@ -97,6 +98,7 @@ NORMAL = CAUTIOUS._replace(
     lateral_margin=0.35,
     standing_caution=1.0,
 )
+"""Parameters of the driver ``normal``."""
 
 AGGRESSIVE = NORMAL._replace(
     max_speed=70.0 / 3.6,
@@ -109,6 +111,7 @@ AGGRESSIVE = NORMAL._replace(
     braking_distance=4.0,
     lateral_margin=0.2,
 )
+"""Parameters of the driver ``aggressive``."""
 
 
 class Keeping(NamedTuple):

@@ -26,8 +26,8 @@ from cornercase.drivers.traffic import (
     Y,
 )
 
-# The eye is behind the windscreen: this part of the box's length ahead of the box's centre.
 EYE_AHEAD = 0.25
+"""Where the eye is, behind the windscreen: this part of the box's length ahead of the box's centre."""
 
 # Time constant in s of the rate of turn as perceived.
 TURN_MEAN = 0.2

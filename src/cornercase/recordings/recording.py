@@ -25,7 +25,9 @@ COLUMNS = (
     "time", "entity", "kind", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x",
 )  # fmt: skip
 MOTION = ("x", "y", "heading", "speed", "acceleration")
+"""Arrays of a recording that hold the motion: a row for each entity, a column for each instant."""
 BOX = ("length", "width", "center_x")
+"""Arrays of a recording that hold the bounding boxes: a value for each entity."""
 
 
 @dataclass(frozen=True)

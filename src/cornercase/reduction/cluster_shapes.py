@@ -16,6 +16,7 @@ from cornercase.reduction.convexity import CONVEX, find_convex_parts, measure_co
 from cornercase.reduction.hulls import MOST_HULL_DIMENSIONS, find_hull_archetypes
 
 ArchetypeMethod = Literal["auto", "hull", "pcha", "parts", "kernel"]
+"""How archetypes are found; ``"auto"`` depends on the convexity of each cluster."""
 
 
 @dataclass(frozen=True)

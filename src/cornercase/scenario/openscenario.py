@@ -20,6 +20,7 @@ from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import XmlFiles
 
 DRIVER_PROPERTY = "cornercase.driver"
+"""Property of a controller that names the driver of an entity."""
 
 # Of a file and of a path, in bytes and in characters; no system takes more.
 _LONGEST_NAME = 255

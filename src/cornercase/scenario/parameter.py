@@ -15,6 +15,7 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.scenario.distributions import Distribution
 
 Value = float | str
+"""Value of a parameter in a concrete scenario: a number, or one of the choices."""
 
 # Doubles count no further.
 _MOST_STEPS: Final = 2.0**53

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 State = Literal["passed", "failed", "inconclusive"]
+"""What a requirement comes to."""
 
 # From what is best to what is worst.
 _ORDER: Final[tuple[State, ...]] = ("passed", "inconclusive", "failed")
