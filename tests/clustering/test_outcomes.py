@@ -61,6 +61,14 @@ def test_who_passes_first_does_so_with_a_gap():
     assert outcome.encounter.gap == pytest.approx((6.0 - 1.0 - 0.3) / 1.5 - leaves, abs=0.02)
 
 
+def test_without_others_it_ended_the_same():
+    many = recording(Ego=PASSES, P=CROSSES, Q=CROSSES)
+    whole, short = find_outcome(many, "Ego", "P"), find_outcome(many, "Ego", "P", others=False)
+    assert [one.entity for one in whole.others] == ["Q"]
+    assert short == replace(whole, others=())
+    assert short.text == whole.text == "Ego first"
+
+
 def test_one_that_waits_before_the_crossing_until_the_end_lets_the_other_cross_alone():
     ego = entity(0.0, 0.0, 0.0, (0, 12), (2, 12), (4.2, 0))
     told = recording(Ego=ego, P=CROSSES, until=9.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -138,6 +140,34 @@ def test_a_folder_that_cannot_be_written_leaves_nothing(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         recording().to_csv(tmp_path / "file" / "r.csv")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_each_line_is_what_the_csv_module_writes(tmp_path):
+    x = np.array([[-0.0, 1e16, np.nan], [0.1, -np.inf, 1e-5], [3.0, 2.0, 1.0]])
+    odd = Recording(
+        time=np.array([0.0, 1e-7, 100.0]),
+        names=('a "b", c', "=1+1", ""),
+        kinds=("car\nbus", "@kind", "misc"),
+        x=x,
+        y=2.0 * x,
+        heading=x[::-1],
+        speed=np.asfortranarray(x),
+        acceleration=np.arange(9.0).reshape(3, 3),
+        length=np.array([4, 0.1, 1e20]),
+        width=np.array([1, 2, 3]),
+        center_x=np.array([-0.0, 0.5, 1.0]),
+        collisions=(Collision(1e-7, ('a "b", c', "=1+1")), Collision(1e-7, ('a "b", c', ""))),
+    )
+    odd.to_csv(tmp_path / "r.csv")
+    lines = io.StringIO()
+    writer = csv.writer(lines, lineterminator="\n")
+    writer.writerow((*COLUMNS, "collision"))
+    for instant, time in enumerate(odd.time.tolist()):
+        for who, texts in enumerate((('a "b", c', "car\nbus"), ("'=1+1", "'@kind"), ("", "misc"))):
+            motion = [float(getattr(odd, column)[who, instant]) for column in MOTION]
+            box = [float(getattr(odd, column)[who]) for column in ("length", "width", "center_x")]
+            writer.writerow((time, *texts, *motion, *box, "'=1+1;" if (instant, who) == (1, 0) else ""))
+    assert (tmp_path / "r.csv").read_bytes().decode() == lines.getvalue()
 
 
 def test_names_with_spaces_keep_their_collisions(tmp_path):

@@ -5,6 +5,7 @@ import io
 import os
 import sqlite3
 import sys
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -268,6 +269,28 @@ def test_tables_hold_everything(study, tmp_path):
     with open(tmp_path / "tables" / "courses" / "00001.csv", newline="", encoding="utf-8") as file:
         found = [float(row["distance"] or "nan") for row in csv.DictReader(file)]
     np.testing.assert_array_equal(found, courses()["distance"][0])
+
+
+def test_a_damaged_study_leaves_nothing_of_an_export(study, tmp_path):
+    study.finish(3, recording(1), courses(1))
+    path = study.path
+    study.close()
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE scenarios SET recording = substr(recording, 2) WHERE id = 3")
+    with Study.open(path, readonly=True) as reader, pytest.raises(InputError, match="damaged"):
+        reader.export(tmp_path / "tables")
+    assert not (tmp_path / "tables").exists()
+
+
+def test_recordings_of_two_studies_are_unpacked_once_where_they_are_the_same(study, tmp_path):
+    study.finish(3, recording(1), courses(1))
+    one, other = study.recordings_beside(1, study, 3)
+    assert same_recording(one, study.recording(1))
+    assert same_recording(other, study.recording(3))
+    one, other = study.recordings_beside(3, study, 3)
+    assert one is other
+    with pytest.raises(InputError, match="the scenario 2 was not run"):
+        study.recordings_beside(1, study, 2)
 
 
 def test_parquet_without_its_package_names_the_extra(study, tmp_path, monkeypatch):

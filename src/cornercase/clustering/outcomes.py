@@ -146,7 +146,7 @@ class Outcome:
         return f"{first} ahead" if met.first == met.ahead else f"{first} overtakes {second}"
 
 
-def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
+def find_outcome(recording: Recording, ego: str, other: str, *, others: bool = True) -> Outcome:
     """Find how a scenario ended for the ego.
 
     Parameters
@@ -155,6 +155,9 @@ def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
         What came out of the scenario.
     ego, other : str
         Names of the two entities.
+    others : bool, default True
+        Look at encounters with further entities too, which takes as long again for each. Without, there are none in
+        the outcome; how it ended is the same.
 
     Returns
     -------
@@ -169,7 +172,8 @@ def find_outcome(recording: Recording, ego: str, other: str) -> Outcome:
     here = there(recording, ego)
     way = Way.of(recording, ego, here)
     met = _meet(recording, way, ego, other, foresees=True)
-    moving = [name for name in recording.names if name not in (ego, other) and _fastest(recording, name) >= STANDING]
+    further = [name for name in recording.names if name not in (ego, other)] if others else []
+    moving = [name for name in further if _fastest(recording, name) >= STANDING]
     speed = np.nan_to_num(np.abs(recording.speed[recording.index(ego)]))
     went = np.maximum.accumulate(speed) >= STANDING
     waits, yields = _gives_way(recording.time, speed, went, ego, met)
@@ -204,7 +208,7 @@ def tell_outcome(recording: Recording, ego: str, other: str) -> str:
         the ego did not come to the place until the end, ``"Pedestrian ahead"`` or ``"Ego overtakes Pedestrian"`` in a
         lane, ``"ways do not cross"``, or ``"Pedestrian is never there"``.
     """
-    return find_outcome(recording, ego, other).text
+    return find_outcome(recording, ego, other, others=False).text
 
 
 def there(recording: Recording, name: str) -> BoolArray:

@@ -131,8 +131,8 @@ def write_courses(path: Path | str, time: FloatArray, courses: Mapping[str, Floa
     with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("time", *map(cell_text, courses)))
-        for row in zip(time.tolist(), *(course.tolist() for course in courses.values()), strict=True):
-            writer.writerow(["" if value != value else value for value in row])
+        columns = (["" if value != value else value for value in one.tolist()] for one in (time, *courses.values()))
+        writer.writerows(zip(*columns, strict=True))
 
 
 def _refuse_doubles(path: Path, lines: list[int], place: IntArray) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable
+import io
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from itertools import chain, cycle, repeat
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -244,6 +246,30 @@ class Recording:
             touched.setdefault((nearest, first), []).append(second)
         return touched
 
+    def _lines(self, touched: Mapping[tuple[int, str], Sequence[str]]) -> Iterator[str]:
+        """Lines of the CSV; what repeats itself is put into words once, as numbers take most of the time."""
+        entities = len(self.names)
+        boxes = np.array([getattr(self, column) for column in BOX], dtype=np.float64).T.tolist()
+        begins = [
+            f",{_cells(cell_text(name), cell_text(kind))}," for name, kind in zip(self.names, self.kinds, strict=True)
+        ]
+        ends = [f",{_cells(*box)}," for box in boxes]
+        met = {
+            instant * entities + place: _cells(cell_text(";".join(touched[instant, name])))
+            for instant in sorted({one for one, _ in touched})
+            for place, name in enumerate(self.names)
+            if (instant, name) in touched
+        }
+        rows = zip(
+            chain.from_iterable(repeat(str(time), entities) for time in self.time.tolist()),
+            cycle(begins),
+            *(getattr(self, column).T.ravel().astype(np.float64).tolist() for column in MOTION),
+            cycle(ends),
+            strict=False,
+        )
+        for k, (time, begin, x, y, heading, speed, acceleration, end) in enumerate(rows):
+            yield f"{time}{begin}{x!r},{y!r},{heading!r},{speed!r},{acceleration!r}{end}{met.get(k, '')}\n"
+
     def to_csv(self, path: Path | str) -> None:
         """Write one row per instant and entity, with the columns `COLUMNS` and ``collision``.
 
@@ -265,11 +291,13 @@ class Recording:
             if ";" in second:
                 raise InputError(f"{path}: the name '{second}' has a semicolon in it; rename the entity.")
         with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow((*COLUMNS, "collision"))
-            for t, time in enumerate(self.time.tolist()):
-                for a, name in enumerate(self.names):
-                    motion = [float(getattr(self, column)[a, t]) for column in MOTION]
-                    box = [float(getattr(self, column)[a]) for column in BOX]
-                    others = ";".join(touched.get((t, name), ()))
-                    writer.writerow((time, *map(cell_text, (name, self.kinds[a])), *motion, *box, cell_text(others)))
+            file.write(_cells(*COLUMNS, "collision") + "\n")
+            file.writelines(self._lines(touched))
+
+
+def _cells(*cells: object) -> str:
+    """Cells of a CSV table as they stand in a line, without its end."""
+    line = io.StringIO()
+    # What holds its end is put between quotation marks.
+    csv.writer(line, lineterminator="\n").writerow(cells)
+    return line.getvalue().removesuffix("\n")

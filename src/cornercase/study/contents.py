@@ -314,12 +314,37 @@ class StudyContents(ScenarioContents):
         """
         folder = Path(folder)
         table = self.table()
-        # A damaged study leaves no part of an export behind: all is read before any is written.
-        for _ in self.recorded():
-            pass
+        # A damaged study leaves no part of an export behind: nothing has its name before all is read.
         with written_together():
             write_table(folder, table, parquet)
             write_scenarios(folder, self.recorded(), parquet)
+
+    def recordings_beside(self, scenario: int, other: StudyContents, its: int) -> tuple[Recording, Recording]:
+        """Recordings of a scenario and of one of another study.
+
+        Parameters
+        ----------
+        scenario : int
+            Id in this study.
+        other : Study
+        its : int
+            Id in the other study.
+
+        Returns
+        -------
+        Recording
+            Of this study.
+        Recording
+            Of the other one; the same object where the files hold the same bytes, which are unpacked once.
+
+        Raises
+        ------
+        InputError
+            As by `recording`.
+        """
+        mine, theirs = self._packed(scenario), other._packed(its)
+        recording = self._unpacked(mine)
+        return recording, recording if mine == theirs else other._unpacked(theirs)
 
     def recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
         """Read what is known over time of each scenario that was run.

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
 from cornercase._common.texts import cell_text
@@ -118,9 +120,11 @@ def write_scenarios(
         for number, recording, courses in scenarios:
             _write_one(folder, number, recording, courses)
             table = recording.table()
-            add_recording({"scenario": [number] * len(table)} | {name: table[name].tolist() for name in table.columns})
+            add_recording(
+                {"scenario": np.full(len(table), number)} | {name: table[name].to_numpy() for name in table.columns}
+            )
             names = names_without_spaces(["scenario", "time", *courses])
-            columns = [[number] * len(recording.time), recording.time, *courses.values()]
+            columns = [np.full(len(recording.time), number), recording.time, *courses.values()]
             add_courses(dict(zip(names, columns, strict=True)))
 
 

@@ -427,12 +427,19 @@ class ScenarioContents:
         InputError
             The scenario was not run, or its id is no whole number.
         """
+        return self._unpacked(self._packed(scenario))
+
+    def _packed(self, scenario: int) -> bytes:
         one = whole_number("scenario", scenario, most=_LARGEST_ID)
         found = self._database.rows("scenarios", "id = ?", one, blob=True)
         if not found or found[0][-1] is None:
             raise InputError(f"{self.path}: the scenario {one} was not run.")
+        packed: bytes = found[0][-1]
+        return packed
+
+    def _unpacked(self, packed: bytes) -> Recording:
         with damage_told(self.path):
-            return unpack_recording(found[0][-1])
+            return unpack_recording(packed)
 
     def collisions(self) -> dict[int, tuple[Collision, ...]]:
         """Find who collides in the scenarios that were run, without reading the rest of their recordings.

@@ -180,11 +180,12 @@ def _pair(old: Side, new: Side, before: Row, after: Row, other: str) -> Pair:
     if not all(ran):
         run: Run = "not in one" if any(ran) else "in neither"
         return Pair(ids, before.values, point, run, unselected, (before.error, after.error))
-    recordings = [old.study.recording(before.id), new.study.recording(after.id)]
+    recordings = old.study.recordings_beside(before.id, new.study, after.id)
     run = compare_recordings(*recordings)
     ego, others = old.study.meta.ego, old.study.meta.others
-    first = find_outcome(recordings[0].with_absent(others), ego, other)
-    last = first if run == "the same" else find_outcome(recordings[1].with_absent(others), ego, other)
+    # Encounters with others than `other` change neither in words nor in collisions how it ended.
+    first = find_outcome(recordings[0].with_absent(others), ego, other, others=False)
+    last = first if run == "the same" else find_outcome(recordings[1].with_absent(others), ego, other, others=False)
     return Pair(
         ids,
         before.values,
