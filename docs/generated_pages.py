@@ -136,9 +136,7 @@ def _about(module: str, name: str) -> str:
     for before, after in itertools.pairwise(statements):
         targets = before.targets if isinstance(before, ast.Assign) else [getattr(before, "target", None)]
         if any(isinstance(one, ast.Name) and one.id == name for one in targets) and (
-            isinstance(after, ast.Expr)
-            and isinstance(after.value, ast.Constant)
-            and isinstance(after.value.value, str)
+            isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) and isinstance(after.value.value, str)
         ):
             return inspect.cleandoc(after.value.value)
     raise ValueError(f"{module}.{name}: has no docstring below it")
