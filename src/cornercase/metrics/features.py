@@ -11,13 +11,23 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import FloatArray, IntArray
 from cornercase.metrics._parts.meeting import FAR, Meeting
 from cornercase.metrics.others import nearest_other
 from cornercase.recordings import Recording
 
 _TURNS: Final = 1e-3
 """Turn rate in rad/s up to which a heading is straight."""
+
+_BEGUN: Final = 0.05
+"""Change of heading in rad from which a turn has begun."""
+
+_WITHIN: Final = 40.0
+"""Distance of the centres in m at which the other is taken to approach."""
+
+_BRAKES: Final = 0.1
+"""Deceleration in m/s² up to which nobody brakes, and the share of the strongest one that is still taken for it."""
+_STRONG: Final = 0.9
 
 
 @dataclass(frozen=True)
@@ -117,15 +127,79 @@ class NearestApproach(FeatureGroup):
             return np.array([FAR, meeting.duration, FAR, 0.0, 1.0, 0.0, 0.0, 0.0, meeting.way_until(None)])
         one, ego, other = meeting.recording, meeting.ego_row, meeting.other_row
         heading = one.heading[ego, k]
-        cos, sin = np.cos(heading), np.sin(heading)
-        ahead, left = meeting.other_center[k] - meeting.ego_center[k]
+        ahead, left, speed = meeting.other_from(k)
         turned = one.heading[other, k] - heading
         return np.array(
             [
-                clearance, one.time[k] - one.time[0], cos * ahead + sin * left, cos * left - sin * ahead,
-                np.cos(turned), np.sin(turned), one.speed[ego, k], one.speed[other, k], meeting.way_until(k),
+                clearance, meeting.since_begin(k), ahead, left, np.cos(turned), np.sin(turned), one.speed[ego, k], speed,
+                meeting.way_until(k),
             ]
         )  # fmt: skip
+
+
+class Approach(FeatureGroup):
+    """The first instant at which the centres of both are within 40 m, or where they never are, at their nearest.
+
+    ``approach-time``: since the recording began. ``approach-ahead``: how far ahead the other is, seen from the ego.
+    ``approach-other-speed``. What is so before either reacts follows the parameters smoothly, where what comes of it
+    jumps. Where the two are never there at once: the end, 100 m and 0 m/s.
+    """
+
+    name = "approach"
+    features = (Feature("approach-time", "s"), Feature("approach-ahead", "m"), Feature("approach-other-speed", "m/s"))
+
+    def values(self, meeting: Meeting) -> FloatArray:
+        both = meeting.both_there
+        if not len(both):
+            return np.array([meeting.duration, FAR, 0.0])
+        apart = np.hypot(*(meeting.other_center[both] - meeting.ego_center[both]).T)
+        within = apart < _WITHIN
+        k = int(both[np.argmax(within) if within.any() else np.argmin(apart)])
+        ahead, _, speed = meeting.other_from(k)
+        return np.array([meeting.since_begin(k), ahead, speed])
+
+
+class Braking(FeatureGroup):
+    """The first instant at which the ego decelerates with nine tenths of its strongest deceleration or more.
+
+    ``braking-way``: how far the ego has driven until then. ``braking-speed``: of the ego then. Where it never brakes by
+    more than 0.1 m/s², those of the end; both are 0 where it is never there.
+    """
+
+    name = "braking"
+    features = (Feature("braking-way", "m"), Feature("braking-speed", "m/s"))
+
+    def values(self, meeting: Meeting) -> FloatArray:
+        if not len(meeting.ego_there):
+            return np.zeros(2)
+        k = _strongest_braking(meeting.recording.acceleration[meeting.ego_row], meeting.ego_there)
+        return np.array([meeting.way_until(k), meeting.recording.speed[meeting.ego_row, k]])
+
+
+class Other(FeatureGroup):
+    """What the other does, wherever the ego is.
+
+    ``other-highest-speed``: of the other, forwards or backwards. ``other-highest-speed-time``: the first instant with
+    it, since the recording began. ``other-braking-way``: how far the other has driven until it brakes hardest, as of
+    the ego in `Braking`. All are 0 where it is never there.
+    """
+
+    name = "other"
+    features = (
+        Feature("other-highest-speed", "m/s"),
+        Feature("other-highest-speed-time", "s"),
+        Feature("other-braking-way", "m"),
+    )
+
+    def values(self, meeting: Meeting) -> FloatArray:
+        one, there = meeting.recording, meeting.other_there
+        if not len(there):
+            return np.zeros(3)
+        speeds = np.abs(one.speed[meeting.other_row, there])
+        k = int(np.argmax(speeds))
+        braking = _strongest_braking(one.acceleration[meeting.other_row], there)
+        steps = np.diff(meeting.other_center[there[there <= braking]], axis=0)
+        return np.array([speeds[k], meeting.since_begin(int(there[k])), np.hypot(steps[:, 0], steps[:, 1]).sum()])
 
 
 class Crossing(FeatureGroup):
@@ -150,41 +224,61 @@ class Slowest(FeatureGroup):
 
     ``lowest-speed``: of the ego, forwards or backwards. ``lowest-speed-time``: since the recording began.
     ``lowest-speed-way``: how far the ego has driven until then. All are 0 where it is never there.
+    ``lowest-speed-ahead``, ``lowest-speed-left``: place of the other's centre then, seen from the ego's.
+    ``lowest-speed-other-speed``. Where one of the two is not there: 100 m ahead, at a speed of 0.
     """
 
     name = "slowest"
-    features = (Feature("lowest-speed", "m/s"), Feature("lowest-speed-time", "s"), Feature("lowest-speed-way", "m"))
+    features = (
+        Feature("lowest-speed", "m/s"),
+        Feature("lowest-speed-time", "s"),
+        Feature("lowest-speed-way", "m"),
+        Feature("lowest-speed-ahead", "m"),
+        Feature("lowest-speed-left", "m"),
+        Feature("lowest-speed-other-speed", "m/s"),
+    )
 
     def values(self, meeting: Meeting) -> FloatArray:
         one, there = meeting.recording, meeting.ego_there
         if not len(there):
-            return np.zeros(3)
+            return np.array([0.0, 0.0, 0.0, FAR, 0.0, 0.0])
         speeds = np.abs(one.speed[meeting.ego_row, there])
-        k = int(np.argmin(speeds))
-        return np.array([speeds[k], one.time[there[k]] - one.time[0], meeting.way_until(int(there[k]))])
+        lowest = int(np.argmin(speeds))
+        k = int(there[lowest])
+        return np.array([speeds[lowest], meeting.since_begin(k), meeting.way_until(k), *meeting.other_from(k)])
 
 
 class Turn(FeatureGroup):
-    """The first instant at which the ego's heading changes fastest.
+    """How the ego's heading changes: the first instant at which it does so fastest, and the one at which it begins.
 
-    ``turn-time``: since the recording began. ``turn-way``: how far the ego has driven until then. Both are 0 where it
-    never turns by more than 0.001 rad/s.
+    ``turn-time``: of the fastest change, since the recording began. ``turn-way``: how far the ego has driven until
+    then. Both are 0 where it never turns by more than 0.001 rad/s.
+
+    ``turn-begin-left``: how far left the other's centre is, seen from the ego's, where the heading first differs by
+    more than 0.05 rad from that at the begin, or at the end where it never does. ``turn-begin-other-speed``. Both are 0
+    where one of the two is not there.
     """
 
     name = "turn"
-    features = (Feature("turn-time", "s"), Feature("turn-way", "m"))
+    features = (
+        Feature("turn-time", "s"),
+        Feature("turn-way", "m"),
+        Feature("turn-begin-left", "m"),
+        Feature("turn-begin-other-speed", "m/s"),
+    )
 
     def values(self, meeting: Meeting) -> FloatArray:
         one, there = meeting.recording, meeting.ego_there
         if len(there) < 2:
-            return np.zeros(2)
-        turned = np.abs(np.diff(one.heading[meeting.ego_row, there]))
-        # Shortest way round, without unwrapping.
-        rates = np.minimum(turned, np.abs(2.0 * np.pi - turned)) / np.diff(one.time[there])
+            return np.zeros(4)
+        heading = one.heading[meeting.ego_row, there]
+        begun = _between(heading, heading[0]) > _BEGUN
+        _, left, speed = meeting.other_from(int(there[np.argmax(begun) if begun.any() else -1]))
+        rates = _between(heading[1:], heading[:-1]) / np.diff(one.time[there])
         k = int(np.argmax(rates))
         if not rates[k] > _TURNS:
-            return np.zeros(2)
-        return np.array([one.time[there[k + 1]] - one.time[0], meeting.way_until(int(there[k + 1]))])
+            return np.array([0.0, 0.0, left, speed])
+        return np.array([meeting.since_begin(int(there[k + 1])), meeting.way_until(int(there[k + 1])), left, speed])
 
 
 class Whole(FeatureGroup):
@@ -203,10 +297,23 @@ class Whole(FeatureGroup):
         return np.array([meeting.duration, meeting.way_until(None), float(touched)])
 
 
+def _strongest_braking(accelerations: FloatArray, there: IntArray) -> int:
+    """First of some instants at which somebody all but brakes hardest; the last one where nobody brakes."""
+    braking = np.nan_to_num(-accelerations[there])
+    strongest = float(braking.max())
+    return int(there[np.argmax(braking >= _STRONG * strongest) if strongest > _BRAKES else -1])
+
+
+def _between(headings: FloatArray, others: FloatArray | float) -> FloatArray:
+    """Angles between headings, the shortest way round."""
+    turned = np.abs(headings - others)
+    return np.asarray(np.minimum(turned, np.abs(2.0 * np.pi - turned)))
+
+
 FEATURES: Final[Registry[FeatureGroup]] = Registry("group of features", "cornercase.features", FeatureGroup)
 """Groups of features by name; other packages add subclasses of `FeatureGroup` through this entry-point group."""
 
-for _one in (NearestApproach, Crossing, Slowest, Turn, Whole):
+for _one in (NearestApproach, Approach, Braking, Crossing, Other, Slowest, Turn, Whole):
     FEATURES.register(_one.name, _one)
 
 

@@ -66,6 +66,16 @@ class Meeting:
         """Instants at which the other exists, shape (n,)."""
         return self._there(self.other_row)
 
+    @cached_property
+    def both_there(self) -> IntArray:
+        """Instants at which both exist, shape (n,)."""
+        return np.intersect1d(self.ego_there, self.other_there, assume_unique=True)
+
+    def since_begin(self, instant: int) -> float:
+        """Time from the first instant of the recording to one of them in s."""
+        time = self.recording.time
+        return float(time[instant] - time[0])
+
     def _there(self, row: int) -> IntArray:
         one = self.recording
         there = np.isfinite(one.x[row]) & np.isfinite(one.y[row]) & np.isfinite(one.heading[row])
@@ -97,7 +107,7 @@ class Meeting:
     @cached_property
     def nearest(self) -> tuple[int | None, float]:
         """First instant at which the boxes are nearest, and their gap in m; None and 100 m where they never meet."""
-        both = np.intersect1d(self.ego_there, self.other_there, assume_unique=True)
+        both = self.both_there
         if not len(both):
             return None, FAR
         apart = self.other_center[both] - self.ego_center[both]
@@ -131,6 +141,26 @@ class Meeting:
             reach = np.abs(along) + np.abs(across) + mine[:, None]
             beyond = np.maximum(beyond, (np.abs(np.stack([ahead, left])) - reach).max(axis=0))
         return np.where(beyond <= 0.0, 0.0, least)
+
+    def other_from(self, instant: int) -> tuple[float, float, float]:
+        """Where the other is, seen from the ego, and how fast.
+
+        Parameters
+        ----------
+        instant : int
+            One at which the ego exists.
+
+        Returns
+        -------
+        ahead, left, speed : float
+            m, m and m/s; 100 m ahead, standing, where the other does not exist then.
+        """
+        if instant not in self.other_there:
+            return FAR, 0.0, 0.0
+        heading = self.recording.heading[self.ego_row, instant]
+        cos, sin = np.cos(heading), np.sin(heading)
+        x, y = self.other_center[instant] - self.ego_center[instant]
+        return float(cos * x + sin * y), float(cos * y - sin * x), float(self.recording.speed[self.other_row, instant])
 
     @cached_property
     def crossing(self) -> tuple[float, float]:
