@@ -84,6 +84,52 @@ def test_the_slowest_instant_is_the_first_of_them():
     found = told(meeting(slow=6.0))
     assert (found["lowest-speed"], found["lowest-speed-time"]) == pytest.approx((2.0, 6.0))
     assert found["lowest-speed-way"] == pytest.approx(48.0)
+    # At 6 s the ego is 8 m beyond the crossing, where the other went 2 s before it, at 5 m/s.
+    assert (found["lowest-speed-ahead"], found["lowest-speed-left"]) == pytest.approx((-8.0, 15.0))
+    assert found["lowest-speed-other-speed"] == 5.0
+
+
+def test_the_approach_begins_within_40_m():
+    recording = meeting()
+    found = told(recording)
+    apart = np.hypot(recording.x[1] - recording.x[0], recording.y[1] - recording.y[0])
+    k = int(np.argmax(apart < 40.0))
+    assert 0 < k < len(TIME)
+    assert found["approach-time"] == pytest.approx(TIME[k])
+    assert found["approach-ahead"] == pytest.approx(-recording.x[0, k])
+    assert found["approach-other-speed"] == 5.0
+    # Where they never come that near, it is where they are nearest.
+    far = told(replace(recording, y=recording.y + np.array([[0.0], [100.0]])))
+    apart = np.hypot(recording.x[1] - recording.x[0], recording.y[1] + 100.0 - recording.y[0])
+    assert far["approach-time"] == pytest.approx(TIME[int(np.argmin(apart))])
+
+
+def test_braking_begins_with_nine_tenths_of_the_strongest():
+    recording = meeting()
+    ego, other = -np.minimum(TIME, 3.0), np.where(TIME > 4.05, -2.0, 0.0)
+    found = told(replace(recording, acceleration=np.stack([ego, other])))
+    assert found["braking-way"] == pytest.approx(8.0 * 2.7)
+    assert found["braking-speed"] == 8.0
+    assert found["other-braking-way"] == pytest.approx(5.0 * 4.1)
+    # Nobody brakes: all of the way.
+    assert told(recording)["braking-way"] == pytest.approx(80.0)
+    assert told(recording)["other-braking-way"] == pytest.approx(50.0)
+
+
+def test_the_other_is_fastest_where_it_first_is():
+    recording = meeting()
+    found = told(replace(recording, speed=np.stack([recording.speed[0], np.minimum(5.0 + TIME, 9.0)])))
+    assert (found["other-highest-speed"], found["other-highest-speed-time"]) == pytest.approx((9.0, 4.0))
+
+
+def test_a_turn_begins_before_it_is_fastest():
+    recording = meeting()
+    heading = np.where(TIME < 1.95, 0.0, np.where(TIME < 2.95, 0.1, 0.5))
+    found = told(replace(recording, heading=np.stack([heading, recording.heading[1]])))
+    assert found["turn-time"] == pytest.approx(3.0)
+    # At 2 s the ego is 24 m before the crossing, the other 5 m.
+    assert found["turn-begin-left"] == pytest.approx(-5.0 * np.cos(0.1) - 24.0 * np.sin(0.1))
+    assert found["turn-begin-other-speed"] == 5.0
 
 
 def test_a_turn_is_found_also_where_the_heading_goes_round():

@@ -131,8 +131,8 @@ class NearestApproach(FeatureGroup):
         turned = one.heading[other, k] - heading
         return np.array(
             [
-                clearance, meeting.since_begin(k), ahead, left, np.cos(turned), np.sin(turned), one.speed[ego, k], speed,
-                meeting.way_until(k),
+                clearance, meeting.since_begin(k), ahead, left, np.cos(turned), np.sin(turned),
+                one.speed[ego, k], speed, meeting.way_until(k),
             ]
         )  # fmt: skip
 

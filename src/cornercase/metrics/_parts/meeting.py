@@ -72,7 +72,17 @@ class Meeting:
         return np.intersect1d(self.ego_there, self.other_there, assume_unique=True)
 
     def since_begin(self, instant: int) -> float:
-        """Time from the first instant of the recording to one of them in s."""
+        """How long after the recording began an instant is.
+
+        Parameters
+        ----------
+        instant : int
+
+        Returns
+        -------
+        float
+            s.
+        """
         time = self.recording.time
         return float(time[instant] - time[0])
 
