@@ -196,6 +196,14 @@ def test_a_failed_scenario_says_why(failing, tmp_path):
     assert contents(page)["roads_missing"].startswith("The road is not drawn")
 
 
+def test_a_film_without_a_road_says_so_in_a_sentence(failing, tmp_path):
+    with Study.open(failing, readonly=True) as opened:
+        done = opened.done()[0].id
+    ran = cornercase("replay", failing, done, "--fps", "1", "--speed", "4", "-o", tmp_path / "run.gif")
+    assert ran.returncode == 0, ran.stderr
+    assert re.search(r"The road is not drawn, .*[^.]\.$", ran.stderr, re.MULTILINE)
+
+
 def test_the_command_writes_what_it_says(study, tmp_path):
     ran = cornercase("replay", study, "2", "--beside", "1", "-o", tmp_path / "run.html")
     assert ran.returncode == 0, ran.stderr

@@ -108,7 +108,7 @@ def replay(
         footage = read_footage(opened, ids, scenario)
     if footage.road_missing and ending != ".html":
         # The page says it by itself.
-        warnings.warn(footage.road_missing, NoticeWarning, stacklevel=2)
+        warnings.warn(footage.road_missing.removesuffix("."), NoticeWarning, stacklevel=2)
     with written_whole(path) as temporary:
         if ending == ".html":
             from cornercase.report.replays.page import fill_replay
