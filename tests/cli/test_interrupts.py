@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from command_line import SPACE, X, process
+from command_line import SPACE, X, cornercase
 from cornercase._common.interrupts import hear_requests
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it asks as Unix does")
@@ -62,7 +62,7 @@ main()
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
     path = tmp_path_factory.mktemp("interrupted") / "study.db"
-    done = process(
+    done = cornercase(
         "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer",
         "sobol", "--budget", 24, "--duration", 10, "-o", path,
     )  # fmt: skip
@@ -81,10 +81,20 @@ def asked(number, place, *command, cwd):
     ("number", "place", "command", "words"),
     [
         (signal.SIGINT, "cornercase.clustering.analyzing:_clustered", ("analyze",), "Interrupted;"),
-        (signal.SIGTERM, "cornercase.report.page:written_whole", ("report", "-o", "page.html"), "by SIGTERM;"),
-        (signal.SIGHUP, "cornercase.report.summary:summarize", ("show",), "by SIGHUP;"),
+        pytest.param(
+            signal.SIGTERM,
+            "cornercase.report.page:written_whole",
+            ("report", "-o", "page.html"),
+            "by SIGTERM;",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            signal.SIGHUP, "cornercase.report.summary:summarize", ("show",), "by SIGHUP;", marks=pytest.mark.slow
+        ),
         (signal.SIGTERM, "typer.core:_main", ("show",), "by SIGTERM;"),
-        (signal.SIGINT, "~cornercase.report.summary:summarize", ("show",), "Interrupted;"),
+        pytest.param(
+            signal.SIGINT, "~cornercase.report.summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
+        ),
         (signal.SIGTERM, "~cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),
         (signal.SIGINT, "+cornercase.report.summary:summarize", ("show",), "Interrupted;"),
         (signal.SIGTERM, "+cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),

@@ -7,10 +7,9 @@ import json
 import os
 import subprocess
 import sys
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
 from conftest import at_night
@@ -20,9 +19,8 @@ from cornercase._common.kernel_contents import contents
 
 PROGRAM = """
 import json, sys, time
-import numpy as np
 from numba.core.caching import IndexDataCacheFile
-from cornercase.dtw import distance_matrix
+from cornercase._common.compiling import kernel
 
 # The others read the index in between, and who writes it first writes its machine code last.
 index, data = IndexDataCacheFile._save_index, IndexDataCacheFile._save_data
@@ -30,22 +28,27 @@ delay = float(sys.argv.pop(1))
 IndexDataCacheFile._save_index = lambda *all: (time.sleep(0.5), index(*all))
 IndexDataCacheFile._save_data = lambda *all: (time.sleep(delay), data(*all))
 
-rng = np.random.default_rng(0)
-series = [rng.normal(size=(9, 2)) for _ in range(4)]
-found = {}
-for name in sys.argv[1:]:
-    cost, dims = name.split("-")
-    found[name] = distance_matrix([one[:, : int(dims)] for one in series], local_cost=cost, n_jobs=1).tolist()
-print(json.dumps(found))
+@kernel()
+def half(x):
+    return x / 2
+
+@kernel()
+def whole(x):
+    return x
+
+given = {"whole-int": (whole, 5), "whole-float": (whole, 5.5), "half-int": (half, 5), "half-float": (half, 5.5)}
+print(json.dumps({name: given[name][0](given[name][1]) for name in sys.argv[1:]}))
 """
-VERSIONS = ["euclidean-1", "squared-1", "euclidean-2", "squared-2"]
+RESULTS = {"half-int": 2.5, "half-float": 2.75, "whole-int": 5, "whole-float": 5.5}
 
 
 def started(folder, delay, *names):
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    return subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, str(delay), *names], stdout=subprocess.PIPE, text=True, env=environment
-    )
+    program = folder / "program.py"
+    if not program.exists():
+        program.write_text(PROGRAM)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+    command = [sys.executable, str(program), str(delay), *names]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def said(process):
@@ -57,86 +60,111 @@ def said(process):
 @pytest.mark.parametrize("count", at_night([2, 4], {4}))
 def test_processes_that_compile_at_once_do_not_mix_up_their_kernels(tmp_path, count):
     """Each begins with another version; then all of them are loaded from the disk, none is compiled."""
-    folder, versions = tmp_path / "cache", VERSIONS[:count]
-    processes = [started(folder, 0.4 * (count - 1 - k), *versions[k:], *versions[:k]) for k in range(count)]
+    versions = list(RESULTS)[:count]
+    processes = [started(tmp_path, 0.4 * (count - 1 - k), *versions[k:], *versions[:k]) for k in range(count)]
     results = [said(process) for process in processes]
-    before = sorted(path.name for path in folder.rglob("*.nbc"))
-    later = said(started(folder, 0.0, *versions))
-    assert sorted(path.name for path in folder.rglob("*.nbc")) == before
+    before = sorted(path.name for path in tmp_path.rglob("*.nbc"))
+    results.append(said(started(tmp_path, 0.0, *versions)))
+    assert sorted(path.name for path in tmp_path.rglob("*.nbc")) == before
     assert len(before) == count
-    for result in results:
-        for name in versions:
-            np.testing.assert_array_equal(result[name], later[name])
-    flat, square = np.array(later["euclidean-1"]), np.array(later["squared-1"])
-    assert (flat >= square - 1e-12).all()
-    assert not np.allclose(flat, square)
+    assert all(result == {name: RESULTS[name] for name in versions} for result in results)
 
 
 @pytest.mark.parametrize("ending", at_night([".nbi", ".nbc"], {".nbi"}))
 @pytest.mark.parametrize("left", at_night([0, 40], {0}))
 def test_machine_code_that_was_cut_is_compiled_again(tmp_path, ending, left):
-    first = said(started(tmp_path, 0.0, "euclidean-1"))
+    assert said(started(tmp_path, 0.0, "half-int")) == {"half-int": 2.5}
     for path in tmp_path.rglob(f"*{ending}"):
         path.write_bytes(path.read_bytes()[:left])
-    assert said(started(tmp_path, 0.0, "euclidean-1")) == first
+    assert said(started(tmp_path, 0.0, "half-int")) == {"half-int": 2.5}
     whole = {path: path.read_bytes() for path in tmp_path.rglob("*.nb?")}
-    assert said(started(tmp_path, 0.0, "euclidean-1")) == first
+    assert len(whole) == 2
+    assert said(started(tmp_path, 0.0, "half-int")) == {"half-int": 2.5}
     assert whole == {path: path.read_bytes() for path in tmp_path.rglob("*.nb?")}
 
 
-OUTER = """
+INNER = """
+from cornercase._common.compiling import kernel
+@kernel()
+def inner(x):
+    return later(x)
+@kernel()
+def later(x):
+    return x + 1
+"""
+CODES = """
 import enum
-import math
 import numpy as np
+TABLE = np.array([1.0, 2.0])
+class Code(enum.IntEnum):
+    FIRST = 0
+"""
+OUTER = """
 import codes
 from cornercase._common.compiling import kernel
 from inner import inner
 LIMIT = 5.0
-@kernel({options})
+@kernel()
 def outer(x):
-    {comment}
+    # that
     if x > LIMIT:
         return codes.TABLE[codes.Code.FIRST]
     return inner(x)
-print(outer(1.0), sum(outer.stats.cache_hits.values()))
 """
+FILES = {"inner": INNER, "codes": CODES, "outer": OUTER}
+# The text that changes, what it changes to, and what the kernel then gives; None where its machine code stays.
+CHANGES = [
+    ("inner", "x + 1", "x + 2", "3.0"),
+    ("outer", "# that", "# that and more\n    # of it", None),
+    ("outer", "LIMIT = 5.0", "LIMIT = 0.5", "1.0"),
+    ("codes", "1.0,", "4.0,", "4.0"),
+    ("codes", "FIRST = 0", "FIRST = 1", "2.0"),
+    ("outer", "@kernel()", "@kernel(fastmath=True)", "2.0"),
+]
 
 
-@pytest.mark.parametrize("kept_each_time", at_night([False, True], {True}))
+def test_what_a_kernel_holds_is_in_its_digest(monkeypatch):
+    """Whether it stands in its own module or in another one; and a comment is not."""
+
+    def digest():
+        for name, text in files.items():
+            module = ModuleType(name)
+            monkeypatch.setitem(sys.modules, name, module)
+            exec(text, vars(module))
+        outer = sys.modules["outer"].outer
+        return contents(outer.py_func, outer.targetoptions)
+
+    files, digests = dict(FILES), []
+    digests.append(digest())
+    assert digest() == digests[0]
+    for name, before, after, gives in CHANGES:
+        files[name] = files[name].replace(before, after)
+        digests.append(digest())
+        assert (digests[-1] == digests[-2]) == (gives is None)
+    assert len(set(digests)) == len(CHANGES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kept_each_time", [False, True])
 def test_a_kernel_is_compiled_again_when_what_it_holds_has_changed(tmp_path, kept_each_time):
-    """Whether it stands in its own module or in another one; and not when a comment has."""
-    inner = "from cornercase._common.compiling import kernel\n@kernel()\ndef inner(x):\n    return later(x)\n"
-    inner += "@kernel()\ndef later(x):\n    return x + 1\n"
-    codes = "import enum\nimport numpy as np\nTABLE = np.array([1.0, 2.0])\nclass Code(enum.IntEnum):\n    FIRST = 0\n"
-    files = {"inner.py": inner, "codes.py": codes, "outer.py": OUTER.format(options="", comment="#")}
-
     def printed():
         for name, text in files.items():
-            (tmp_path / name).write_text(text)
+            (tmp_path / f"{name}.py").write_text(text)
         # Python itself does not notice that a file has changed within a second to one of the same size.
         kept = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
         environment = {**os.environ, **kept}
         command = [sys.executable, str(tmp_path / "outer.py")]
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
 
-    def assert_compiled(value):
-        assert printed() == [value, "0"]
+    files = {**FILES, "outer": f"{OUTER}\nprint(outer(1.0), sum(outer.stats.cache_hits.values()))\n"}
+    given = "2.0"
+    assert printed() == [given, "0"]
+    for name, before, after, gives in CHANGES:
+        files[name] = files[name].replace(before, after)
+        given = gives or given
+        assert printed() == [given, "1" if gives is None else "0"]
         if kept_each_time:
-            assert printed() == [value, "1"]
-
-    assert_compiled("2.0")
-    files["inner.py"] = inner.replace("x + 1", "x + 2")
-    assert_compiled("3.0")
-    files["outer.py"] = OUTER.format(options="", comment="# more\n    # of it")
-    assert printed() == ["3.0", "1"]
-    files["outer.py"] = files["outer.py"].replace("LIMIT = 5.0", "LIMIT = 0.5")
-    assert_compiled("1.0")
-    files["codes.py"] = codes.replace("1.0,", "4.0,")
-    assert_compiled("4.0")
-    files["codes.py"] = files["codes.py"].replace("FIRST = 0", "FIRST = 1")
-    assert_compiled("2.0")
-    files["outer.py"] = files["outer.py"].replace("@kernel()", "@kernel(fastmath=True)")
-    assert_compiled("2.0")
+            assert printed() == [given, "1"]
 
 
 def test_a_kernel_is_compiled_again_when_the_fields_of_a_named_tuple_have_changed_places(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conftest import examples
+from conftest import at_night, examples
 from cornercase._common.errors import InputError
 from cornercase._common.progress import loudness
 from cornercase.dtw import cpu, distance_matrix, distances_to, kernel_matrix, pairs
@@ -114,37 +114,39 @@ def test_bits_do_not_depend_on_threads_or_order(options, monkeypatch):
         assert np.array_equal(shuffled, once[np.ix_(order, order)])
 
 
-def test_a_process_that_finds_the_compiled_kernels_gives_the_same(tmp_path):
+ALL = [(cost, window) for cost in ("euclidean", "squared") for window in (None, 2)]
+
+
+@pytest.mark.parametrize("options", at_night([[("euclidean", 2)], ALL], [ALL]))
+def test_a_process_that_finds_the_compiled_kernels_gives_the_same(tmp_path, options):
+    """Who compiles says so, once."""
     rng = np.random.default_rng(1)
     series = [rng.integers(-5, 6, size=rng.integers(1, 9)).tolist() for _ in range(9)]
     program = (
-        "import json, sys; from cornercase.dtw import cpu, distance_matrix; series = json.load(sys.stdin); "
-        "m = [distance_matrix(series, local_cost=c, window=w).tolist() for c in ('euclidean', 'squared')"
-        " for w in (None, 2)]; "
-        "hits = sum(sum(cpu._kernel(1, c, w, 8).stats.cache_hits.values()) for c in (False, True)"
-        " for w in (False, True)); print(json.dumps([hits, m]))"
+        "import json, sys; from cornercase.dtw import cpu, distance_matrix; series, options = json.load(sys.stdin); "
+        "m = [distance_matrix(series, local_cost=c, window=w).tolist() for c, w in options + options]; "
+        "hits = sum(sum(cpu._kernel(1, c == 'squared', w is not None, 8).stats.cache_hits.values()) for c, w in options); "
+        "print(json.dumps([hits, m]))"
     )
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    answers = [
-        json.loads(
-            subprocess.run(
-                [sys.executable, "-c", program],
-                input=json.dumps(series),
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=True,
-            ).stdout
+    ended = [
+        subprocess.run(
+            [sys.executable, "-c", program],
+            input=json.dumps([series, options]),
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
         )
         for _ in range(2)
     ]
-    assert [answer[0] for answer in answers] == [0, 4]
-    expected = [
-        distance_matrix(series, local_cost=cost, window=window).tolist()
-        for cost in ("euclidean", "squared")
-        for window in (None, 2)
+    answers = [json.loads(one.stdout) for one in ended]
+    assert [answer[0] for answer in answers] == [0, len(options)]
+    expected = [distance_matrix(series, local_cost=cost, window=window).tolist() for cost, window in options]
+    assert answers[0][1] == answers[1][1] == expected + expected
+    assert [one.stderr for one in ended] == [
+        "Compiling for this machine, kept for the next time; 'cornercase warm-up' does all of it ahead.\n",
+        "",
     ]
-    assert answers[0][1] == answers[1][1] == expected
 
 
 def test_interrupt_ends_between_tiles(monkeypatch):
@@ -334,22 +336,6 @@ def test_courses_that_rest_at_their_cap_cost_less(monkeypatch):
     # With a window instants count, so nothing may be cut off.
     banded = all_pairs([one[:, None] for one in courses], squared=False, window=3)
     np.testing.assert_allclose(distance_matrix(courses, window=3), banded, rtol=1e-13)
-
-
-def test_the_first_call_says_that_it_compiles(tmp_path):
-    program = (
-        "import numpy as np; from cornercase.dtw import distance_matrix; "
-        "distance_matrix([[0.0, 1.0], [2.0]]); distance_matrix([[0.0, 1.0], [2.0]])"
-    )
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    said = [
-        subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-        for _ in range(2)
-    ]
-    assert said[0].stderr == (
-        "Compiling for this machine, kept for the next time; 'cornercase warm-up' does all of it ahead.\n"
-    )
-    assert said[1].stderr == ""
 
 
 def test_works_where_numba_can_write_nowhere(tmp_path):
