@@ -10,6 +10,7 @@ import pytest
 
 from browser.studies import X
 from command_line import cornercase
+from conftest import at_night
 from cornercase.recordings import read_recording
 from cornercase.study import Study
 
@@ -21,7 +22,7 @@ def select(page, scenario):
     page.evaluate("id => cornercase.store.select(id)", scenario)
 
 
-@pytest.mark.parametrize("name", ["plain", "hostile"])
+@pytest.mark.parametrize("name", at_night(["plain", "hostile"], {"plain"}))
 def test_the_command_runs_the_scenario_to_the_last_bit(tab, studies, reports, name, tmp_path, monkeypatch):
     path = studies(name)
     page = tab.open(reports(name))

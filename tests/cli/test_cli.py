@@ -81,6 +81,7 @@ def test_reduced_scenarios_run_by_themselves_and_give_the_same_recording(demo):
             assert same_recording(again, study.recording(item["id"]))
 
 
+@pytest.mark.slow
 def test_the_same_demo_twice_gives_the_same_scores_and_labels(demo, tmp_path):
     assert cornercase("demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", tmp_path).returncode == 0
     with Study.open(demo / "study.db", readonly=True) as a, Study.open(tmp_path / "study.db", readonly=True) as b:

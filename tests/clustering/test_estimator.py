@@ -12,6 +12,7 @@ from sklearn.datasets import make_moons
 from sklearn.metrics import adjusted_rand_score
 
 import cornercase.clustering.estimator
+from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering, cluster
 
@@ -58,7 +59,7 @@ def test_who_was_clustered_is_placed_where_it_is():
     assert (model.predict(distances)[kept] == model.labels_[kept]).mean() > 0.97
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", at_night(range(3), {1, 2}))
 def test_a_tenth_more_scenarios_or_another_order_change_few_labels(seed):
     points, _ = moons(330, seed)
     few, many = (ScenarioClustering().fit(cdist(p, p)) for p in (points[:300], points))

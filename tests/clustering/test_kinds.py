@@ -109,7 +109,10 @@ def test_kinds_of_other_dimensions_and_densities_stay_apart():
     assert adjusted_rand_score(np.repeat([0, 1], [150, 100]), kinds) > 0.95
 
 
-@pytest.mark.parametrize("name", sorted(SETS))
+BY_DAY = {"yield or go", "lane changes", "5 % crashes", "ten kinds"}
+
+
+@pytest.mark.parametrize("name", at_night(sorted(SETS), SETS.keys() - BY_DAY))
 def test_kinds_of_scenarios_are_found(name):
     # Seeds that no constant was chosen with; benchmarks/kinds.py draws more of them.
     found = []

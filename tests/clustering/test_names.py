@@ -85,7 +85,7 @@ def simulated(logical, other, on_collision="stop", drivers=None):
 STUDIED = ["x_intersection", "t_intersection", "CPNCO", "CBFA", "CCCscp", "CBNA", "CPNA"]
 
 
-@pytest.fixture(scope="module", params=at_night(STUDIED, STUDIED[3:]))
+@pytest.fixture(scope="module", params=at_night(STUDIED, STUDIED[2:]))
 def told(request):
     name = request.param
     if name == "x_intersection":
@@ -266,8 +266,9 @@ NAMED = [
 ]
 
 
-@pytest.mark.parametrize(("ego", "other"), NAMED)
-def test_no_name_of_an_entity_is_read_as_something_else(ego, other):
+@pytest.mark.parametrize("named", at_night(NAMED, [one for one in NAMED if one not in NAMED[:6:2]]))
+def test_no_name_of_an_entity_is_read_as_something_else(named):
+    ego, other = named
     kinds = ("before", "stops", "after", "low", "apart")
     further = {"Ego": ego, "P": other}
     recordings = [

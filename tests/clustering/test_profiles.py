@@ -14,6 +14,7 @@ from command_line import cornercase
 from cornercase.clustering import tell_outcome
 from cornercase.clustering.agreement import compare_labels
 from cornercase.clustering.rules import find_rules
+from cornercase.exploration import demonstration, explore_configuration
 from cornercase.recordings import Collision
 from cornercase.scenario import Parameter, ParameterSpace
 from oracle import actor, recorded
@@ -147,9 +148,12 @@ def test_outcomes_say_who_was_first_and_who_collides():
 
 
 def test_show_and_report_tell_what_the_clusters_are(tmp_path):
-    done = cornercase("demo", "t-intersection", "--budget", "60", "--seed", "1", "-o", tmp_path)
-    assert done.returncode == 0, done.stderr
-    shown = json.loads(cornercase("show", tmp_path / "study.db", "--json").stdout)
+    study = tmp_path / "study.db"
+    explore_configuration(demonstration("t-intersection", budget=60, seed=1), study)
+    for command in (("analyze", study), ("report", study, "-o", tmp_path / "report.html")):
+        done = cornercase(*command)
+        assert done.returncode == 0, done.stderr
+    shown = json.loads(cornercase("show", study, "--json").stdout)
     clusters = [one for key, one in shown["clusters"]["ego-trajectory"].items() if key.startswith("cluster_")]
     assert sum(one["scenarios"] for one in clusters) + shown["clusters"]["ego-trajectory"]["noise"] == 60
     assert any("C first" in one["outcomes"] for one in clusters)

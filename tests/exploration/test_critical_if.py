@@ -163,6 +163,7 @@ def test_the_command_takes_a_condition_and_names_what_is_misspelt(tmp_path):
         assert opened.meta.metrics[0] == "critical-if:collision and not reference:fsm"
 
 
+@pytest.mark.slow
 def test_without_rounds_the_same_is_decided(study, tmp_path):
     explored(tmp_path / "s.db", asynchronous=True)
     (scenarios, courses), (others, their) = stored(study), stored(tmp_path / "s.db")

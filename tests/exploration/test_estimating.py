@@ -140,6 +140,14 @@ def explored(tmp_path_factory, x_intersection):
     return file, x_intersection.path
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
+def test_workers_change_nothing(explored, tmp_path):
+    file, scenario = explored
+    one, two = (estimate(file, tmp_path / f"{n}.db", budget=120, scenario=scenario, workers=n) for n in (1, 2))
+    assert one.to_json() == two.to_json()
+
+
 @pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 def test_a_study_is_estimated_with_its_own_simulator(explored, tmp_path):
     assert issubclass(NoticeWarning, Warning)
@@ -148,8 +156,6 @@ def test_a_study_is_estimated_with_its_own_simulator(explored, tmp_path):
     again = estimate(file, tmp_path / "e.db", budget=120, scenario=scenario)
     assert found.to_json() == again.to_json()
     assert found.scenarios == 120
-    other = estimate(file, tmp_path / "two.db", budget=120, scenario=scenario, workers=2)
-    assert other.to_json() == found.to_json()
     with Study.open(tmp_path / "e.db", readonly=True) as study:
         assert len(study.done()) == 120
         assert study.meta.optimizer.startswith("importance-sampling:learn=48,known=20-")

@@ -36,7 +36,7 @@ def test_the_choice_by_places_is_that_by_the_matrix(scenarios):
     assert [one.index for one in placed] == [one.index for one in choose_scenarios(points, matrices, labels, cover=0.1)]
 
 
-@pytest.mark.parametrize("size", at_night([20, 60, 400], {60}))
+@pytest.mark.parametrize("size", at_night([20, 60, 400], {60, 400}))
 def test_the_choice_by_cells_is_that_by_the_matrix(scenarios, monkeypatch, size):
     points, places, _, labels = scenarios
     # Of 300 scenarios all distances are in memory; these are made to be too many, and do not fill the last cell.

@@ -439,7 +439,7 @@ FEW = (2, 4.0)
 
 
 @pytest.mark.parametrize(("most", "duration"), [FEW, pytest.param(8, 8.0, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", FAST)
+@pytest.mark.parametrize("name", at_night(FAST, FAST[1::2]))
 def test_reference_scenarios_give_the_same_alone_and_among_others(name, most, duration):
     path = REFERENCE / name
     if not path.exists():

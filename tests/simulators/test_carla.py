@@ -176,11 +176,11 @@ def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(sc
     ("wrong", "runner", "words"),
     [
         ("", "cannot load", "did not run it to the end: KeyError: 'Ego'"),
-        ("", "fails at the end", "RuntimeError: a storyboard that is none"),
+        pytest.param("", "fails at the end", "RuntimeError: a storyboard that is none", marks=pytest.mark.slow),
         ("die-at=30", "", "time-out of 3000ms"),
         pytest.param("lose=30", "", "time-out of 3000ms", marks=pytest.mark.slow),
         pytest.param("half=get_map_data", "", "time-out of 3000ms", marks=pytest.mark.slow),
-        ("silent=spawn_actor", "", "time-out of 3000ms"),
+        pytest.param("silent=spawn_actor", "", "time-out of 3000ms", marks=pytest.mark.slow),
     ],
 )
 def test_what_goes_wrong_is_one_error_and_only_the_simulators_is_tried_again(

@@ -117,6 +117,7 @@ def test_a_worker_that_is_started_again_may_start_processes_and_is_guarded(clien
     assert all(not daemon and guarded for _, daemon, guarded in found)
 
 
+@pytest.mark.slow
 def test_a_scenario_that_kills_two_workers_is_failed_and_costs_no_third(on_cluster, tmp_path):
     plan = Plan(tmp_path, {1: ["kill"], 3: ["kill", "well"]})
     with on_cluster("inside", {"plan": plan}) as simulator:

@@ -14,7 +14,7 @@ import pytest
 
 import cornercase as cc
 from command_line import cornercase
-from conftest import at_night, ran, same_recording
+from conftest import ran, same_recording
 from cornercase._common.errors import InputError
 from cornercase.exploration import demonstration
 from cornercase.recordings import read_recording
@@ -234,7 +234,8 @@ def test_a_killed_worker_changes_nothing(tmp_path):
         np.testing.assert_array_equal(one.recording(5).x, other.recording(5).x)
 
 
-@pytest.mark.parametrize("budget", at_night([12, 60], {60}))
+@pytest.mark.slow
+@pytest.mark.parametrize("budget", [12, 60])
 def test_the_t_intersection_from_end_to_end(tmp_path, budget):
     workers = ("--workers", "2") if budget == 60 else ()
     done = cornercase("demo", "t-intersection", "--simulator", "sumo", "--budget", budget, *workers, "-o", tmp_path)

@@ -91,7 +91,7 @@ def check(path, values, monkeypatch, action):
             np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("final", at_night(FINAL, {"steady time", "difference"}))
+@pytest.mark.parametrize("final", at_night(FINAL, {"none", "steady time", "difference", "factor"}))
 @pytest.mark.parametrize("track", TRACKS)
 def test_who_is_synchronised_moves_as_the_storyboard_says(tmp_path, monkeypatch, track, final):
     # The master sets off late, slows down and stops, for a while.

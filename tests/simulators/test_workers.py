@@ -127,9 +127,15 @@ def test_each_worker_gets_an_equal_share_in_one_batch(tmp_path, workers, batches
         ("raise", "the simulator failed (ZeroDivisionError: of the adapter)"),
         ("fail", "it cannot be"),
         ("lose", "the program is gone, tried 2 times"),
-        ("end", "the simulator ended without a result"),
-        pytest.param("none", "the simulator gave None instead of a recording", marks=pytest.mark.slow),
-        ("junk", "the simulator gave a dict instead of a recording"),
+        *(
+            # In one process they are tried by day.
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (
+                ("end", "the simulator ended without a result"),
+                ("none", "the simulator gave None instead of a recording"),
+                ("junk", "the simulator gave a dict instead of a recording"),
+            )
+        ),
     ],
 )
 def test_what_goes_wrong_in_a_batch_costs_the_one_at_fault_whatever_the_number_of_workers(
