@@ -61,8 +61,8 @@ def at_night(values: Iterable[object], rest: Container[object]) -> list[object]:
 
 
 def examples(count: int) -> int:
-    """How many examples a property is tried with: a quarter of them by day, but not next to none."""
-    return max(count // 4, min(count, 10)) if _by_day else count
+    """How many examples a property is tried with: an eighth of them by day, but not next to none."""
+    return max(count // 8, min(count, 10)) if _by_day else count
 
 
 def example(name: str) -> LogicalScenario:

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
+from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet
 from cornercase.reduction.critical_coverage import distance_alike, measure_critical_coverage
@@ -30,7 +31,7 @@ def nearest(points, *places):
 
 
 @pytest.mark.filterwarnings("ignore:The balance properties")
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", at_night(range(3), {1, 2}))
 @pytest.mark.parametrize("places", [[(0.5, 0.5)], [(0.35, 0.5), (0.65, 0.5)], [(0.1, 0.1)]])
 def test_the_space_is_as_unlike_as_a_dense_sample_says(places, seed):
     points, scores, distances = explored(seed=seed)
