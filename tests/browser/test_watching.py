@@ -100,6 +100,7 @@ def test_nothing_is_served_without_the_token(tab, studies):
         assert tab.page.request.get(f"{base}contents?token={token}").status == 200
 
 
+@pytest.mark.slow
 def test_a_page_that_nobody_looks_at_makes_up_for_it(tab, tmp_path):
     study = tmp_path / "s.db"
     explore("2", study)
@@ -117,6 +118,7 @@ def test_a_page_that_nobody_looks_at_makes_up_for_it(tab, tmp_path):
         wait_for(page, 5)
 
 
+@pytest.mark.slow
 def test_another_study_takes_the_place_of_the_one_that_is_watched(tab, tmp_path):
     study, other = tmp_path / "s.db", tmp_path / "other.db"
     explore("12", study)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from closed_loop import BOXES, DT, right_turn, straight
-from conftest import examples
+from conftest import at_night, examples
 from cornercase.drivers import (
     BEHAVIOUR,
     DRIVERS,
@@ -90,7 +90,7 @@ def each(fleet, d, told):
     return np.array(rows)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", at_night(range(4), {1, 2, 3}))
 def test_gathered_drivers_decide_as_each_alone_does_and_remember_the_same(seed):
     names, path = ("normal", "simple", "cautious"), right_turn()
     fleet_drivers = [DRIVERS.create(name) for name in names]

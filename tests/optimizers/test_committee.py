@@ -76,6 +76,7 @@ def test_of_many_scenarios_its_processes_know_those_that_tell_most(monkeypatch):
     assert wrong.mean() < 0.1
 
 
+@pytest.mark.slow
 def test_of_many_scenarios_its_trees_know_those_that_tell_most(monkeypatch):
     points = SobolOptimizer(CUBE, 1).ask(400)
     scores, told = outcome(points)

@@ -67,6 +67,7 @@ def test_it_holds_each_telling_scenario_with_both_versions(versions, tmp_path):
     assert not re.search(r"(src|href)=.?(https?:|//)", page)
 
 
+@pytest.mark.slow
 def test_the_same_comparison_gives_the_same_bytes(versions, tmp_path):
     pages = [page_of(versions, tmp_path / one) for one in ("a.html", "b.html")]
     assert pages[0].read_bytes() == pages[1].read_bytes()

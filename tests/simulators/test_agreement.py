@@ -39,7 +39,7 @@ def recorded():
     for path in sorted((REFERENCE / "random").glob("*.xosc")):
         found.append((path, {}, path.parent / "expected" / f"{path.stem}.csv"))
     return [
-        pytest.param(*one, id=one[-1].stem, marks=BY_DAY if k % 5 == 0 else AT_NIGHT) for k, one in enumerate(found)
+        pytest.param(*one, id=one[-1].stem, marks=BY_DAY if k % 8 == 0 else AT_NIGHT) for k, one in enumerate(found)
     ]
 
 

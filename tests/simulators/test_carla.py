@@ -211,6 +211,7 @@ def test_nobody_who_listens_and_another_version_are_said(scenario):
         run(server, scenario)
 
 
+@pytest.mark.slow
 @STUB_ONLY
 def test_a_client_that_aborts_costs_the_scenario_alone(scenario):
     with Served(ROAD, "cut-at=30") as server:
@@ -245,6 +246,7 @@ def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monke
         assert run(server, scenario, {"end": 1.0}).names == ("Ego", "C", "Walker")
 
 
+@pytest.mark.slow
 def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
     with Served(ROAD) as server:
         given = ",".join(f"{name}={value}" for name, value in options(server).items())

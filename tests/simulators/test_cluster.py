@@ -104,6 +104,7 @@ def about_its_process():
     return os.getpid(), current_process().daemon, "CORNERCASE_GUARDIAN" in os.environ
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_started_again_may_start_processes_and_is_guarded(client):
     before = set(client.run(os.getpid).values())
     os.kill(min(before), signal.SIGKILL)
@@ -134,6 +135,7 @@ def test_a_batch_that_costs_its_worker_is_run_one_by_one(on_cluster, tmp_path):
     assert (tmp_path / "tries-1").stat().st_size == 2
 
 
+@pytest.mark.slow
 def test_more_retries_are_more_workers(on_cluster, tmp_path):
     with on_cluster("inside", {"plan": Plan(tmp_path, {0: ["kill", "kill", "well"]})}, retries=2) as simulator:
         assert places(simulator.run(fakes(1))) == [0]

@@ -98,6 +98,7 @@ def test_the_commands_make_the_suite_again(repository):
         assert not any(study.recording(row.id).collisions for row in study.done())
 
 
+@pytest.mark.slow
 def test_the_job_passes_and_fails_with_a_later_planner_and_shows_both(repository):
     commands = lines_of(FILES[0])
     passed = run_as_installed(command_of(commands, "test").replace("--workers 2", ""))
@@ -118,6 +119,7 @@ def test_the_job_passes_and_fails_with_a_later_planner_and_shows_both(repository
     assert run(command_of(commands, "test")) == 2
 
 
+@pytest.mark.slow
 def test_the_search_of_each_night_is_compared_with_the_one_before(repository):
     commands = lines_of(FILES[0])
     search = command_of(commands, "explore").replace("--budget 200", "--budget 12").replace("--workers 2", "")

@@ -139,6 +139,7 @@ def test_a_run_is_compared_with_the_study_that_was_reduced(explored, ran):
     assert found.count("the same") == 6
 
 
+@pytest.mark.slow
 def test_workers_change_nothing(explored, ran, tmp_path):
     cc.test(explored / "reduced", tmp_path / "run.db", require=["no collision"], workers=2)
     assert stored(tmp_path / "run.db") == stored(ran.study)
