@@ -23,7 +23,7 @@ PAGES = [
     ROOT / "docs" / "simulators" / "sumo.md",
     ROOT / "docs" / "warm-starts.md",
 ]
-BY_DEFAULT = ("first-study.md", "search.md")
+BY_DEFAULT = ("first-study.md",)
 # Their answer may be no.
 MAY_SAY_NO = ("compare", "test")
 # It serves until Ctrl-C.

@@ -63,7 +63,7 @@ def test_distance_is_that_of_the_nearest_outline_points(a, b):
     if boxes_overlap(a, b):
         assert found == 0
         return
-    gaps = KDTree(outline(b)).query(outline(a))[0].min()
+    gaps = np.min(KDTree(outline(b)).query(outline(a))[0])
     spacing = 8 / 399
     assert gaps - 2 * spacing <= found <= gaps + 1e-9
     assert box_distance(b, a) == pytest.approx(found, rel=1e-12)

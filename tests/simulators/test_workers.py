@@ -38,7 +38,7 @@ def tries(folder, k):
     return len((folder / f"tries-{k}").read_text())
 
 
-@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("workers", at_night([1, 3], {1}))
 def test_all_come_in_order_and_each_worker_starts_the_simulator_once(tmp_path, workers):
     assert results(tmp_path, {}, count=9, workers=workers) == list(range(9))
     assert len((tmp_path / "starts").read_text()) <= workers
@@ -146,7 +146,7 @@ def test_what_goes_wrong_in_a_batch_costs_the_one_at_fault_whatever_the_number_o
     assert found == [0, 1, words, 3, 4, 5]
 
 
-@pytest.mark.parametrize("retries", [0, 1])
+@pytest.mark.parametrize("retries", at_night([0, 1], {0}))
 def test_a_batch_that_crashes_is_no_try_of_its_members(tmp_path, retries):
     """The first try of 1 crashes in the batch, the second alone; 4 takes the batch of the rest with it once."""
     found = results(tmp_path, {1: ["crash", "crash", "well"]}, name="batches", retries=retries)
@@ -161,13 +161,13 @@ def test_a_batch_may_take_as_long_as_its_scenarios_one_after_the_other(tmp_path)
     assert [tries(tmp_path, k) for k in range(6)] == [1] * 6
 
 
-def test_builtin_batches_give_the_same_bytes_in_any_number_of_workers(x_intersection, builtin):
+@pytest.mark.parametrize("workers", at_night([1, 2], {1}))
+def test_builtin_batches_give_the_same_bytes_in_any_number_of_workers(x_intersection, builtin, workers):
     rng = np.random.default_rng(3)
     wanted = [x_intersection.concrete(v) for v in x_intersection.space.values(rng.random((7, 3)))]
     alone = list(builtin.run(wanted))
-    for workers in (1, 2):
-        with WorkerSimulator("builtin", {}, workers, timeout=120.0) as simulator:
-            assert all(map(same_recording, alone, simulator.run(wanted)))
+    with WorkerSimulator("builtin", {}, workers, timeout=120.0) as simulator:
+        assert all(map(same_recording, alone, simulator.run(wanted)))
 
 
 @pytest.mark.parametrize(
