@@ -280,7 +280,7 @@ def test_the_page_and_the_summary_tell_it_too(explored):
         "Shapes of the clusters",
         "on the boundary",
         "better than random",
-        "do not grade it",
+        "which the choice has not seen",
     ):
         assert words in page
     shown = cornercase("show", folder / "s.db", "--json")
