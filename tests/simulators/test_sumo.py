@@ -18,6 +18,7 @@ from conftest import ran, same_recording
 from cornercase._common.errors import InputError
 from cornercase.exploration import demonstration
 from cornercase.recordings import read_recording
+from cornercase.report.rerun import tell_rerun
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, availabilities, start_simulator
 from cornercase.simulators.sumo.network import sumo_network
@@ -187,6 +188,21 @@ COMMON = [
     "--ego", "Ego", "--other", "C", "--metric", "ttc", "--simulator", "sumo", "--on-collision", "stop",
     "--space", EXAMPLES / "t_intersection" / "t_intersection.space.xosc", "--optimizer", "sobol",
 ]  # fmt: skip
+
+
+def test_the_command_of_the_report_records_a_scenario_again(tmp_path):
+    assert (
+        cornercase("explore", T, *COMMON, "--budget", "2", "--duration", "5", "-o", tmp_path / "s.db").returncode == 0
+    )
+    with Study.open(tmp_path / "s.db") as study:
+        command = tell_rerun(study, T)["command"]
+        row, explored = study.rows()[0], study.recording(1)
+    assert command["before"] == ["cornercase", "simulate", T.name]
+    values = [f"--set={name}={value!r}" for name, value in row.values.items()]
+    ended = cornercase("simulate", T, *values, *command["after"], "-o", tmp_path / "r.csv")
+    assert ended.returncode == 0
+    explored.to_csv(tmp_path / "explored.csv")
+    assert (tmp_path / "r.csv").read_bytes() == (tmp_path / "explored.csv").read_bytes()
 
 
 def one_is_done(path):

@@ -114,8 +114,6 @@ def write_one(meta: StudyMeta, scenario: Scenario, row: Row, why: str | None) ->
 def _why_no_command(meta: StudyMeta) -> str:
     if meta.simulator == IMPORTED:
         return "Its recording was imported: what made it is not known."
-    if meta.simulator.partition(":")[0] != _BUILTIN:
-        return f"It was run by {meta.simulator}, and `cornercase simulate` runs scenarios in the builtin simulator."
     if not all(isinstance(one, str) for one in _drivers(meta).values()):
         return "A driver of one's own drove, whose name the study does not hold."
     return ""
@@ -127,6 +125,8 @@ def _drivers(meta: StudyMeta) -> Mapping[str, Any]:
 
 def _settings(meta: StudyMeta) -> list[str]:
     words = [f"{option}={meta.settings[name]}" for name, option in SIMULATOR_OPTIONS.items() if name in meta.settings]
+    if meta.simulator != _BUILTIN:
+        words += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
     return [*words, *(f"--driver={entity}={driver}" for entity, driver in _drivers(meta).items())]
 
 
