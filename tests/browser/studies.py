@@ -68,9 +68,10 @@ def make_four(folder: Path) -> Path:
 
 
 def make_pareto(folder: Path) -> Path:
-    """A Pareto front of two metrics, of scenarios whose file is not there; some failed."""
+    """A Pareto front of two metrics, of scenarios whose file is not there, with a driver of one's own; some failed."""
     path = folder / "study.db"
-    with Study.create(path, replace(about(SPACE, "distance", "wttc"), pareto=True)) as study:
+    meta = replace(about(SPACE, "distance", "wttc"), pareto=True, settings={"drivers": {"Ego": {"class": "Own"}}})
+    with Study.create(path, meta) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
     return path
 
