@@ -116,8 +116,14 @@ class CandidateOptimizer(Optimizer):
 
     def _new(self, count: int, filling: FloatArray) -> FloatArray:
         """Points of a sequence of this round, shape (m, d), that were neither told nor are in `filling`, (f, d)."""
-        besides = np.concatenate([self._points, filling])
-        return SobolOptimizer(self._space, self._round_seed).ask(count, besides=besides)
+        return self._drawn(self._round_seed, count, np.concatenate([self._points, filling]))
+
+    def _drawn(self, seed: int, count: int, besides: FloatArray) -> FloatArray:
+        """Points of a sequence of its own, shape (m, d), without those of `besides`, shape (k, d)."""
+        sequence = SobolOptimizer(self._space, seed)
+        # Told, so that they are left out as the points are drawn, and not looked for again among all of them.
+        sequence.tell(besides, np.zeros(len(besides)))
+        return sequence.ask(count)
 
     @abstractmethod
     def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:

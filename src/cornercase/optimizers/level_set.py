@@ -19,7 +19,6 @@ from cornercase.evidence import (
 )
 from cornercase.optimizers.begun import BegunOptimizer
 from cornercase.optimizers.dips import below_dips
-from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
 
@@ -103,9 +102,7 @@ class LevelSetOptimizer(BegunOptimizer):
         self._process = boundary_process(
             self._coordinates(points), scores, self.threshold, foretold=self._elsewhere is not None
         )
-        sequence = SobolOptimizer(self._space, seed)
-        sequence.tell(points, scores)
-        candidates = sequence.ask(self._count)
+        candidates = self._drawn(seed, self._count, points)
         mean, deviation = self._process.predict(self._coordinates(candidates))
         likely = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
         self._filling = min(self._least * float(np.interp(_open(likely), _OPEN, _TIMES)), 1.0)
