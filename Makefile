@@ -7,11 +7,14 @@ BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SOURCES := $(shell find src examples -type f -not -path '*/__pycache__/*')
 
-# A copy in .venv, so that bytecode and compiled code lie there too, and nothing in a cache of pip's. Where the checkout
-# itself is installed, for tests or documentation, it stays.
+# A copy in .venv, so that bytecode and compiled code lie there too, and nothing in a cache of pip's: neither of the pip
+# that is called nor of those that it starts, which get no options but the environment. Where the checkout itself is
+# installed, for tests or documentation, it stays.
+$(VENV)/.installed: export PIP_NO_CACHE_DIR := 1
+$(VENV)/.installed: export PIP_DISABLE_PIP_VERSION_CHECK := 1
 $(VENV)/.installed: pyproject.toml $(SOURCES)
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@test -e $(VENV)/.editable || $(PIP_INSTALL) --no-cache-dir .
+	@test -e $(VENV)/.editable || $(PIP_INSTALL) .
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml

@@ -326,6 +326,12 @@ def test_stumble_01_who_follows_the_readme_has_the_command_on_the_path(tmp_path)
     assert done.stdout.splitlines() == [str(Path(sys.prefix, "bin", "cornercase")), str(tmp_path / "demo")]
 
 
+def test_stumble_01_the_installation_leaves_nothing_at_home():
+    """The pip that builds the package is started by the one that is called, and gets no options but the environment."""
+    for name in ("PIP_NO_CACHE_DIR", "PIP_DISABLE_PIP_VERSION_CHECK"):
+        assert f"\n$(VENV)/.installed: export {name} := 1\n" in MAKEFILE
+
+
 def test_stumble_01_the_tour_leaves_nothing_in_the_checkout():
     ignored = (ROOT / ".gitignore").read_text(encoding="utf-8").split()
     assert {"/demo/", ".venv/"} <= set(ignored)

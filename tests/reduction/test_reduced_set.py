@@ -245,7 +245,7 @@ def test_another_scenario_file_than_the_one_that_was_explored_is_refused(explore
         ({"archetypes_by": "hul"}, "`archetypes_by` hul: did you mean 'hull'"),
         ({"within": 0.0}, "`within` 0: give a number above 0"),
         ({"size": 0}, "`size` 0: "),
-        ({"by": "pet"}, "holds no analysis by pet; run `analyze` first"),
+        ({"by": "pet"}, "holds no analysis by pet, only by "),
     ],
 )
 def test_python_is_refused_in_one_sentence_before_anything_is_written(explored, tmp_path, options, words):

@@ -161,7 +161,7 @@ def test_a_name_that_no_recording_has_leaves_no_study_in_the_way(exported, tmp_p
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        (None, "cannot be read"),
+        (None, "has no parameters.csv, which says with which values each recording was run"),
         ("a,b\n1,2\n", "needs a header with 'file'"),
         ("file\na.csv\nb.csv\n", "needs a header"),
         ("file,v\na.csv,1\n", "at least 2"),

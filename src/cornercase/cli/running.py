@@ -389,7 +389,8 @@ def metrics(
         rows = [{key: getattr(one, key) for key in keys} | {"definition": first_line(one)} for one in known]
         sys.stdout.write(json_text(rows) + "\n")
         return
-    table = Table("metric", "unit", "critical is", "what it is", "source", box=None)
+    # Names are typed again, so they are whole however narrow the terminal is.
+    table = Table(Column("metric", no_wrap=True), "unit", "critical is", "what it is", "source", box=None)
     for one in known:
         what = first_line(one)
         table.add_row(one.name, one.unit, "low" if one.lower_is_critical else "high", what, one.source)
@@ -427,7 +428,7 @@ def simulators(
 
 def _definition(metric: Any) -> str:
     """What a metric is, its unit and its options."""
-    what = (inspect.getdoc(metric) or "").replace("``", "").replace("`", "")
+    what = (inspect.getdoc(metric) or "").replace("``", "").replace("`", "").replace(" ::", ":")
     side = "low" if metric.lower_is_critical else "high"
     return (
         f"{metric.name}, in {metric.unit}; {side} is critical\n\n{what}"

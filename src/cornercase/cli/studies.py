@@ -93,9 +93,9 @@ def analyze(
         memory=memory,
         progress=True,
     )
-    table = Table(
-        Column("by", no_wrap=True), "clusters", "sizes", "noise", "stability", "gamma", "eps", "min samples", box=None
-    )
+    # Eighty characters are enough for the metric of the longest name and two clusters.
+    whole = (Column(name, no_wrap=True) for name in ("noise", "stability", "gamma", "eps"))
+    table = Table(Column("by", no_wrap=True), "clusters", "sizes", *whole, "min samples", box=None, pad_edge=False)
     for name, one in results.items():
         found = one.clustering
         sizes = " ".join(map(str, one.sizes))
@@ -427,7 +427,7 @@ def show(
     critical: CriticalAnew = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     config: Annotated[
-        bool, typer.Option("--config", help="Print a study file for cornercase explore --config")
+        bool, typer.Option("--config", help="Print a study file for cornercase explore --config.")
     ] = False,
 ) -> None:
     """Show what was run and what was found.
@@ -450,7 +450,10 @@ def show(
         sys.stdout.write(json_text(with_identifiers(words, NAMED)) + "\n")
         return
     for key, value in words.items():
-        _show(key, value)
+        if value != {}:
+            _show(key, value)
+        elif key == "clusters":
+            out.print("clusters: none yet; 'cornercase analyze' finds them")
 
 
 @app.command()

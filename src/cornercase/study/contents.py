@@ -13,6 +13,7 @@ import numpy as np
 
 from cornercase._common.displays import DISPLAYS
 from cornercase._common.errors import InputError
+from cornercase._common.files import require_folder
 from cornercase._common.pending_files import written_together
 from cornercase._common.texts import loaded_json
 from cornercase._common.typing import FloatArray
@@ -179,7 +180,11 @@ class StudyContents(ScenarioContents):
         """
         found = self._database.rows("analyses", "name = ?", name)
         if not found:
-            raise InputError(f"{self.path}: holds no analysis by {name}; run `analyze` first.")
+            others = ", ".join(self.analyses())
+            rest = (
+                f", only by {others}; choose among these, or run `analyze` by it" if others else "; run `analyze` first"
+            )
+            raise InputError(f"{self.path}: holds no analysis by {name}{rest}.")
         self._database.require_all("arrays")
         # In the order in which they were written.
         question = "SELECT name FROM arrays WHERE analysis = ? AND part = 0 ORDER BY rowid"
@@ -312,7 +317,7 @@ class StudyContents(ScenarioContents):
             The folder cannot be written, or the package that writes Parquet is not installed; no file of it has
             changed then.
         """
-        folder = Path(folder)
+        folder = require_folder("folder", folder)
         table = self.table()
         # A damaged study leaves no part of an export behind: nothing has its name before all is read.
         with written_together():

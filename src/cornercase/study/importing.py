@@ -106,6 +106,14 @@ def import_recordings(
         The table cannot be used, no recording at all can be read and measured, or the study is of something else.
     """
     folder, path = arguments.path("folder", folder), arguments.path("study", study)
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "there is no such folder"
+        raise InputError(f"{folder}: {what}; name the folder that holds the recordings.")
+    if table is None and not (folder / TABLE).exists():
+        raise InputError(
+            f"{folder}: has no {TABLE}, which says with which values each recording was run; "
+            "write one, or name it by `table`."
+        )
     table = folder / TABLE if table is None else arguments.path("table", table)
     files, values = _read_table(folder, table)
     others = _others(other, ego, [folder / file for file in files])

@@ -125,7 +125,7 @@ def tell_provenance(study: str, summary: Summary) -> Markup:
             if value not in ({}, [], None, "")
         },
         **{
-            f"time to {stage} [s]": f"{seconds:.3g}" if seconds < 100.0 else f"{seconds:.0f}"
+            f"time to {'read the scenario' if stage == 'files' else stage} [s]": f"{seconds:.3g}" if seconds < 100.0 else f"{seconds:.0f}"
             for stage, seconds in summary.seconds.items()
         },
         **_versions(meta),

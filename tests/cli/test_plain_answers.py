@@ -1,0 +1,75 @@
+"""Answers that a new user had to read twice."""
+
+from __future__ import annotations
+
+import pytest
+
+from command_line import SPACE, X, cornercase
+from cornercase.metrics import METRICS
+
+MEASURED = ("--metric", "wttc", "--metric", "trajectory-distance")
+SEARCH = ("explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", *MEASURED, "--optimizer", "sobol")
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory):
+    study = tmp_path_factory.mktemp("explored") / "study.db"
+    assert cornercase(*SEARCH, "--budget", "30", "-o", study).returncode == 0
+    return study
+
+
+def test_show_has_no_heading_with_nothing_under_it(explored):
+    lines = cornercase("show", explored).stdout.splitlines()
+    assert "clusters: none yet; 'cornercase analyze' finds them" in lines
+    headings = [k for k, line in enumerate(lines) if ":" not in line]
+    assert headings
+    assert not [lines[k] for k in headings if not lines[k + 1 : k + 2] or not lines[k + 1].startswith("  ")]
+
+
+def test_the_table_of_clusters_fits_into_a_terminal_of_80_columns(explored, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    aspects = ("--by", "bearing", "--by", "trajectory-distance")
+    table = cornercase("analyze", explored, *aspects).stdout
+    assert "stability" in table
+    assert "…" not in table
+
+
+def test_a_folder_that_cannot_be_imported_is_named_with_what_it_lacks(tmp_path):
+    given = ("--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "-o", tmp_path / "study.db")
+    for folder, words in (
+        (tmp_path / "nowhere", "there is no such folder; name the folder that holds the recordings"),
+        (X, "is a file; name the folder that holds the recordings"),
+        (tmp_path, "has no parameters.csv, which says with which values each recording was run"),
+    ):
+        done = cornercase("import", folder, *given)
+        assert done.returncode == 2
+        assert words in done.stderr
+    assert "or name it by --parameters" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_are_not_written_below_a_file(explored, tmp_path):
+    (tmp_path / "page.html").write_text("mine")
+    done = cornercase("export", explored, "-o", tmp_path / "page.html")
+    assert done.returncode == 2
+    assert f"-o {tmp_path / 'page.html'}: {tmp_path / 'page.html'} is a file, not a folder" in done.stderr
+    assert (tmp_path / "page.html").read_text() == "mine"
+
+
+def test_the_analyses_that_there_are_are_named_where_another_is_asked_for(explored, tmp_path):
+    assert cornercase("analyze", explored, "--by", "bearing").returncode == 0
+    done = cornercase("reduce", explored, "--by", "pet", "-o", tmp_path / "reduced")
+    assert done.returncode == 2
+    assert "holds no analysis by pet, only by bearing" in done.stderr
+    assert "or run 'cornercase analyze' by it" in done.stderr
+    assert cornercase("reduce", explored, "--by", "bearing", "-o", tmp_path / "reduced").returncode == 0
+
+
+def test_names_of_metrics_are_whole_in_a_terminal_of_80_columns(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    first = {line.split()[0] for line in cornercase("metrics").stdout.splitlines() if line[1:2].strip()}
+    assert set(METRICS.names()) <= first
+
+
+def test_definitions_of_metrics_are_plain_text():
+    assert "::" not in cornercase("metrics", "wttc").stdout
