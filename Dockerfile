@@ -1,7 +1,7 @@
 # docker build -t cornercase .
 # docker run --rm -v "$PWD:/work" cornercase demo x-intersection -o demo
 
-# The full image has the C compiler that one of the packages is built with; it does not get into the result.
+# The full image has a C compiler, for processors for which a package comes as source; it does not get into the result.
 FROM python:3.12-bookworm AS build
 COPY . /source
 ARG EXTRAS=cluster,live,parquet,stl,sumo

@@ -25,6 +25,8 @@ from cornercase.study import Row, StudyMeta
 _WORDS: Final = ("metric", "unit", "critical is", "against", "in", "scenarios against")
 # What figures depend on besides cornercase itself.
 _LIBRARIES: Final = {"NumPy": "numpy", "SciPy": "scipy", "scikit-learn": "scikit-learn"}
+# Stages of a study whose names are no verbs.
+_STAGES: Final = {"files": "read the scenario"}
 
 
 def tell_scores(data: ReportData) -> Iterator[Part]:
@@ -125,7 +127,7 @@ def tell_provenance(study: str, summary: Summary) -> Markup:
             if value not in ({}, [], None, "")
         },
         **{
-            f"time to {'read the scenario' if stage == 'files' else stage} [s]": f"{seconds:.3g}" if seconds < 100.0 else f"{seconds:.0f}"
+            f"time to {_STAGES.get(stage, stage)} [s]": _in_seconds(seconds)
             for stage, seconds in summary.seconds.items()
         },
         **_versions(meta),
@@ -134,6 +136,10 @@ def tell_provenance(study: str, summary: Summary) -> Markup:
     limits = "".join(f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, summary.run + summary.failed))
     command = f"<pre id='command' tabindex='0'><code>{escape(plain_text(name_command(meta)))}</code></pre>"
     return Markup(f"<p>This command makes it again:</p>{command}{limits}{table}")
+
+
+def _in_seconds(seconds: float) -> str:
+    return f"{seconds:.3g}" if seconds < 100.0 else f"{seconds:.0f}"
 
 
 def _plain(value: Any) -> str:
