@@ -126,54 +126,75 @@ def raised(function: Callable[..., Any]) -> set[str]:
     return found
 
 
-EVERYTHING = list(public())
-FUNCTIONS = [one for one in EVERYTHING if not isinstance(one.value, (property, cached_property))]
+@pytest.fixture(scope="module")
+def everything() -> list[Public]:
+    return list(public())
 
 
-def test_there_is_something_to_look_at():
-    assert len(EVERYTHING) > 200
+def test_there_is_something_to_look_at(everything):
+    assert len(everything) > 200
 
 
-@pytest.mark.parametrize("one", EVERYTHING, ids=lambda one: one.name)
-def test_it_is_documented(one):
-    assert inspect.getdoc(one.value)
-    if one.inherited is not None or isinstance(one.value, (property, cached_property)):
-        return
+def is_property(value: Any) -> bool:
+    return isinstance(value, (property, cached_property))
+
+
+def undocumented(one: Public) -> list[str]:
+    """What a docstring lacks."""
+    if not inspect.getdoc(one.value):
+        return ["it has no docstring"]
+    if one.inherited is not None or is_property(one.value):
+        return []
     record = inspect.isclass(one.value) and (dataclasses.is_dataclass(one.value) or hasattr(one.value, "_fields"))
     asked = STRUCTURE if record or (inspect.isclass(one.value) and function_of(one.value) is None) else CALLED
-    assert [text for code, text in validate(one.name)["errors"] if code in asked] == []
+    found = [text for code, text in validate(one.name)["errors"] if code in asked]
     if record:
         fields = {name for name in inspect.signature(one.value).parameters if not name.startswith("_")}
-        assert fields - names(documentation(one), "Parameters", "Attributes") == set()
+        found += sorted(fields - names(documentation(one), "Parameters", "Attributes"))
+    return found
 
 
-@pytest.mark.parametrize("one", FUNCTIONS, ids=lambda one: one.name)
-def test_what_it_raises_is_documented(one):
+def test_it_is_documented(everything):
+    assert {one.name: lacks for one in everything if (lacks := undocumented(one))} == {}
+
+
+def unnamed_errors(one: Public) -> set[str]:
+    """What a function raises without a word of it in its docstring."""
     function = function_of(one.value)
-    if function is not None:
-        assert raised(function) - names_of_errors(documentation(one)) == set()
+    if function is None or not (found := raised(function)):
+        return set()
+    return found - {
+        name.strip() for part in documentation(one)["Raises"] for name in f"{part.name},{part.type}".split(",")
+    }
 
 
-def names_of_errors(document: NumpyDocString) -> set[str]:
-    return {name.strip() for one in document["Raises"] for name in f"{one.name},{one.type}".split(",")}
+def test_what_it_raises_is_documented(everything):
+    functions = [one for one in everything if not is_property(one.value)]
+    assert {one.name: lacks for one in functions if (lacks := unnamed_errors(one))} == {}
 
 
-@pytest.mark.parametrize("one", EVERYTHING, ids=lambda one: one.name)
-def test_arrays_have_a_shape(one):
+def arrays_without_shape(one: Public) -> list[str]:
+    """Arrays that it takes, gives or has, of which it does not say the shape."""
     document = documentation(one)
-    for part in (*document["Parameters"], *document["Attributes"], *document["Returns"], *document["Yields"]):
-        if "ndarray" in part.type or "array_like" in part.type:
-            assert "shape" in part.type, f"{part.name} : {part.type}"
+    found = [
+        f"{part.name} : {part.type}"
+        for part in (*document["Parameters"], *document["Attributes"], *document["Returns"], *document["Yields"])
+        if ("ndarray" in part.type or "array_like" in part.type) and "shape" not in part.type
+    ]
     function = function_of(one.value)
     if function is None or inspect.isclass(one.value):
-        return
+        return found
     given = function.__annotations__
-    if isinstance(one.value, (property, cached_property)):
-        assert "Array" not in str(given.get("return")) or "shape" in str(inspect.getdoc(one.value))
-    else:
-        for section, name in (("Returns", "return"), *(("Parameters", name) for name in given if name != "return")):
-            if "Array" in str(given.get(name)) and document[section]:
-                types = [
-                    part.type for part in document[section] if section == "Returns" or name in part.name.split(", ")
-                ]
-                assert any("shape" in text for text in types), (name, types)
+    if is_property(one.value):
+        unsaid = "Array" in str(given.get("return")) and "shape" not in str(inspect.getdoc(one.value))
+        return [*found, *(["what it is"] if unsaid else [])]
+    for section, name in (("Returns", "return"), *(("Parameters", name) for name in given if name != "return")):
+        if "Array" in str(given.get(name)) and document[section]:
+            types = [part.type for part in document[section] if section == "Returns" or name in part.name.split(", ")]
+            if not any("shape" in text for text in types):
+                found.append(name)
+    return found
+
+
+def test_arrays_have_a_shape(everything):
+    assert {one.name: lacks for one in everything if (lacks := arrays_without_shape(one))} == {}

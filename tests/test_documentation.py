@@ -10,12 +10,14 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 import typer
 from markdown_it import MarkdownIt
+from markdown_it.token import Token
 from typer.testing import CliRunner
 
 import cornercase
@@ -38,7 +40,6 @@ PAGES = sorted(
 # They need nothing but the examples, or what one of them has written, and take less than a second.
 CHEAP = ("check", "convert", "measure", "metrics", "simulate", "simulators")
 # Options of other programs, and names that are no module's: files, and a property in OpenSCENARIO.
-# Of other programs.
 EXTERNAL = {"--csv_logger", "--fcd-output", "--nthreads", "--resources"}
 NO_MODULES = {
     "cornercase.aspects",
@@ -63,16 +64,21 @@ class Block(NamedTuple):
         return f"{self.page.relative_to(ROOT)}:{self.line}"
 
 
+@cache
+def tokens_of(page: Path) -> list[Token]:
+    return MarkdownIt().enable("table").parse(page.read_text(encoding="utf-8"))
+
+
 def blocks_of(page: Path) -> Iterator[Block]:
     """Code between fences, and indented code, for which the language is empty."""
-    for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
+    for token in tokens_of(page):
         if token.type in ("fence", "code_block") and token.map is not None:
             first = token.map[0] + (2 if token.type == "fence" else 1)
             yield Block(page, first, token.info, token.content)
 
 
 def inline_code_of(page: Path) -> Iterator[str]:
-    for token in MarkdownIt().enable("table").parse(page.read_text(encoding="utf-8")):
+    for token in tokens_of(page):
         yield from (child.content for child in token.children or () if child.type == "code_inline")
 
 
@@ -129,6 +135,7 @@ def test_the_examples_of_docstrings_give_what_they_say(module, checkout):
     assert not found.failed
 
 
+@cache
 def command_line() -> Any:
     """All commands, as typer or click has them."""
     return typer.main.get_command(app)
@@ -147,46 +154,72 @@ def parsed(line: str) -> dict[str, Any]:
         raise
 
 
-@pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda value: getattr(value, "place", None))
-def test_the_command_line_takes_the_commands(block, line, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for other in blocks_of(block.page):
-        if other.language == "toml" and other.text.startswith("scenario"):
-            (tmp_path / "study.toml").write_text(other.text, encoding="utf-8")
+def unknown_names(line: str) -> list[str]:
+    """Metrics, searches and simulators of a command that there are none of."""
     given = parsed(line)
+    unknown = []
     for option, registry in (("metric", METRICS), ("optimizer", OPTIMIZERS), ("simulator", SIMULATORS)):
         names = given.get(option) or ()
-        for name in [names] if isinstance(names, str) else names:
-            assert name.partition(":")[0] in registry.names()
+        named = [name.partition(":")[0] for name in ([names] if isinstance(names, str) else names)]
+        unknown += [name for name in named if name not in registry.names()]
+    return unknown
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_command_line_takes_the_commands(tmp_path, monkeypatch):
+    refused = {}
+    for page in {block.page: None for block, _ in COMMANDS}:
+        (folder := tmp_path / "-".join(page.parts[1:])).mkdir()
+        monkeypatch.chdir(folder)
+        for block in blocks_of(page):
+            if block.language == "toml" and block.text.startswith("scenario"):
+                (folder / "study.toml").write_text(block.text, encoding="utf-8")
+        for block, line in COMMANDS:
+            if block.page == page:
+                try:
+                    unknown = unknown_names(line)
+                except Exception as error:
+                    refused[f"{block.place}: {line}"] = [str(error)]
+                else:
+                    if unknown:
+                        refused[f"{block.place}: {line}"] = unknown
+    assert refused == {}
+
+
+def is_cheap(line: str) -> bool:
+    return shlex.split(line)[1] in CHEAP and "…" not in line
+
+
+@pytest.mark.parametrize(
+    "page", sorted({block.page for block, line in COMMANDS if is_cheap(line)}), ids=lambda page: page.name
+)
 def test_the_cheap_commands_run_where_their_files_are(page, checkout):
     (checkout / "my_module.py").write_text("from cornercase.drivers import SimpleDriver as MyDriver\n")
     for block, line in COMMANDS:
-        command = shlex.split(line)[1:]
-        if block.page == page and command[0] in CHEAP and "…" not in line:
+        if block.page == page and is_cheap(line):
             given = [value for name, value in parsed(line).items() if name != "output"]
             several = [one for value in given if isinstance(value, list | tuple) for one in value]
             files = [value for value in (*given, *several) if isinstance(value, Path)]
             if all(file.exists() for file in files):
-                result = CliRunner().invoke(app, command)
+                result = CliRunner().invoke(app, shlex.split(line)[1:])
                 assert result.exit_code == 0, f"{block.place}: {result.output}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_options_that_are_named_exist(page):
+def test_the_options_that_are_named_exist():
     group = command_line()
     commands = group.commands
     known = {name for command in (group, *commands.values()) for one in command.params for name in one.opts} | EXTERNAL
-    for code in inline_code_of(page):
+    wrong = []
+    for page, code in [(one, code) for one in PAGES for code in inline_code_of(one)]:
         if (benchmark := re.match(r"python (benchmarks/\w+\.py)", code)) is not None:
             here = (ROOT / benchmark[1]).read_text("utf-8")
-            assert all(f'"{option}"' in here for option in re.findall(r"--[\w-]+", code)), code
-        elif code.startswith(("--", "cornercase ")):
-            assert set(re.findall(r"(?<![\w-])--[\w-]+", code)) <= known, code
-        if (command := re.match(r"cornercase (?:--\w+ )*([a-z][a-z-]*)", code)) is not None:
-            assert command[1] in commands, code
+            right = all(f'"{option}"' in here for option in re.findall(r"--[\w-]+", code))
+        else:
+            options = re.findall(r"(?<![\w-])--[\w-]+", code) if code.startswith(("--", "cornercase ")) else ()
+            command = re.match(r"cornercase (?:--\w+ )*([a-z][a-z-]*)", code)
+            right = set(options) <= known and (command is None or command[1] in commands)
+        if not right:
+            wrong.append((page.name, code))
+    assert wrong == []
 
 
 def names_in(text: str) -> Iterator[str]:
@@ -202,11 +235,11 @@ def exists(name: str) -> bool:
     return True
 
 
-@pytest.mark.parametrize(
-    "file", [*PAGES, *sorted((ROOT / "src").rglob("*.py"))], ids=lambda file: str(file.relative_to(ROOT))
-)
-def test_the_names_that_are_named_exist(file):
-    assert [name for name in names_in(file.read_text("utf-8")) if not exists(name) and name not in NO_MODULES] == []
+def test_the_names_that_are_named_exist():
+    files = (*PAGES, *sorted((ROOT / "src").rglob("*.py")))
+    named = {file: set(names_in(file.read_text("utf-8"))) - NO_MODULES for file in files}
+    unknown = {name for name in set().union(*named.values()) if not exists(name)}
+    assert unknown == set(), [str(file) for file, names in named.items() if names & unknown]
 
 
 def own_names(registry: Any) -> list[str]:
@@ -242,18 +275,20 @@ def test_every_simulator_has_a_page():
     assert [name for name in own_names(SIMULATORS) if name not in pages] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_files_that_are_named_exist(page):
+def test_the_files_that_are_named_exist():
     """Relative to the repository, to the package, or to the builtin simulator."""
     places = (ROOT, ROOT / "src", ROOT / "src" / "cornercase", ROOT / "src" / "cornercase" / "simulators" / "builtin")
     files = [
-        code
+        (page.name, code)
+        for page in PAGES
         for code in inline_code_of(page)
         if re.fullmatch(r"(src|tests|docs|benchmarks|[a-z_]+)/[\w/]*(\.py|\.pyi|\.md)?", code)
         # Elements of road files are called by those above them.
         and (page.name != "opendrive.md" or "." in code)
     ]
-    assert [code for code in files if "NAME" not in code and not any((place / code).exists() for place in places)] == []
+    assert files
+    lost = [one for one in files if "NAME" not in one[1] and not any((place / one[1]).exists() for place in places)]
+    assert lost == []
 
 
 def test_who_cites_names_the_version_that_is_there():
