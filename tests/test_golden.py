@@ -26,6 +26,7 @@ import pytest
 from scipy.stats import qmc
 from typer.testing import CliRunner
 
+from conftest import at_night
 from cornercase import LogicalScenario
 from cornercase.cli import app
 from cornercase.exploration import examples
@@ -129,7 +130,7 @@ def is_number(text: str) -> bool:
     return True
 
 
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("name", at_night(STUDIES, {"cpnco"}))
 def test_results_are_what_they_were(name, tmp_path):
     if name == "cpnco" and not SPACE.exists():
         pytest.skip("Euro NCAP's files are not beside the checkout")

@@ -64,6 +64,7 @@ def run(study):
         return len(opened.done())
 
 
+@pytest.mark.slow
 def test_scenarios_appear_while_the_search_runs_is_killed_and_goes_on(tab, tmp_path):
     study = tmp_path / "s.db"
     explore("8", study)
@@ -90,6 +91,7 @@ def test_scenarios_appear_while_the_search_runs_is_killed_and_goes_on(tab, tmp_p
         page.wait_for_selector(f"#replay [data-replay=selected][data-scenario='{known + 4}'][data-time]")
 
 
+@pytest.mark.slow
 def test_nothing_is_served_without_the_token(tab, studies):
     with serving(studies("plain")) as address:
         base, _, token = address.partition("?token=")

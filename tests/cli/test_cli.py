@@ -108,18 +108,21 @@ def test_show_and_export(demo, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a test cannot press Ctrl-C there")
-def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(demo, tmp_path):
-    arguments = ["demo", "x-intersection", "--budget", "60", "--seed", "1", "-o", str(tmp_path)]
-    with waiting_after(25, tmp_path / "waiting", *arguments) as running:
+def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(tmp_path):
+    arguments = ["explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc",
+                 "--optimizer", "sobol", "--budget", "30", "-o"]  # fmt: skip
+    study = tmp_path / "study.db"
+    with waiting_after(12, tmp_path / "waiting", *arguments, study) as running:
         running.send_signal(signal.SIGINT)
         said, errors = running.communicate(timeout=120)
     assert running.returncode == 130, errors
     assert "the same command goes on" in said
     assert "Traceback" not in errors
-    with Study.open(tmp_path / "study.db") as stopped:
-        assert 25 <= sum(row.state == "done" for row in stopped.rows()) < 60
-    assert cornercase(*arguments).returncode == 0
-    with Study.open(demo / "study.db") as one, Study.open(tmp_path / "study.db") as two:
+    with Study.open(study) as stopped:
+        assert 12 <= sum(row.state == "done" for row in stopped.rows()) < 30
+    for one in (study, tmp_path / "whole.db"):
+        assert cornercase(*arguments, one).returncode == 0
+    with Study.open(tmp_path / "whole.db") as one, Study.open(study) as two:
         np.testing.assert_array_equal(one.points(), two.points())
         np.testing.assert_array_equal(one.scores("wttc"), two.scores("wttc"))
 

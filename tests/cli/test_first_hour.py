@@ -177,6 +177,18 @@ def test_stumble_04_what_is_critical_is_asked_anew_of_a_study_that_stays_as_it_i
     assert study.read_bytes() == before
     assert shown("--critical", "1") == own
 
+
+@pytest.mark.slow
+def test_stumble_04_report_analyze_and_reduce_ask_anew_what_is_critical_too(searched, tmp_path):
+    study = tmp_path / "study.db"
+    shutil.copy(searched, study)
+
+    def shown(*options):
+        return json.loads(cornercase("show", study, "--json", *options).stdout)
+
+    own = shown()
+    scores = [float(row["wttc"]) for row in rows_of(study, tmp_path / "tables")]
+    threshold = sorted(scores)[len(scores) // 2]
     page = tmp_path / "report.html"
     assert cornercase("report", study, "--critical", str(threshold), "--scenario", X, "-o", page).returncode == 0
     text = page.read_text(encoding="utf-8")
@@ -429,12 +441,11 @@ def nightly(schedule):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (recipe_of("test"), {"quick"}),
-        (recipe_of("test-all"), {"quick", "slow"}),
-        (nightly(False), {"quick"}),
-        (nightly(True), {"quick", "slow"}),
+        pytest.param(recipe_of("test"), {"quick"}, id="make test"),
+        pytest.param(recipe_of("test-all"), {"quick", "slow"}, id="make test-all", marks=pytest.mark.slow),
+        pytest.param(nightly(False), {"quick"}, id="CI", marks=pytest.mark.slow),
+        pytest.param(nightly(True), {"quick", "slow"}, id="CI at night"),
     ],
-    ids=["make test", "make test-all", "CI", "CI at night"],
 )
 def test_stumble_13_what_takes_long_is_left_to_the_night_and_is_run_there(text, expected, tmp_path):
     tests = "".join(f"\n\n@pytest.mark.{mark}\ndef test_{mark}():\n    pass\n" for mark in ("slow", "torture"))

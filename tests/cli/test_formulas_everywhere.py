@@ -20,6 +20,7 @@ def run(*arguments):
     return done.output
 
 
+@pytest.mark.slow
 def test_a_formula_goes_all_the_way_to_the_report(tmp_path):
     pytest.importorskip("rtamt", reason="it is there for Python up to 3.12")
     study = tmp_path / "study.db"

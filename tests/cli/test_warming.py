@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from command_line import cornercase, process
 
 
+@pytest.mark.slow
 def test_after_warming_up_a_demo_compiles_nothing(tmp_path):
     warmed = cornercase("warm-up")
     assert warmed.returncode == 0, warmed.stderr

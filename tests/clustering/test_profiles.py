@@ -148,6 +148,7 @@ def test_outcomes_say_who_was_first_and_who_collides():
     assert tell_outcome(hit, "0", "1") == "0 and 1 collide"
 
 
+@pytest.mark.slow
 def test_show_and_report_tell_what_the_clusters_are(tmp_path):
     study = tmp_path / "study.db"
     explore_configuration(demonstration("t-intersection", budget=60, seed=1), study)

@@ -58,6 +58,7 @@ def said(process):
     return json.loads(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", at_night([2, 4], {4}))
 def test_processes_that_compile_at_once_do_not_mix_up_their_kernels(tmp_path, count):
     """Each begins with another version; then all of them are loaded from the disk, none is compiled."""
@@ -168,6 +169,7 @@ def test_a_kernel_is_compiled_again_when_what_it_holds_has_changed(tmp_path, kep
             assert printed() == [given, "1"]
 
 
+@pytest.mark.slow
 def test_a_kernel_is_compiled_again_when_the_fields_of_a_named_tuple_have_changed_places(tmp_path):
     program = (
         "from typing import NamedTuple\nfrom cornercase._common.compiling import kernel\n"

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from closed_loop import BOXES, DT, EGO, FRONT, PRESETS, Other, Run, line_is_free, looking, right_turn, straight
-from conftest import examples
+from conftest import at_night, examples
 from cornercase._common.geometry import box_corners, boxes_overlap
 from cornercase.drivers import (
     AGGRESSIVE,
@@ -215,7 +215,7 @@ def crossing(time, at=60.0, speed=1.4, **more) -> Other:
 
 
 @pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize("time", [4.0, 5.0, 6.0, 7.0])
+@pytest.mark.parametrize("time", at_night([4.0, 5.0, 6.0, 7.0], {5.0, 6.0}))
 def test_stops_for_a_pedestrian_who_crosses_in_view(name, time):
     behaviour = PRESETS[name]
     pedestrian = crossing(time)

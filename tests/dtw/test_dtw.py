@@ -20,16 +20,16 @@ from cornercase.dtw.bounds import may_be_within
 def defined(x, y, *, squared, window):
     """The table of dynamic time warping, cell by cell."""
     n, m = len(x), len(y)
-    table = np.full((n + 1, m + 1), np.inf)
-    table[0, 0] = 0.0
+    table = [[np.inf] * (m + 1) for _ in range(n + 1)]
+    table[0][0] = 0.0
+    squares = ((np.asarray(x)[:, None] - np.asarray(y)) ** 2).sum(axis=-1)
+    costs = (squares if squared else np.sqrt(squares)).tolist()
     for i in range(n):
         for j in range(m):
             if window is not None and not -(max(n - m, 0) + window) < j - i < max(m - n, 0) + window:
                 continue
-            square = ((x[i] - y[j]) ** 2).sum()
-            cost = square if squared else np.sqrt(square)
-            table[i + 1, j + 1] = cost + min(table[i, j], table[i, j + 1], table[i + 1, j])
-    return np.sqrt(table[n, m]) if squared else table[n, m]
+            table[i + 1][j + 1] = costs[i][j] + min(table[i][j], table[i][j + 1], table[i + 1][j])
+    return np.sqrt(table[n][m]) if squared else table[n][m]
 
 
 def all_pairs(series, **options):
@@ -354,6 +354,7 @@ def test_works_where_numba_can_write_nowhere(tmp_path):
     assert run.stdout == "5.0\n", run.stderr
 
 
+@pytest.mark.slow
 def test_narrow_registers_give_the_same_bits(tmp_path):
     # A processor without AVX-512, or any vectors wider than its architecture has at least.
     rng = np.random.default_rng(8)

@@ -73,6 +73,7 @@ def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_
     assert by_nearest < 0.7 * wrong(4096)
 
 
+@pytest.mark.slow
 def test_what_is_said_of_the_critical_set_of_many_scenarios_holds(many):
     points, scores = many
     known = CriticalSet(CUBE, points, scores, 0.0)

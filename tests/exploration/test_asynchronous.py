@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import synthetic
+from conftest import at_night
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.exploration import (
@@ -335,7 +336,7 @@ def test_an_order_that_cannot_be_is_refused_in_a_sentence(damage, tmp_path):
         explored(tmp_path / "s.db", about(budget=20))
 
 
-@pytest.mark.parametrize("name", [one for one in OPTIMIZERS.names() if one != "optuna"])
+@pytest.mark.parametrize("name", at_night((one for one in OPTIMIZERS.names() if one != "optuna"), {"committee"}))
 def test_what_runs_is_never_proposed_and_nothing_twice(name):
     optimizer = create_optimizer(name, SPACE, 3, threshold=1.0, budget=70)
     twin = create_optimizer(name, SPACE, 3, threshold=1.0, budget=70)

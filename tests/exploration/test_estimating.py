@@ -36,11 +36,11 @@ def opened(path, space=LOGICAL.space):
     )
 
 
-def estimator(study, simulator=None, budget=800, logical=LOGICAL):
+def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320):
     configuration = Configuration(
         logical, "Ego", "B", ("distance",), optimizer="random", critical=CRITICAL, budget=budget, seed=3
     )
-    sampling = ImportanceSampling(logical.space, 2, 320, 3)
+    sampling = ImportanceSampling(logical.space, 2, learn, 3)
     return ProbabilityEstimator(configuration, simulator or Synthetic(), sampling, study, 1.0)
 
 
@@ -94,11 +94,11 @@ def test_a_collision_is_critical_also_by_a_metric_that_is_not_defined_in_one(tmp
 
 def test_interrupted_it_goes_on_as_if_undisturbed(tmp_path):
     with opened(tmp_path / "whole.db") as study:
-        whole = estimator(study).run()
+        whole = estimator(study, budget=300, learn=120).run()
     interruptions = 0
-    for after in (5, 150, 230, 10_000):
+    for after in (5, 75, 120, 10_000):
         with opened(tmp_path / "parts.db") as study:
-            found = estimator(study, Synthetic(interrupts=after)).run()
+            found = estimator(study, Synthetic(interrupts=after), budget=300, learn=120).run()
             interruptions += found.interrupted
     assert interruptions == 3
     assert found.to_json() == whole.to_json()
@@ -107,9 +107,9 @@ def test_interrupted_it_goes_on_as_if_undisturbed(tmp_path):
 
 def test_a_larger_budget_adds_to_what_is_there(tmp_path):
     with opened(tmp_path / "e.db") as study:
-        first = estimator(study).run()
-        second = estimator(study, budget=1500).run()
-    assert (first.scenarios, second.scenarios) == (800, 1500)
+        first = estimator(study, budget=400, learn=160).run()
+        second = estimator(study, budget=1000, learn=160).run()
+    assert (first.scenarios, second.scenarios) == (400, 1000)
     assert second.learned == first.learned
     assert second.critical.error < first.critical.error
 

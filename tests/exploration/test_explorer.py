@@ -44,6 +44,7 @@ def undisturbed(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_a_killed_exploration_goes_on_as_if_undisturbed(undisturbed, tmp_path):
     path = tmp_path / "killed" / "study.db"
     command = ("demo", "x-intersection", "--budget", 40, "--seed", 1, "-o", path.parent)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
@@ -64,6 +65,13 @@ ENCOUNTERS: dict[str, tuple[Callable[[float, bool], tuple[Recording, bool]], lis
 }
 
 
+@cache
+def met(encounter: str, how: float, stops: bool) -> tuple[Recording, bool]:
+    """An encounter, which all metrics look at, and whether the cars collide."""
+    make, _ = ENCOUNTERS[encounter]
+    return make(how, stops)
+
+
 def oriented(name, found):
     metric = METRICS.create(name)
     return metric.oriented(measured([metric], found, "Ego", "Other")[metric.name][1])
@@ -73,10 +81,9 @@ def oriented(name, found):
 @pytest.mark.parametrize("name", METRICS.names())
 @pytest.mark.parametrize("encounter", ENCOUNTERS)
 def test_no_collision_counts_as_less_critical_than_a_near_miss(encounter, name, stops):
-    make, how = ENCOUNTERS[encounter]
     scores: dict[bool, list[float]] = {True: [], False: []}
-    for one in how:
-        found, collides = make(one, stops)
+    for how in ENCOUNTERS[encounter][1]:
+        found, collides = met(encounter, how, stops)
         scores[collides].append(oriented(name, found))
     assert scores[True]
     assert scores[False]

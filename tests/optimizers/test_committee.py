@@ -58,6 +58,7 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
     assert recall > agreement(alone, true)[0] + 0.09
 
 
+@pytest.mark.slow
 def test_of_many_scenarios_its_processes_know_those_that_tell_most(monkeypatch):
     points = SobolOptimizer(CUBE, 1).ask(300)
     scores, told = outcome(points)
@@ -93,6 +94,7 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most(monkeypatch):
     assert some.out_of_fold().shape == (300,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", at_night([100, 150], {150}))
 def test_without_features_it_finds_both_regions(budget):
     points = explored(CommitteeOptimizer(CUBE, 0, THRESHOLD), budget, function=two_regions)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase.reduction import set_folder
@@ -99,7 +100,7 @@ def test_a_file_that_is_there_already_and_the_same_is_taken(tmp_path):
     assert sets(tmp_path) == NEW
 
 
-@pytest.mark.parametrize("earlier", [OLD, None])
+@pytest.mark.parametrize("earlier", at_night([OLD, None], [None]))
 def test_killed_at_any_order_it_leaves_the_earlier_set_or_the_new_one(tmp_path, monkeypatch, earlier):
     seen = set()
     for last in range(10_000):
@@ -133,7 +134,7 @@ def test_killed_at_any_order_it_leaves_the_earlier_set_or_the_new_one(tmp_path, 
     assert seen == ({"earlier", "new"} if earlier else {"new"})
 
 
-@pytest.mark.parametrize("earlier", [OLD, None])
+@pytest.mark.parametrize("earlier", at_night([OLD, None], [None]))
 def test_an_error_at_any_order_is_a_sentence_and_loses_nothing(tmp_path, monkeypatch, earlier):
     for turn in range(1, 10_000):
         folder = tmp_path / f"{turn}"

@@ -13,8 +13,6 @@ from typing import Any
 
 import pytest
 
-from conftest import at_night
-
 HERE = Path(__file__).parent
 NEEDED = ("osi3", "mcap", "commonroad", "yaml", "resource")
 MISSING = [name for name in NEEDED if find_spec(name) is None]
@@ -37,8 +35,9 @@ def told(found):
     return "\n".join(f"{one['number']} {one['target']}: {one['trouble']} {one['command']}" for one in found["failed"])
 
 
-@pytest.mark.parametrize("count", at_night([50, 150], {150}))
-def test_some_mutants(tmp_path, count):
+@pytest.mark.slow
+def test_some_mutants(tmp_path):
+    count = 150
     seed = os.environ.get("CORNERCASE_TORTURE_SEED", "1")
     found, said = fuzzed(tmp_path, "--seed", seed, "--count", count, "--only", QUICK, "--cold", timeout=300)
     assert not found["failed"], f"{told(found)}\n{said}"

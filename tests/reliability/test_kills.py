@@ -1,4 +1,4 @@
-"""Explorations that are killed: a few by day, a thousand kills by `make torture`."""
+"""Explorations that are killed: a few at night, a thousand kills by `make torture`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from conftest import at_night
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="it looks for processes as only Linux shows them")
@@ -25,10 +23,10 @@ def killed(*options, seconds):
     return done.stdout
 
 
-@pytest.mark.parametrize("kills", at_night(["5", "12"], {"12"}))
-def test_a_killed_exploration_goes_on_as_if_undisturbed_and_leaves_nothing(kills):
+@pytest.mark.slow
+def test_a_killed_exploration_goes_on_as_if_undisturbed_and_leaves_nothing():
     chosen = ("level-set builtin", "sobol waiting --workers 2")
-    said = killed("--kills", kills, *(word for one in chosen for word in ("--only", one)), seconds=300)
+    said = killed("--kills", "12", *(word for one in chosen for word in ("--only", one)), seconds=300)
     assert "SIGKILLs" in said
 
 

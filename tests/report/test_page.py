@@ -232,7 +232,7 @@ def test_no_name_ends_a_script_or_an_attribute(tmp_path):
 KINDS = ["plain", "pareto", "weights", "one", "choices", "repeats", "imported"]
 
 
-@pytest.mark.parametrize("kind", at_night(KINDS, {"plain", "weights", "repeats"}))
+@pytest.mark.parametrize("kind", at_night(KINDS, {"plain", "weights", "repeats", "imported", "one"}))
 def test_every_kind_of_study_has_a_page(tmp_path, kind):
     space, more, scores = SPACE, dict[str, object](), None
     if kind == "pareto":

@@ -121,7 +121,10 @@ def test_what_is_known_of_the_critical_set_is_told_with_its_threshold():
     assert name_criterion(replace(known, lower_is_critical=True, unit=""), "ttc + 2 pet") == "ttc + 2 pet <= 1.5"
 
 
-@pytest.mark.parametrize(("optimizer", "judge"), [("sobol", "a Gaussian process"), ("committee", "a committee")])
+@pytest.mark.parametrize(
+    ("optimizer", "judge"),
+    [pytest.param("sobol", "a Gaussian process", marks=pytest.mark.slow), ("committee", "a committee")],
+)
 def test_a_page_says_what_predicts_whether_scenarios_are_critical(optimizer, judge, tmp_path):
     with Study.create(tmp_path / "s.db", replace(about(SPACE, "distance"), optimizer=optimizer, critical=1.0)) as study:
         explorer(study, optimizer=optimizer).run()

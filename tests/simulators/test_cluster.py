@@ -128,6 +128,7 @@ def test_a_scenario_that_kills_two_workers_is_failed_and_costs_no_third(on_clust
     assert [(tmp_path / f"tries-{k}").stat().st_size for k in range(4)] == [1, 2, 1, 2]
 
 
+@pytest.mark.slow
 def test_a_batch_that_costs_its_worker_is_run_one_by_one(on_cluster, tmp_path):
     with on_cluster("inside", {"plan": Plan(tmp_path, {1: ["kill"]})}) as simulator:
         found = places(simulator.run(fakes(4)))

@@ -64,7 +64,7 @@ def test_examples_are_the_same_with_a_look_in_each_frame(name, monkeypatch):
     assert_same(recordings(drawn(name, 12)), held, 1e-9)
 
 
-@pytest.mark.parametrize("seed", at_night(range(24), range(4, 24)))
+@pytest.mark.parametrize("seed", at_night(range(24), range(2, 24)))
 def test_random_storyboards_are_the_same_with_a_look_in_each_frame(seed, tmp_path, monkeypatch):
     write_roads(tmp_path)
     path = Path(tmp_path) / "storyboard.xosc"

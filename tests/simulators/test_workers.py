@@ -46,7 +46,7 @@ def test_all_come_in_order_and_each_worker_starts_the_simulator_once(tmp_path, w
 
 
 @pytest.mark.parametrize("workers", at_night([1, 2], {1}))
-@pytest.mark.parametrize("what", ["crash", "cut"])
+@pytest.mark.parametrize("what", at_night(["crash", "cut"], {"cut"}))
 def test_who_crashes_is_tried_again_and_costs_itself_alone(tmp_path, what, workers):
     found = results(tmp_path, {1: [what, "well"], 3: [what]}, workers=workers)
     code = {"crash": 3, "cut": 7}[what]
@@ -112,7 +112,10 @@ def test_the_rest_is_stopped_when_nobody_wants_it(tmp_path):
     simulator.close()
 
 
-@pytest.mark.parametrize(("workers", "batches"), [(1, [6]), (2, [3, 3]), (4, [2, 2, 2])])
+@pytest.mark.parametrize(
+    ("workers", "batches"),
+    [pytest.param(1, [6], marks=pytest.mark.slow), (2, [3, 3]), pytest.param(4, [2, 2, 2], marks=pytest.mark.slow)],
+)
 def test_each_worker_gets_an_equal_share_in_one_batch(tmp_path, workers, batches):
     assert results(tmp_path, {}, name="batches", workers=workers) == list(range(6))
     assert sorted(map(int, (tmp_path / "batches").read_text().split())) == batches
@@ -124,13 +127,13 @@ def test_each_worker_gets_an_equal_share_in_one_batch(tmp_path, workers, batches
     [
         ("crash", "the simulator's process ended with exit code 3, tried 2 times"),
         ("hang", "the simulator did not end within 1 s, tried 2 times"),
-        ("raise", "the simulator failed (ZeroDivisionError: of the adapter)"),
-        ("fail", "it cannot be"),
-        ("lose", "the program is gone, tried 2 times"),
         *(
             # In one process they are tried by day.
             pytest.param(*one, marks=pytest.mark.slow)
             for one in (
+                ("raise", "the simulator failed (ZeroDivisionError: of the adapter)"),
+                ("fail", "it cannot be"),
+                ("lose", "the program is gone, tried 2 times"),
                 ("end", "the simulator ended without a result"),
                 ("none", "the simulator gave None instead of a recording"),
                 ("junk", "the simulator gave a dict instead of a recording"),
@@ -161,6 +164,7 @@ def test_a_batch_may_take_as_long_as_its_scenarios_one_after_the_other(tmp_path)
     assert [tries(tmp_path, k) for k in range(6)] == [1] * 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", at_night([1, 2], {1}))
 def test_builtin_batches_give_the_same_bytes_in_any_number_of_workers(x_intersection, builtin, workers):
     rng = np.random.default_rng(3)
@@ -184,7 +188,7 @@ def test_in_the_same_process_what_is_no_recording_costs_itself_alone_as_well(tmp
     assert list(places(outcomes_of(simulator, concretes(6)))) == [0, 1, words, 3, 4, words]
 
 
-@pytest.mark.parametrize("does", ["end", "none", "junk"])
+@pytest.mark.parametrize("does", at_night(["end", "none", "junk"], {"end", "none"}))
 def test_what_is_no_recording_costs_itself_alone_without_batches(tmp_path, does):
     found = results(tmp_path, {1: [does]}, count=3)
     assert [found[0], found[2]] == [0, 2]

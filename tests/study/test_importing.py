@@ -42,6 +42,7 @@ def exported(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_clusters_and_reduces_what_others_ran(exported, tmp_path):
     study = tmp_path / "s.db"
     done = cornercase("import", exported / "runs", *EXPLORED, "-o", study)

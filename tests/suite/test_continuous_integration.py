@@ -83,6 +83,7 @@ def test_the_scenario_is_that_of_the_regulation():
         assert (EXAMPLE / "scenario" / name).read_bytes() == (EXAMPLES / "r157" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_commands_make_the_suite_again(repository):
     lines = README.replace("\\\n", " ")
     commands = re.findall(r"^    (cornercase (?:explore|analyze|reduce) .*)$", lines, re.MULTILINE)

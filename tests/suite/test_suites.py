@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 import cornercase as cc
 from command_line import cornercase
-from conftest import moving, private, same_recording, scenario_file, speed_action, teleport
+from conftest import at_night, moving, private, same_recording, scenario_file, speed_action, teleport
 from cornercase.cli import app
 from cornercase.exploration import examples
 from cornercase.study import Study
@@ -160,6 +160,7 @@ class Killing(SimpleDriver):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_killed_run_goes_on_as_if_undisturbed(reduced, tmp_path, monkeypatch):
     (tmp_path / "killing.py").write_text(KILLING)
@@ -364,7 +365,7 @@ def test_requirements_come_from_files(name, content, tmp_path):
     assert [one.text for one in read_requirements(tmp_path / name)] == found
 
 
-@pytest.mark.parametrize("simulator", ["esmini:undriven=true", "sumo"])
+@pytest.mark.parametrize("simulator", at_night(["esmini:undriven=true", "sumo"], {"esmini:undriven=true"}))
 def test_it_runs_on_other_simulators_and_says_where_they_differ(simulator, explored, tmp_path):
     from cornercase.simulators import availabilities
 
