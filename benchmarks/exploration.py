@@ -60,7 +60,7 @@ from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.simulators import BuiltinSimulator
 
 # Beside this file; mypy knows it by its package.
-from judging import CLASSIFIERS, best_classifier  # type: ignore[import-not-found]
+from judging import CLASSIFIERS, CUTS, best_classifier  # type: ignore[import-not-found]
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SIZES = (50, 100, 200, 300, 400)
@@ -270,7 +270,9 @@ class Judge:
         """Recall and precision of what was run at places, and elsewhere of what the best classifier of it tells."""
         runs = self.lattice[places], self.scores[places], self.features[places]
         kind, probability = best_classifier(self.kinds, *runs, self.case.critical, seed)
-        told = np.zeros(len(self.true), dtype=bool) if probability is None else probability(self.lattice) > 0.5
+        told = np.zeros(len(self.true), dtype=bool)
+        if probability is not None:
+            told = probability(self.lattice) >= CUTS.get(kind, 0.5)
         told[places] = self.true[places]
         return self.agreement(told) | {"judge": float((*CLASSIFIERS, "none").index(kind))}
 

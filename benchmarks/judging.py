@@ -21,13 +21,15 @@ from scipy.special import ndtr
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedKFold, cross_val_predict
 
-from cornercase.evidence import Committee, boundary_process
+from cornercase.evidence import FOUND, Committee, boundary_process
 from cornercase.metrics import known_features
 
 Floats = npt.NDArray[np.float64]
 Probability = Callable[[Floats], Floats]
 CLASSIFIERS = ("process", "committee", "scores", "forest")
 FOLDS, TREES = 5, 200
+CUTS = {"committee": FOUND, "scores": FOUND}
+"""Probability from which a classifier takes a scenario for critical, as the package does; 0.5 for others."""
 
 
 def classified(

@@ -1,4 +1,5 @@
 from .binomial import bounds_of_share as bounds_of_share
+from .committee import FOUND as FOUND
 from .committee import Committee as Committee
 from .critical_set import REGION as REGION
 from .critical_set import CriticalSet as CriticalSet

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.evidence.foretold import Foretold
+from cornercase.evidence.foretold import ForetoldByWay, Kernels
 from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process, near_threshold
-from cornercase.evidence.kernel import Kernel, chosen, evenly
+from cornercase.evidence.kernel import chosen, evenly
 from cornercase.metrics import Feature
 
 MOST_KNOWN: Final = 2000
@@ -19,6 +19,14 @@ MOST_KNOWN: Final = 2000
 
 MOST_GROWN: Final = 4000
 """Scenarios that trees are grown from at most."""
+
+FOUND: Final = 0.45
+"""Probability from which on a scenario counts as found: half of the F1 score, 0.9, that a search is to reach.
+
+Of all sets that are told by probabilities, the one with the best F1 score ends where the probability is half of that
+score: Z. C. Lipton, C. Elkan, B. Naryanaswamy, "Optimal thresholding of classifiers to maximize F1 measure", ECML PKDD
+(2014).
+"""
 
 if TYPE_CHECKING:
     from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
@@ -44,10 +52,10 @@ class Committee:
 
     The first member learns from what happened in the runs. A score jumps where a scenario goes another way, such as
     where the other goes first; features of the recordings, as how near both come and when, tell the ways apart. So
-    Gaussian processes predict the features of each scenario from those of all others, and extremely randomised trees
-    learn from the predicted features and the parameters what is critical. Where there are no features, the score stands
-    for them. The second member is a random forest of the parameters, which follows jumps too; the third the
-    `boundary_process`, which knows smooth boundaries best.
+    Gaussian processes predict the features of each scenario from those of all others, and from those that went each way
+    alone (`ForetoldByWay`), and extremely randomised trees learn from the predicted features and the parameters what is
+    critical. Where there are no features, the score stands for them. The second member is a random forest of the
+    parameters, which follows jumps too; the third the `boundary_process`, which knows smooth boundaries best.
 
     The members are weighed by what they say of the scenarios that are known, each told by others: such that their
     weighed mean is most likely.
@@ -86,7 +94,7 @@ class Committee:
         self._inputs = [j for j, one in enumerate(columns) if one.name not in _NOT_LEARNED]
         self._branches = [j for j, one in enumerate(columns) if one.branch]
         self.process: GaussianProcess
-        self._foretold: Foretold
+        self._foretold: ForetoldByWay
 
     def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
         """Learn the kernels of the processes and the weights of the members, and know scenarios.
@@ -134,16 +142,16 @@ class Committee:
         points: FloatArray,
         scores: FloatArray,
         features: FloatArray | None,
-        kernels: Sequence[Kernel | None] | None = None,
+        kernels: Mapping[int | None, Kernels] | None = None,
     ) -> None:
         """Grow the trees, of all scenarios that are known now or of many of them; kernels of features are learned."""
         self._every, self._some = points, self._known_by_trees(scores)
         points, scores = points[self._some], scores[self._some]
         features = None if features is None else features[self._some]
         learned_from, known = self._learned_from(scores, features), self._known_by_processes(scores)
-        self._foretold = Foretold(points, learned_from, kernels, known)
-        self._points, self._columns = points, np.hstack([points, self._foretold.left_out])
         self._critical, self._kinds = scores <= self._threshold, self._kinds_of(scores, features)
+        self._foretold = ForetoldByWay(points, learned_from, self._kinds // 2, kernels, known)
+        self._points, self._columns = points, np.hstack([points, self._foretold.left_out])
         self._trees, self._forest = self._grown(np.arange(len(points)), _TREES)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:

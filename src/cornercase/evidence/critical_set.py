@@ -16,7 +16,7 @@ from cornercase._common.rows import row_keys
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.binomial import bounds_of_share, highest_share
-from cornercase.evidence.committee import Committee
+from cornercase.evidence.committee import FOUND, Committee
 from cornercase.evidence.correction import Correction
 from cornercase.evidence.elsewhere import Elsewhere, with_foretold
 from cornercase.evidence.estimate import Estimate
@@ -56,8 +56,8 @@ class CriticalSet:
     threshold. Audits never say what is found.
 
     With features of the recordings a `Committee` predicts in place of the process, of which it has one as a member;
-    found is then what it says is critical with a probability of one half or more. The process still says how places
-    go together.
+    found is then what it says is critical with a probability of `FOUND` or more. The process still says how places go
+    together.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class CriticalSet:
         at = with_foretold(self._elsewhere, at)
         if self._committee is not None:
             t = _deviate(self._committee.predict(at)[0])
-            return t, t
+            return t - _deviate(np.array(FOUND)), t
         mean, deviation = self._process.predict(at)
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -21,6 +21,78 @@ _LEAST: Final = 1e-9
 _JITTER: Final = 1e-8 - 1e-10
 # Rounding errors up to which single precision does, in standard deviations of a feature.
 _ROUNDING: Final = 0.01
+# Scenarios of one way from which on processes of their own learn from them.
+_OF_ONE_WAY: Final = 8
+
+Kernels = Sequence[Kernel | None]
+
+
+class ForetoldByWay:
+    """Features as foretold by all scenarios, and beside that by those of each way that a scenario can go.
+
+    Many a feature jumps from one way to another, and is smooth within one. A process of all of them bends to follow the
+    jump; one that knows a single way says what would be if the scenario went this way. Whoever learns from the columns
+    tells which of them counts where. A way with fewer than 8 scenarios has none of its own.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (n, e)
+        As `encoded`.
+    features : ndarray of float64, shape (n, f)
+        Finite.
+    ways : ndarray of int64, shape (n,)
+        Which way each scenario went.
+    kernels : mapping of int or None to sequence of Kernel or None, optional
+        As in `Foretold`, of each way, and of all by the key None. Those that are not given are learned.
+    known : ndarray of int64, shape (k,), optional
+        As in `Foretold`.
+
+    Attributes
+    ----------
+    kernels : dict
+    left_out : ndarray of float64, shape (n, g)
+        As in `Foretold`, of all, and then of each way. Of a scenario that went another way it is what this way's
+        processes predict.
+    """
+
+    def __init__(
+        self,
+        points: FloatArray,
+        features: FloatArray,
+        ways: IntArray,
+        kernels: Mapping[int | None, Kernels] | None = None,
+        known: IntArray | None = None,
+    ) -> None:
+        kernels = {} if kernels is None else kernels
+        every = Foretold(points, features, kernels.get(None), known)
+        self._parts, left_out = [every], [every.left_out]
+        self.kernels: dict[int | None, Kernels] = {None: every.kernels}
+        large, counts = np.unique(ways, return_counts=True)
+        # Where all go one way, the first ones know it already.
+        for way in large[counts >= _OF_ONE_WAY].tolist() if len(large) > 1 else []:
+            of_way = np.flatnonzero(ways == way)
+            known_of_way = None if known is None else np.flatnonzero(np.isin(of_way, known))
+            part = Foretold(points[of_way], features[of_way], kernels.get(way), known_of_way)
+            predicted = part.predict(points)
+            predicted[of_way] = part.left_out
+            self._parts.append(part)
+            left_out.append(predicted)
+            self.kernels[way] = part.kernels
+        self.left_out = np.hstack(left_out)
+
+    def predict(self, points: FloatArray) -> FloatArray:
+        """Predict the features at points.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (m, e)
+
+        Returns
+        -------
+        ndarray of float64, shape (m, g)
+            In the order of `left_out`.
+        """
+        return np.hstack([part.predict(points) for part in self._parts])
 
 
 class Foretold:
@@ -59,7 +131,7 @@ class Foretold:
         self,
         points: FloatArray,
         features: FloatArray,
-        kernels: Sequence[Kernel | None] | None = None,
+        kernels: Kernels | None = None,
         known: IntArray | None = None,
     ) -> None:
         spread = features.std(axis=0)
@@ -75,7 +147,7 @@ class Foretold:
                 kernels = [
                     learned_kernel(points, scaled[:, j], _MOST_NOISE) if one else None for j, one in enumerate(varied)
                 ]
-            self.kernels = list(kernels)
+            self.kernels: Kernels = list(kernels)
             for kernel, values in zip(self.kernels, scaled[some].T, strict=True):
                 if kernel is not None:
                     noise = float(np.sqrt(kernel.noise**2 + _JITTER * kernel.signal**2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from cornercase.optimizers.sequences import SobolOptimizer
 from cornercase.scenario import ParameterSpace
 
 _STEP: Final = 10
-"""Scenarios after which a model is learned anew, or a tenth of what it was learned from where that is more."""
+"""Scenarios after which a model is learned anew, or a share of what it was learned from where that is more."""
 
 _FEWEST: Final = 3
 """Scores from which something is learned."""
@@ -43,6 +43,9 @@ class CandidateOptimizer(Optimizer):
     filling : float
         Share of all points that fills the space.
     """
+
+    growth: ClassVar[float] = 0.1
+    """Share of what was learned from by which it has to grow before it is learned anew."""
 
     def __init__(self, space: ParameterSpace, seed: int, *, initial: int, filling: float) -> None:
         self._space, self._seed = space, seed
@@ -106,7 +109,7 @@ class CandidateOptimizer(Optimizer):
         """Number of scenarios, the first ones, from which is learned."""
         told = len(self._scores)
         number = min(_STEP, told)
-        while (more := number + max(_STEP, number // 10)) <= told:
+        while (more := number + max(_STEP, int(self.growth * number))) <= told:
             number = more
         known = self._scores[:number][self._known[:number]]
         return number if len(known) >= _FEWEST and np.ptp(known) > 0.0 else told

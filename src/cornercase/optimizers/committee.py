@@ -20,7 +20,7 @@ _TREES: Final = 64
 # What not knowing which way a scenario goes counts, against not knowing whether it is critical.
 _WAY: Final = 0.5
 # Candidates near a scenario that is critical, as a share, and how far from it they are.
-_NEAR, _STEP = 0.5, 0.1
+_NEAR, _STEP = 0.85, 0.06
 
 
 class CommitteeOptimizer(BegunOptimizer):
@@ -39,8 +39,8 @@ class CommitteeOptimizer(BegunOptimizer):
     With another study to begin from, what it predicts is one more coordinate for all members (`Elsewhere`), and they
     learn from fewer points where that predicts the first 10 of them, or more.
 
-    The kernels of the committee are learned each time that there are ten scores more to learn from, or a tenth more
-    where that is more.
+    The kernels of the committee are learned each time that there are ten scores more to learn from, or a quarter
+    more where that is more.
 
     Parameters
     ----------
@@ -52,13 +52,14 @@ class CommitteeOptimizer(BegunOptimizer):
         What it is told of each scenario beside its score. Without any, or when it is told none, it learns from the
         scores alone.
     candidates : int, default 4096
-        Points among which a round is chosen; half of them near critical scenarios.
+        Points among which a round is chosen; 85 % of them near critical scenarios.
     filling : float, default 0.15
         Share of the points that fills the space.
     """
 
     name = "committee"
     needs = frozenset({"threshold", "features"})
+    growth = 0.25
 
     def __init__(
         self,
