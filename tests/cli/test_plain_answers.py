@@ -48,6 +48,19 @@ def test_a_folder_that_cannot_be_imported_is_named_with_what_it_lacks(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(("sign", "words"), [(";", "semicolons"), ("\t", "tabs")])
+def test_a_table_of_another_separator_is_told_so(tmp_path, sign, words):
+    table = tmp_path / "parameters.csv"
+    table.write_text(f"file{sign}ego_start\na.csv{sign}40,5\n")
+    imported = cornercase(
+        "import", tmp_path, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "-o", tmp_path / "study.db"
+    )
+    simulated = cornercase("simulate", X, "--parameters", table, "-o", tmp_path / "recordings")
+    for done in (imported, simulated):
+        assert done.returncode == 2
+        assert f"separates its columns by {words}; write commas" in done.stderr
+
+
 def test_tables_are_not_written_below_a_file(explored, tmp_path):
     (tmp_path / "page.html").write_text("mine")
     done = cornercase("export", explored, "-o", tmp_path / "page.html")

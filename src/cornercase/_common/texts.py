@@ -7,7 +7,11 @@ import json
 import math
 import re
 import textwrap
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final
+
+from cornercase._common.errors import InputError
 
 # Control characters but for tab and newline, marks that turn the direction of writing, and halves of characters.
 _ORDERS: Final = re.compile(
@@ -264,3 +268,24 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def require_commas(path: Path, names: Sequence[str]) -> None:
+    """Refuse a table whose columns are separated otherwise, as spreadsheets of some languages do.
+
+    Parameters
+    ----------
+    path : Path
+        For the message.
+    names : sequence of str
+        The header, as read with commas.
+
+    Raises
+    ------
+    InputError
+        It is a single name that holds other separators.
+    """
+    if len(names) == 1:
+        for sign, words in ((";", "semicolons"), ("\t", "tabs")):
+            if sign in names[0]:
+                raise InputError(f"{path}: separates its columns by {words}; write commas, and points in numbers.")

@@ -49,7 +49,7 @@ def configuration_of(
     meta, settings = study.meta, study.meta.settings
     source = explored_scenario(study, scenario)
     if source is None:
-        raise InputError(f"`study` {file}: holds imported recordings, so no further scenario can be run.")
+        raise InputError(f"{file}: holds imported recordings, so no further scenario can be run.")
     known: dict[str, str | Driver] = dict(by_name("drivers", drivers))
     for entity, driver in settings.get("drivers", {}).items():
         # What a study names is no reason to import a module.

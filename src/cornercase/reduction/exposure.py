@@ -215,10 +215,10 @@ class ExposingChoice:
         if not one.possible:
             return f"no scenario exposes any of the {one.mutants} other mutants of {self.driver} that judge"
         low, high = one.interval
-        beside = "" if self.without is None else f"; chosen without mutants it would be {self.without.exposed}"
+        beside = "" if self.without is None else f"; a set chosen without mutants exposes {self.without.exposed}"
         return (
-            f"of {one.mutants} other mutants of {self.driver}, {one.possible} of which any of {self.candidates}"
-            f" scenarios exposes, the set exposes {one.exposed}, {one.share:.0%} ({low:.0%} to {high:.0%} with 95 %"
+            f"of {one.mutants} other mutants of {self.driver}, all {self.candidates} scenarios expose {one.possible},"
+            f" and the set exposes {one.exposed} of these, {one.share:.0%} ({low:.0%} to {high:.0%} with 95 %"
             f" confidence){beside}"
         )
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import read_file
-from cornercase._common.texts import text_of_cell
+from cornercase._common.texts import require_commas, text_of_cell
 from cornercase.scenario.constraints import read_declarations
 from cornercase.scenario.declared_types import unusable_values
 from cornercase.scenario.openscenario import Scenario
@@ -65,6 +65,7 @@ def read_value_table(path: Path, scenario: Scenario) -> tuple[ValueRow, ...]:
         lines = [(reader.line_num, row) for row in reader]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: is not a CSV table in UTF-8 ({error}).") from error
+    require_commas(path, names)
     parameters = {name: text_of_cell(name) for name in names if name != FILE_COLUMN}
     if not parameters or len({*parameters.values()}) + (FILE_COLUMN in names) < len(names):
         raise InputError(f"{path}: needs a header with each parameter once, not {', '.join(names) or 'an empty one'}.")

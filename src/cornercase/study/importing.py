@@ -19,7 +19,7 @@ from rich.progress import track
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError, is_of_the_machine, suggestion
 from cornercase._common.files import read_file
-from cornercase._common.texts import text_of_cell
+from cornercase._common.texts import require_commas, text_of_cell
 from cornercase.metrics import EVERYBODY, METRICS, Metric, measured, name_others
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
@@ -211,6 +211,7 @@ def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Va
         rows = [(reader.line_num, row) for row in reader]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{table}: is not a CSV table ({error}).") from error
+    require_commas(table, names)
     if _FILE not in names or len(names) < 2 or len(set(names)) < len(names):
         raise InputError(f"{table}: needs a header with '{_FILE}' and each parameter once, not {', '.join(names)}.")
     if len(rows) < 2:
