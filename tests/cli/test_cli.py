@@ -60,7 +60,8 @@ def test_where_the_time_went_is_told_by_stage_and_by_function(demo, tmp_path):
     ]
     assert list(shown) == stages
     page = (demo / "report.html").read_text()
-    assert all(f"time to {stage} [s]" in page for stage in stages)
+    told = ["read the scenario", *stages[1:]]
+    assert [stage for stage in told if f"time to {stage} [s]" not in page] == []
     profile = tmp_path / "profile.txt"
     for _ in range(2):
         found = cornercase("analyze", demo / "study.db", "--by", "wttc", "--profile", profile)
