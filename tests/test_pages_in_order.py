@@ -23,7 +23,6 @@ PAGES = [
     ROOT / "docs" / "simulators" / "sumo.md",
     ROOT / "docs" / "warm-starts.md",
 ]
-BY_DEFAULT = ("first-study.md",)
 # Their answer may be no.
 MAY_SAY_NO = ("compare", "test")
 # It serves until Ctrl-C.
@@ -64,13 +63,8 @@ def demonstration(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, marks=() if page.name in BY_DEFAULT else pytest.mark.slow, id=str(page.relative_to(ROOT)))
-        for page in PAGES
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_is_printed_works_when_it_is_typed(page, demonstration, tmp_path, monkeypatch):
     shutil.copytree(demonstration, tmp_path / ("x-intersection" if page.name == "README.md" else "x"))
     monkeypatch.chdir(tmp_path)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 import cornercase
 
 FUNCTIONS = (
@@ -37,6 +39,7 @@ def test_dir_shows_them_and_each_is_there():
     assert all(callable(getattr(cornercase, name)) for name in (*FUNCTIONS, *TYPES))
 
 
+@pytest.mark.slow
 def test_a_function_stays_a_function_whatever_is_imported_before():
     program = """
 import pkgutil, importlib, cornercase

@@ -17,8 +17,9 @@ from browser.studies import MAKERS, made
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
 
-# Without what Chromium does by itself over the network.
+# Without what Chromium does by itself over the network, and without looking for a graphics card.
 ARGUMENTS = (
+    "--disable-gpu",
     "--no-sandbox",
     "--disable-background-networking",
     "--disable-component-update",

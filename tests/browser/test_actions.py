@@ -42,7 +42,7 @@ def test_the_command_runs_the_scenario_to_the_last_bit(tab, studies, reports, na
             assert (tmp_path / "run.csv").read_bytes() == (tmp_path / "study.csv").read_bytes()
 
 
-@pytest.mark.parametrize("name", ["plain", "hostile"])
+@pytest.mark.parametrize("name", at_night(["plain", "hostile"], {"plain"}))
 def test_the_file_of_a_kept_scenario_is_the_one_that_reduce_wrote(tab, studies, reports, name, tmp_path):
     reduced = studies(name).parent / "reduced"
     page = tab.open(reports(name))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from conftest import at_night
+
 PLACES = """() => [...document.querySelectorAll("#answers .answer")].map((one) => {
   const { left, right, top, bottom } = one.getBoundingClientRect();
   const within = document.getElementById("answers").getBoundingClientRect();
@@ -11,7 +13,7 @@ PLACES = """() => [...document.querySelectorAll("#answers .answer")].map((one) =
 })"""
 
 
-@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize("width", at_night([400, 1280], {1280}))
 def test_all_answers_can_be_read(tab, reports, width):
     tab.page.set_viewport_size({"width": width, "height": 900})
     page = tab.open(reports("plain"))

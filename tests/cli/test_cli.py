@@ -145,7 +145,9 @@ CATEGORICAL = f"""<OpenSCENARIO>
 """
 
 
-@pytest.mark.parametrize("kind", at_night(["categorical", "one parameter", "two scenarios"], {"one parameter"}))
+@pytest.mark.parametrize(
+    "kind", at_night(["categorical", "one parameter", "two scenarios"], {"one parameter", "two scenarios"})
+)
 def test_odd_spaces_from_end_to_end(kind, tmp_path):
     study, page = tmp_path / "s.db", tmp_path / "r.html"
     space = tmp_path / "c.xosc"

@@ -91,12 +91,14 @@ def asked(number, place, *command, cwd):
         pytest.param(
             signal.SIGHUP, "cornercase.report.summary:summarize", ("show",), "by SIGHUP;", marks=pytest.mark.slow
         ),
-        (signal.SIGTERM, "typer.core:_main", ("show",), "by SIGTERM;"),
+        pytest.param(signal.SIGTERM, "typer.core:_main", ("show",), "by SIGTERM;", marks=pytest.mark.slow),
         pytest.param(
             signal.SIGINT, "~cornercase.report.summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
         ),
         (signal.SIGTERM, "~cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),
-        (signal.SIGINT, "+cornercase.report.summary:summarize", ("show",), "Interrupted;"),
+        pytest.param(
+            signal.SIGINT, "+cornercase.report.summary:summarize", ("show",), "Interrupted;", marks=pytest.mark.slow
+        ),
         (signal.SIGTERM, "+cornercase.report.summary:summarize", ("show",), "by SIGTERM;"),
     ],
 )

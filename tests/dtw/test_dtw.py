@@ -123,10 +123,10 @@ def test_bits_do_not_depend_on_threads_or_order(options, monkeypatch):
 ALL = [(cost, window) for cost in ("euclidean", "squared") for window in (None, 2)]
 
 
-@pytest.mark.parametrize("options", at_night([[("euclidean", 2)], ALL], [ALL]))
-def test_a_process_that_finds_the_compiled_kernels_gives_the_same(tmp_path, options):
+@pytest.mark.slow
+def test_a_process_that_finds_the_compiled_kernels_gives_the_same(tmp_path):
     """Who compiles says so, once."""
-    rng = np.random.default_rng(1)
+    options, rng = ALL, np.random.default_rng(1)
     series = [rng.integers(-5, 6, size=rng.integers(1, 9)).tolist() for _ in range(9)]
     program = (
         "import json, sys; from cornercase.dtw import cpu, distance_matrix; series, options = json.load(sys.stdin); "

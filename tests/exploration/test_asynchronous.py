@@ -169,6 +169,7 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
     assert "is proposed otherwise" in again.reason
 
 
+@pytest.mark.slow
 def test_with_one_worker_it_is_deterministic_and_goes_on_where_it_was_killed(tmp_path):
     synthetic.go_on(tmp_path / "a.db", "level-set", asynchronous=True)
     for survives in (2, 13):

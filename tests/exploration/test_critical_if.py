@@ -87,6 +87,7 @@ def test_critical_is_what_collides_and_the_reference_prevents(study):
     assert shown == {"prevents": len(critical), "does not prevent": collided - len(critical), "says nothing of": 0}
 
 
+@pytest.mark.slow
 def test_what_follows_counts_critical_by_the_condition(study, tmp_path):
     path = tmp_path / "s.db"
     shutil.copy(study, path)
@@ -104,6 +105,7 @@ def test_what_follows_counts_critical_by_the_condition(study, tmp_path):
         cc.estimate(path, tmp_path / "estimate.db", scenario=CUT_IN, drivers={"Ego": "cautious"})
 
 
+@pytest.mark.slow
 def test_a_killed_search_goes_on_with_the_same_bytes(study, tmp_path):
     path = tmp_path / "killed.db"
     shutil.copy(study, path)

@@ -98,6 +98,7 @@ def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
     assert np.median(harmless) > 5 * np.min(medians)
 
 
+@pytest.mark.slow
 def test_accidents_form_clusters_of_their_own_by_ego_trajectory(tmp_path):
     from cornercase.clustering import analyze
 

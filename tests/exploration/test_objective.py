@@ -161,7 +161,7 @@ def test_an_explorer_stops_when_enough_is_known(tmp_path):
     assert "of the critical set is missed" in result.reason
     with opened(tmp_path / "t.db") as study:
         never = ("missed<0.1", "unvisited(0.0001)<0.001")
-        assert explorer(study, optimizer="sobol", budget=100, stop_when=never, **limit).run().ended == 100
+        assert explorer(study, optimizer="sobol", budget=60, stop_when=never, **limit).run().ended == 60
     with opened(tmp_path / "u.db") as study, pytest.raises(InputError, match="has no default threshold"):
         explorer(study, stop_when=never)
 

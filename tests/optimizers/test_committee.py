@@ -114,6 +114,7 @@ def test_it_goes_on_as_if_it_had_never_stopped():
     np.testing.assert_array_equal(again.ask(10), whole[60:70])
 
 
+@pytest.mark.slow
 def test_it_looks_for_low_scores_while_nothing_is_critical():
     def bowl(points):
         return THRESHOLD + np.linalg.norm(points - (0.83, 0.17, 0.61), axis=1) - 0.06

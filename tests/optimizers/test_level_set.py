@@ -30,6 +30,7 @@ def found(points, scores):
     return (told & true).sum() / true.sum(), (told & true).sum() / max(told.sum(), 1)
 
 
+@pytest.mark.slow
 def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
     """A region that no other search meets well: the wall of a tube, 3.6 % of the cube."""
 

@@ -322,6 +322,7 @@ def test_how_well_it_covers_is_drawn(explored, tmp_path):
     assert (tmp_path / "r-figures" / "coverage.png").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_new_scenarios_join_the_clusters_that_are_kept(explored, tmp_path):
     folder, _ = explored
     study = tmp_path / "s.db"

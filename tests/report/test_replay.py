@@ -112,6 +112,7 @@ def test_a_gif_lasts_as_long_as_its_recording(study, tmp_path):
     assert path.read_bytes() == cc.replay(study, 2, tmp_path / "again.gif", fps=4, speed=2.0).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed")
 def test_an_mp4_shows_one_frame_for_each_step(study, tmp_path):
     path = cc.replay(study, 2, tmp_path / "run.mp4", beside=1, fps=2, speed=4.0)

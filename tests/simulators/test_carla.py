@@ -175,7 +175,7 @@ def test_one_of_carlas_maps_is_loaded_by_its_name_and_a_road_file_by_its_text(sc
 @pytest.mark.parametrize(
     ("wrong", "runner", "words"),
     [
-        ("", "cannot load", "did not run it to the end: KeyError: 'Ego'"),
+        pytest.param("", "cannot load", "did not run it to the end: KeyError: 'Ego'", marks=pytest.mark.slow),
         pytest.param("", "fails at the end", "RuntimeError: a storyboard that is none", marks=pytest.mark.slow),
         ("die-at=30", "", "time-out of 3000ms"),
         pytest.param("lose=30", "", "time-out of 3000ms", marks=pytest.mark.slow),

@@ -511,7 +511,7 @@ def scenarios(folder):
 
 @pytest.mark.skipif(not REFERENCE.is_dir(), reason="the reference scenarios are not here")
 @pytest.mark.parametrize("each", at_night([9, 1], {1}))
-@pytest.mark.parametrize(("folder", "count"), [("ncap", 23), ("alks", 15)])
+@pytest.mark.parametrize(("folder", "count"), [pytest.param("ncap", 23, marks=pytest.mark.slow), ("alks", 15)])
 def test_all_protocols_become_files_that_say_the_same(tmp_path, folder, count, each):
     files = scenarios(folder)
     assert len(files) == count

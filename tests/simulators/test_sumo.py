@@ -190,6 +190,7 @@ COMMON = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_command_of_the_report_records_a_scenario_again(tmp_path):
     assert (
         cornercase("explore", T, *COMMON, "--budget", "2", "--duration", "5", "-o", tmp_path / "s.db").returncode == 0

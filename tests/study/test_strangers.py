@@ -19,6 +19,7 @@ import pytest
 
 import cornercase as cc
 from command_line import cornercase
+from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.study import Study
@@ -206,7 +207,7 @@ HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("name", at_night(HOSTILE, list(HOSTILE)[1::2]))
 def test_a_hostile_study_is_refused_in_one_sentence(sent, name):
     statement, value = HOSTILE[name]
     change(sent, (statement, (value(),)))

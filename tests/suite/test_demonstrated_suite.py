@@ -64,6 +64,7 @@ def test_the_study_remembers_the_set_that_represents_it(demonstrated):
     assert [one["id"] for one in remembered["kept"]] == kept
 
 
+@pytest.mark.slow
 def test_where_a_driver_has_no_mutants_it_says_so_and_goes_on(tmp_path):
     done = cornercase("demo", "t-intersection", "--budget", "12", "--driver", "cc-human", "-o", tmp_path)
     assert done.returncode == 0, done.stderr
