@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,7 +121,7 @@ def test_bits_do_not_depend_on_threads_or_order(options, monkeypatch):
         assert np.array_equal(shuffled, once[np.ix_(order, order)])
 
 
-ALL = [(cost, window) for cost in ("euclidean", "squared") for window in (None, 2)]
+ALL: list[Any] = [(cost, window) for cost in ("euclidean", "squared") for window in (None, 2)]
 
 
 @pytest.mark.slow
