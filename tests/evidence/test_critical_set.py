@@ -249,6 +249,20 @@ def test_where_too_little_was_chosen_blindly_no_interval_is_given_and_it_says_wh
     assert CriticalSet(CUBE, points, scores, THRESHOLD, filling=first < 0, audits=both).missed_doubt is None
 
 
+def test_where_nothing_was_missed_yet_the_interval_reaches_to_0():
+    line, points = ParameterSpace.from_ranges(["x=0:1"]), qmc.Sobol(1, seed=0).random(64)
+    everywhere = np.linspace(0.0, 1.0, 20001)[:, None]
+
+    def wave(at):
+        return np.cos(7.0 * at[:, 0]) + 0.2
+
+    known = CriticalSet(line, points, wave(points), 0.0)
+    missed = (~known.found(everywhere[wave(everywhere) <= 0.0])).mean()
+    assert missed < 1e-3
+    assert known.missed.low == 0.0
+    assert missed <= known.missed.high < 0.01
+
+
 def test_a_region_that_nothing_points_to_keeps_the_search_going():
     points = qmc.Sobol(3, seed=3).random(128)
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)

@@ -12,6 +12,9 @@ from cornercase._common.typing import BoolArray, FloatArray
 # Places of the grid on which the posterior is known, and how far it reaches in deviations of the prior.
 _STEPS: Final = 49
 _REACH: Final = 4.0
+# Scenarios up to which each counts as one. More of them lie closer together, and neighbours are told wrongly together:
+# then their weight grows with the root of their number.
+_ALONE: Final = 160
 # Scenarios of one kind up to which each is looked at by itself.
 _MANY: Final = 128
 
@@ -32,6 +35,9 @@ class Correction:
 
     Notes
     -----
+    More than 160 predictions count as much as the root of 160 times their number: the posterior then narrows with the
+    fourth root, as predictions of neighbours hang together.
+
     Correction of probabilities: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the
     normal distribution function, and all of the posterior on a grid.
     """
@@ -39,12 +45,12 @@ class Correction:
     def __init__(self, t: FloatArray, critical: BoolArray) -> None:
         a, log_b = (each.ravel() for each in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
         likely = -0.5 * (a**2 + log_b**2)
-        slope = np.exp(log_b)
+        slope, weight = np.exp(log_b), min(1.0, (_ALONE / max(len(t), 1)) ** 0.5)
         for side, said in ((1.0, t[critical]), (-1.0, t[~critical])):
             # Of many the neighbours count together.
             for some in np.array_split(np.sort(said), min(_MANY, max(len(said), 1))):
                 if len(some):
-                    likely += len(some) * log_ndtr(-side * (a + slope * some.mean()))
+                    likely += weight * len(some) * log_ndtr(-side * (a + slope * some.mean()))
         share = np.exp(likely - likely.max())
         self._a, self._b, self._likely = a, slope, share / share.sum()
 

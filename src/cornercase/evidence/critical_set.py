@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
@@ -21,6 +22,7 @@ from cornercase.evidence.correction import Correction
 from cornercase.evidence.elsewhere import Elsewhere, with_foretold
 from cornercase.evidence.estimate import Estimate
 from cornercase.evidence.gaussian_process import boundary_process, encoded, enough
+from cornercase.evidence.left_out import left_out
 from cornercase.evidence.places import Places
 from cornercase.evidence.products import lower_times
 from cornercase.metrics import Feature
@@ -128,7 +130,9 @@ class CriticalSet:
         self._audited = audited <= threshold
         # Sums in one order, whatever the number of threads.
         with one_thread():
-            self._correction = self._learned()
+            t, critical = self._record(coordinates, scores, threshold)
+            self._missed_none = not (critical & (t > 0.0)).any()
+            self._correction = Correction(t, critical)
             self._a, self._b = self._correction.draws(_DRAWS, np.random.default_rng([seed, 3]))
 
     @property
@@ -145,18 +149,18 @@ class CriticalSet:
         mean, deviation = self._process.predict(at)
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
 
-    def _learned(self) -> Correction:
-        """Learn from predictions of what the search did not choose by what it knew."""
+    def _record(self, points: FloatArray, scores: FloatArray, threshold: float) -> tuple[FloatArray, BoolArray]:
+        """What was said of scenarios that the search did not choose by what it knew, and which were critical."""
         if self._committee is not None:
             t = _deviate(self._committee.out_of_fold())[self._filling]
         else:
-            mean, deviation = self._process.leave_one_out(np.flatnonzero(self._filling))
-            t = mean / deviation
+            mean, deviation = left_out(self._process, points, scores, threshold)
+            t = (mean / deviation)[self._filling]
         critical = self._critical[self._filling]
         if len(self._audits):
             t = np.concatenate([t, self._foretold(encoded(self._space, self._audits))[1]])
             critical = np.concatenate([critical, self._audited])
-        return Correction(t, critical)
+        return t, critical
 
     @cached_property
     def _joint(self) -> tuple[IntArray, FloatArray, BoolArray, FloatArray]:
@@ -269,7 +273,9 @@ class CriticalSet:
             unseen = np.clip(self._shares(~self._is_found), 0.0, self._all)
         there = self._all > 0.0
         # A draw of which nothing is critical says nothing, as something is.
-        return Estimate.of_draws(unseen[there] / self._all[there]) if there.any() else Estimate(1.0, 0.0, 1.0)
+        found = Estimate.of_draws(unseen[there] / self._all[there]) if there.any() else Estimate(1.0, 0.0, 1.0)
+        # Where no prediction missed a critical scenario yet, nothing excludes that none is missed.
+        return replace(found, low=0.0) if self._missed_none else found
 
     @cached_property
     def hidden(self) -> float:

@@ -196,12 +196,12 @@ class GaussianProcess:
     ----------
     kernel : Kernel
         As learned.
-    near : float
+    most_noise, near : float
         As given; further values of a `boundary_process` are made with it.
     """
 
     def __init__(self, most_noise: float = 0.3, near: float = 1.0) -> None:
-        self._most_noise, self.near = most_noise, near
+        self.most_noise, self.near = most_noise, near
         self._mean = 0.0
         self.kernel: Kernel
         self._known: Posterior
@@ -254,10 +254,10 @@ class GaussianProcess:
             left = points.shape[1] - (points.shape[1] if used is None else used)
             start = None if near is None else near.kernel
             if not left:
-                self.kernel = learned_kernel(points, values - self._mean, self._most_noise, start, rare)
+                self.kernel = learned_kernel(points, values - self._mean, self.most_noise, start, rare)
                 return self
             start = None if start is None else replace(start, widths=start.widths[:-left])
-            kernel = learned_kernel(points[:, :-left], values - self._mean, self._most_noise, start, rare)
+            kernel = learned_kernel(points[:, :-left], values - self._mean, self.most_noise, start, rare)
             # Along a coordinate of infinite width nothing is apart.
             self.kernel = replace(kernel, widths=np.append(kernel.widths, np.full(left, np.inf)))
         return self
