@@ -65,6 +65,14 @@ def test_a_coordinate_that_says_all_is_used():
     assert right.mean() > 0.99 > (plain == (moved(EVERYWHERE) <= THRESHOLD)).mean()
 
 
+def test_a_coordinate_that_tells_a_little_is_left_out_however_many_scenarios_say_so():
+    points = SobolOptimizer(CUBE, 3).ask(100)
+    scores, told = moved(points), np.tanh(two_regions(points - (0.2, -0.2, 0.0)) - THRESHOLD)
+    for count in (30, 60, 100):
+        process = boundary_process(np.column_stack([points, told])[:count], scores[:count], THRESHOLD, foretold=True)
+        assert np.isinf(process.kernel.widths[-1])
+
+
 @pytest.mark.parametrize("name", at_night(["level-set", "committee"], {"committee"}))
 def test_a_search_that_is_told_again_asks_the_same(name):
     def begun():

@@ -31,8 +31,8 @@ _LOWEST = 0.1
 _FAR = 0.02
 # Log-probability of what is left out, the process, and the number of coordinates that it may hang on.
 _Tried = tuple[float, "GaussianProcess", int]
-# Logarithm of the factor by which what another study predicts has to make scores likelier.
-_FORETOLD = float(np.log(100.0))
+# Logarithms of the factors by which what another study predicts has to make scores likelier: all together, and each.
+_FORETOLD, _EACH = float(np.log(100.0)), float(np.log(2.0))
 # Places at which both precisions are compared, and how far they may differ at most of them, in standard deviations.
 _COMPARED, _ALIKE, _MOST = 64, 0.1, 0.9
 
@@ -123,8 +123,11 @@ def boundary_process(
     which side of the threshold each scenario is that is left out, of 512 of them at most: by the others of these, and
     of more than 4,000 scenarios by the nearest of all. A function that is smooth all over is told best by what lies far
     from the threshold too, so two standard deviations are tried beside `nearness`; and the most critical tenth of the
-    scores is always near. What another study predicts is taken where that makes the scores that are left out 100 times
-    as likely.
+    scores is always near.
+
+    What another study predicts is taken where that makes the scores that are left out 100 times as likely, and each of
+    them twice as likely (the geometric mean). A study that tells a little of the scores meets the former with enough of
+    them, and yet moves the boundary away.
 
     Parameters
     ----------
@@ -167,7 +170,7 @@ def boundary_process(
     if foretold:
         # The values tell that sooner than the sides.
         near = next(iter(nears))
-        tells = densities[near, every] - densities[near, every - 1] > _FORETOLD
+        tells = densities[near, every] - densities[near, every - 1] > max(_FORETOLD, _EACH * len(some))
         found = [one for one in found if (one[2] == every) == tells]
     _, start, used = max(found, key=itemgetter(0))
     # Where the noise is not at its bound, another bound gives the same.
