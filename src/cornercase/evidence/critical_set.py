@@ -155,8 +155,8 @@ class CriticalSet:
         if self._committee is not None:
             t = _deviate(self._committee.out_of_fold())[self._filling]
         else:
-            mean, deviation = left_out(self._process, points, scores, threshold)
-            t = (mean / deviation)[self._filling]
+            mean, deviation = left_out(self._process, points, scores, threshold, np.flatnonzero(self._filling))
+            t = mean / deviation
         critical = self._critical[self._filling]
         if len(self._audits):
             t = np.concatenate([t, self._foretold(encoded(self._space, self._audits))[1]])

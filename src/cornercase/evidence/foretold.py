@@ -67,9 +67,9 @@ class ForetoldByWay:
         every = Foretold(points, features, kernels.get(None), known)
         self._parts, left_out = [every], [every.left_out]
         self.kernels: dict[int | None, Kernels] = {None: every.kernels}
-        large, counts = np.unique(ways, return_counts=True)
+        gone, counts = np.unique(ways, return_counts=True)
         # Where all go one way, the first ones know it already.
-        for way in large[counts >= _OF_ONE_WAY].tolist() if len(large) > 1 else []:
+        for way in gone[counts >= _OF_ONE_WAY].tolist() if len(gone) > 1 else []:
             of_way = np.flatnonzero(ways == way)
             known_of_way = None if known is None else np.flatnonzero(np.isin(of_way, known))
             part = Foretold(points[of_way], features[of_way], kernels.get(way), known_of_way)

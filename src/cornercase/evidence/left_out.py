@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.typing import FloatArray
+from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.gaussian_process import GaussianProcess, near_threshold
 from cornercase.evidence.posterior import MOST_EXACT
 
@@ -16,7 +16,7 @@ _PARTS: Final = 5
 
 
 def left_out(
-    process: GaussianProcess, points: FloatArray, scores: FloatArray, threshold: float
+    process: GaussianProcess, points: FloatArray, scores: FloatArray, threshold: float, some: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Predict each score from all others, without having learned from it.
 
@@ -31,23 +31,26 @@ def left_out(
     points : ndarray of float64, shape (n, e)
     scores : ndarray of float64, shape (n,)
     threshold : float
+    some : ndarray of int64, shape (k,), optional
+        Which scores; by default all.
 
     Returns
     -------
-    mean, deviation : ndarray of float64, shape (n,)
+    mean, deviation : ndarray of float64, shape (k,)
         As of `GaussianProcess.leave_one_out`.
     """
-    mean, deviation = process.leave_one_out()
     count, dims = points.shape
     if count > min(_FEW * dims, MOST_EXACT):
-        return mean, deviation
+        return process.leave_one_out(some)
     values, critical = near_threshold(scores, threshold, process.near), scores <= threshold
     rare = critical if 2 * critical.sum() < count else ~critical
     # A coordinate that the process does not hang on has an infinite width.
     used = int(np.isfinite(process.kernel.widths).sum())
+    mean, deviation = np.empty(count), np.empty(count)
     for part in range(_PARTS):
         out = np.arange(count) % _PARTS == part
         other = GaussianProcess(process.most_noise, process.near)
         other.learn(points[~out], values[~out], process, rare[~out], used).know(points, values)
         mean[out], deviation[out] = other.leave_one_out(np.flatnonzero(out))
-    return mean, deviation
+    these = slice(None) if some is None else some
+    return mean[these], deviation[these]
