@@ -6,7 +6,7 @@ python benchmarks/calibration.py --hidden 20
 A case is a function of a family, a number of dimensions, a critical share between 0.5 and 40 %, and a space that is
 continuous or has steps and choices. Each search runs on each case. The families of the two halves differ: constants may
 be chosen with one of them, and what the docs say is of the other. Each search is judged once, after 80 or 160
-scenarios.
+scenarios. What it says of a region that was overlooked is compared with whether one was.
 
 With --hidden: of how many seeds `level-set` stops by `missed<0.05` while more is missed, of a ball of 8 % of a cube
 beside one of 1 % that nothing points to. It is looked at after each round, as an exploration does.
@@ -15,19 +15,24 @@ beside one of 1 % that nothing points to. It is looked at after each round, as a
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from cornercase.evidence import CriticalSet
+from cornercase.evidence import REGION, CriticalSet, encoded
 from cornercase.exploration import audits_of, chosen_blindly
 from cornercase.exploration.stopping import Criterion, Stopping
 from cornercase.optimizers import create_optimizer
@@ -38,6 +43,7 @@ Function = Callable[[Floats], Floats]
 
 SEARCHES: Final = ("sobol", "random", "bayes", "bayes:filling=0", "level-set", "evolutionary")
 SHARES: Final = (0.005, 0.01, 0.03, 0.1, 0.2, 0.4)
+BELIEFS: Final = (0.0, 0.05, 0.2, 0.5, 0.8, 1.01)
 ROUND: Final = 10
 
 
@@ -122,10 +128,35 @@ class Case:
     threshold: float
     everywhere: Floats
 
-    @property
+    @cached_property
     def critical(self) -> npt.NDArray[np.bool_]:
         """Which of the places are critical."""
         return self.function(self.everywhere) <= self.threshold
+
+    @cached_property
+    def regions(self) -> tuple[Any, npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Places of the critical set, the connected part that each belongs to, and which parts are large.
+
+        Neighbours are connected if both are critical, as `CriticalSet.overlooked` has it.
+        """
+        points, weights = np.unique(self.everywhere, axis=0, return_counts=True)
+        places, critical = encoded(self.space, points), self.function(points) <= self.threshold
+        a, b = np.arange(len(places) - 1), np.arange(1, len(places))
+        if self.dims > 1:
+            near = np.asarray(cKDTree(places).query(places, k=2 * places.shape[1] + 1)[1])[:, 1:]
+            a, b = np.repeat(np.arange(len(places)), near.shape[1]), near.ravel()
+        a, b = a[critical[a] & critical[b]], b[critical[a] & critical[b]]
+        graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(places), len(places)))
+        part = connected_components(graph, directed=False)[1][critical]
+        sizes = np.bincount(part, weights=weights[critical]) / len(self.everywhere)
+        return cKDTree(places[critical]), np.asarray(part, dtype=np.int64), np.flatnonzero(sizes >= REGION)
+
+    def overlooked(self, hits: Floats) -> bool:
+        """Whether a region of 1 % of the space or more holds none of the critical scenarios that were run."""
+        tree, part, large = self.regions
+        if not len(hits):
+            return bool(len(large))
+        return bool(np.setdiff1d(large, part[tree.query(encoded(self.space, hits))[1]]).size)
 
 
 def space_of(dims: int, finite: bool) -> ParameterSpace:
@@ -192,7 +223,8 @@ def judged(case: Case, search: str, points: Floats, scores: Floats, audit: float
     hits = int((scores <= case.threshold).sum())
     plain: dict[str, Any] = {
         "family": case.family, "dims": case.dims, "aimed": case.aimed, "finite": case.finite, "search": search,
-        "run": len(points), "hits": hits, "overlooked": known.overlooked(), "true share": float(true.mean()),
+        "run": len(points), "hits": hits, "overlooked": known.overlooked(),
+        "true overlooked": case.overlooked(points[scores <= case.threshold]), "true share": float(true.mean()),
         "true missed": missed,
     }  # fmt: skip
     # The truth is known of 32,768 places.
@@ -220,6 +252,17 @@ def table(rows: Sequence[dict[str, Any]], by: str, first: str) -> str:
         parts = [f"{np.mean(each):.0%} of {len(each)}" if each else "-" for each in (share, missed)]
         given = f"{len(missed) / len(groups[name]):.0%}"
         lines.append(f"| {name} | {len(groups[name])} | {parts[0]} | {given} | {parts[1]} |")
+    return "\n".join(lines)
+
+
+def overlooked_table(rows: Sequence[dict[str, Any]]) -> str:
+    """How often a region was overlooked, by what is said of that."""
+    lines = ["| overlooked, as said | judged | said, mean | true |", "| --- | --- | --- | --- |"]
+    for low, high in itertools.pairwise(BELIEFS):
+        mine = [row for row in rows if low <= row["overlooked"] < high]
+        if mine:
+            said, true = (np.mean([row[what] for row in mine]) for what in ("overlooked", "true overlooked"))
+            lines.append(f"| {low:g} to {min(high, 1.0):g} | {len(mine)} | {said:.2f} | {true:.2f} |")
     return "\n".join(lines)
 
 
@@ -281,6 +324,11 @@ def main() -> None:
             given.json.write_text(json.dumps(rows))
     for by, first in (("search", "search"), ("dims", "dimensions"), ("aimed", "critical share"), ("family", "family")):
         print(table(rows, by, first), end="\n\n")
+    print(overlooked_table(rows))
+    for what in ("share", "missed"):
+        held = [row[f"audited {what} holds"] for row in rows if row[f"audited {what} holds"] is not None]
+        if held:
+            print(f"By the audits alone, the interval of the {what} holds in {np.mean(held):.0%} of {len(held)}")
 
 
 if __name__ == "__main__":

@@ -218,6 +218,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--quick", action="store_true", help="two functions, three repetitions")
     parser.add_argument("--half", choices=sorted(HALVES), help="only these functions")
+    parser.add_argument(
+        "--only", action="append", choices=[name for half in HALVES.values() for name in half], help="may be repeated"
+    )
     parser.add_argument("--runs", type=int, default=5000)
     parser.add_argument("--repetitions", type=int, default=100)
     parser.add_argument("--json", type=Path, help="write the figures as JSON")
@@ -225,7 +228,7 @@ def main() -> None:
     repetitions = 3 if given.quick else given.repetitions
     table = {}
     for half in [given.half] if given.half else sorted(HALVES):
-        for name in list(HALVES[half])[: 1 if given.quick else None]:
+        for name in [one for one in HALVES[half] if one in (given.only or HALVES[half])][: 1 if given.quick else None]:
             function = HALVES[half][name]()
             one = table[name] = {"half": half, **judged(function, given.runs, repetitions)}
             peer = by_openturns(function, given.runs, min(repetitions, 20))

@@ -84,6 +84,14 @@ def test_a_region_in_which_nothing_was_run_is_reckoned_with():
     assert blind.unvisited(0.005) > blind.unvisited(0.02) > blind.unvisited(0.12)
 
 
+def test_on_a_line_a_region_in_which_something_was_run_is_not_overlooked():
+    line = ParameterSpace.from_ranges(["a=0:1"])
+    points = SobolOptimizer(line, 0).ask(80)
+    known = CriticalSet(line, points, np.abs(points[:, 0] - 0.55), 0.2)
+    assert known.share.value == pytest.approx(0.4, abs=0.01)
+    assert known.overlooked() == 0.0
+
+
 def test_a_region_that_the_process_foretells_is_overlooked_until_something_is_run_there():
     def waves(points):
         return np.cos(4 * np.pi * points[:, 0]) + 0.5
@@ -185,12 +193,12 @@ def test_a_scenario_of_a_finite_space_is_critical_or_not_in_one_draw():
     space = ParameterSpace([Parameter("a", 0, 4, 1.0), Parameter("b", 0, 5, 1.0)])
     points = space.lattice()
     known = CriticalSet(space, points[::2], np.random.default_rng(0).normal(size=15), 0.0)
-    at, weights, drawn, _ = known._joint
+    (at, weights), drawn = known._some, known._parts.drawn
     places = known._places.points[at]
     assert len(np.unique(places, axis=0)) == len(places) == len(drawn) == 30
     assert weights.sum() == pytest.approx(1.0)
     # What was run is known: the shares differ by whole scenarios that were not.
-    shares = known._all * 30
+    shares = known._parts.all * 30
     assert shares.min() >= known._critical.sum() - 0.5
     assert shares.max() <= known._critical.sum() + 15.5
 

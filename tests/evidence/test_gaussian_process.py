@@ -128,11 +128,11 @@ def test_the_level_of_groups_is_that_of_all_places():
     points = qmc.Sobol(3, seed=3).random(64)
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
     among = known._is_found
-    every = known._limit(np.arange(len(known._t)))
-    at, weights, drawn, _ = known._joint
+    every = known._parts._limit(np.arange(len(known._t)))
+    (at, weights), drawn = known._some, known._parts.drawn
     expected = (known._places.weights * among) @ ndtr(every)
     expected += (weights * among[at]) @ (drawn - ndtr(every[at]))
-    np.testing.assert_allclose(known._shares(among), expected, atol=1e-4)
+    np.testing.assert_allclose(known._parts.shares(among), expected, atol=1e-4)
 
 
 def test_widths_are_learned_from_rare_values_too():

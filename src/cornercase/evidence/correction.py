@@ -12,9 +12,8 @@ from cornercase._common.typing import BoolArray, FloatArray
 # Places of the grid on which the posterior is known, and how far it reaches in deviations of the prior.
 _STEPS: Final = 49
 _REACH: Final = 4.0
-# What one prediction counts, since neighbours are told wrongly together; and the number of predictions from which on
-# that gets less, as they lie closer together: then their weight grows with the root of their number.
-_WEIGHT: Final = 0.5
+# Number of predictions from which on each counts less, as they lie closer together, and neighbours are wrong together:
+# then their weight grows with the root of their number.
 _ALONE: Final = 160
 # Scenarios of one kind up to which each is looked at by itself.
 _MANY: Final = 128
@@ -33,20 +32,22 @@ class Correction:
         What was said of scenarios without knowing their scores.
     critical : ndarray of bool, shape (n,)
         What they were.
+    worth : float, default 1.0
+        What one prediction counts: less than 1 as those of neighbours hang together.
 
     Notes
     -----
-    Two predictions count as one, as those of neighbours hang together. More than 160 count as much as the root of 160
+    More than 160 count as much as the root of 160
     times their number, so that the posterior then narrows with the fourth root.
 
     Correction of probabilities: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the
     normal distribution function, and all of the posterior on a grid.
     """
 
-    def __init__(self, t: FloatArray, critical: BoolArray) -> None:
+    def __init__(self, t: FloatArray, critical: BoolArray, worth: float = 1.0) -> None:
         a, log_b = (each.ravel() for each in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
         likely = -0.5 * (a**2 + log_b**2)
-        slope, weight = np.exp(log_b), _WEIGHT * min(1.0, (_ALONE / max(len(t), 1)) ** 0.5)
+        slope, weight = np.exp(log_b), worth * min(1.0, (_ALONE / max(len(t), 1)) ** 0.5)
         for side, said in ((1.0, t[critical]), (-1.0, t[~critical])):
             # Of many the neighbours count together.
             for some in np.array_split(np.sort(said), min(_MANY, max(len(said), 1))):
