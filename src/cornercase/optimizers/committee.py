@@ -19,6 +19,8 @@ _INITIAL: Final = 24
 _TREES: Final = 64
 # What not knowing which way a scenario goes counts, against not knowing whether it is critical.
 _WAY: Final = 0.5
+# Scenarios are spread less along a coordinate on which the score hangs less: this little at least.
+_LEAST: Final = 0.1
 # Candidates near a scenario that is critical, as a share, and how far from it they are.
 _NEAR, _STEP = 0.85, 0.06
 
@@ -29,8 +31,8 @@ class CommitteeOptimizer(BegunOptimizer):
     It learns from what happened in the runs, by features of their recordings, so that it follows scores that jump
     where a scenario goes another way. It asks where the mean probability that a scenario is critical is near one half,
     and where it is not sure which way a scenario goes: who is first, or whether both touch. The points of a round are
-    spread out. The first 24 points, and a share of all others, are a Sobol' sequence, so that a critical region that
-    nothing points to is met.
+    spread out, the more along a coordinate the shorter the way on which the score varies along it. The first 24
+    points, and a share of all others, are a Sobol' sequence, so that a critical region that nothing points to is met.
 
     While no scenario is critical, it looks for lower scores: the threshold is then the lowest score so far; and
     likewise while all are critical. Where scenarios fail, it learns where, and asks there less, the likelier they
@@ -110,7 +112,10 @@ class CommitteeOptimizer(BegunOptimizer):
         told = with_foretold(self._elsewhere, places)
         gain = acquisition(*self._committee.predict(told)) * (1.0 - self._failing(places))
         known = np.concatenate([self._points, filling])
-        return candidates[_spread(places, gain, encoded(self._space, known), n)]
+        # The coordinate of another study is no place of a scenario.
+        widths = self._committee.process.kernel.widths[: places.shape[1]]
+        matters = np.maximum(widths.min() / widths, _LEAST)
+        return candidates[_spread(places * matters, gain, encoded(self._space, known) * matters, matters, n)]
 
     def _known_features(self, count: int) -> FloatArray | None:
         return None if self._told is None else self._told[self._known][:count]
@@ -161,13 +166,15 @@ def _level(scores: FloatArray, threshold: float) -> float:
     return float(min(max(threshold, lowest), below_highest))
 
 
-def _spread(places: FloatArray, gain: FloatArray, known: FloatArray, n: int) -> IntArray:
+def _spread(places: FloatArray, gain: FloatArray, known: FloatArray, sides: FloatArray, n: int) -> IntArray:
     """Choose `n` of the places, shape (m, e), each by its gain, shape (m,), and how far it is from all others.
 
-    Those are the `known` ones, shape (k, e), and the ones that were chosen before it. What is as far as evenly spread
-    points are from each other is far enough.
+    Those are the `known` ones, shape (k, e), and the ones that were chosen before it. What is as far as points are
+    from each other that are spread evenly in a box of these sides, shape (e,), is far enough.
     """
-    enough = len(known) ** (-1.0 / places.shape[1])
+    # So far apart they do not differ along short sides: the longest ones alone, as many as make it largest.
+    longest = np.sort(sides)[::-1]
+    enough = ((np.cumprod(longest) / len(known)) ** (1.0 / np.arange(1, len(sides) + 1))).max()
     apart = np.minimum(cKDTree(known).query(places)[0], enough)
     chosen: list[int] = []
     for _ in range(n):
