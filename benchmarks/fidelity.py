@@ -12,8 +12,8 @@ it.
 Counted are the scenarios, in rounds of 5, until the recall is 0.95, and until the precision is 0.9 as well: a set that
 is told too large has a recall of 0.95 by luck. Printed are means over the seeds, and their ratio with its standard
 error, paired by seed. After 40 scenarios it is judged too whether the truth lies within the 90 % intervals of the
-critical share and of what is missed. How much likelier another study has to make scenarios to be used was chosen with
-seeds below 20.
+critical share and of what is missed. How much likelier another study has to make scenarios to be used, and how many of
+the first ones it chooses, was decided with seeds below 40.
 
 A driver of cornercase drives the same on SUMO as on the builtin simulator, so the grid is run by the latter; ``--sumo
 N`` runs N scenarios of each such grid on SUMO too, and prints how far the scores are apart at most.

@@ -26,6 +26,11 @@ class Elsewhere:
     threshold : float
         Oriented score up to which a scenario is critical.
 
+    Attributes
+    ----------
+    process : GaussianProcess
+        Of the scores of the other study, as of `boundary_process`.
+
     Notes
     -----
     Source: P. Perdikaris, M. Raissi et al., "Nonlinear information fusion algorithms for data-efficient multi-fidelity
@@ -35,7 +40,7 @@ class Elsewhere:
     """
 
     def __init__(self, points: FloatArray, scores: FloatArray, threshold: float) -> None:
-        self._process, self._threshold = boundary_process(points, scores, threshold), threshold
+        self.process, self._threshold = boundary_process(points, scores, threshold), threshold
 
     def beside(self, points: FloatArray) -> FloatArray:
         """Put beside the coordinates of points what the other study says there.
@@ -49,7 +54,7 @@ class Elsewhere:
         -------
         ndarray of float64, shape (m, e + 1)
         """
-        return np.column_stack([points, self._process.predict(points)[0]])
+        return np.column_stack([points, self.process.predict(points)[0]])
 
     def foretells(self, points: FloatArray, scores: FloatArray) -> bool:
         """Tell whether scores of the study at hand are told better with the other study than without it.

@@ -73,7 +73,8 @@ class CandidateOptimizer(Optimizer):
         if number != self._learned:
             self._learned = number
             self._learn(points[:first], scores[:first], self._seed_of(number))
-        filling = self._sequence.ask(self._filled(self._asked + n) - self._filled(self._asked), besides=pending)
+        share = self._filled(self._asked + n) - self._filled(self._asked)
+        filling = self._sequence.ask(min(share, n), besides=pending)
         if (wanted := n - len(filling)) == 0:
             return filling
         besides = np.concatenate([pending, filling])

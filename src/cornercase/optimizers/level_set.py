@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.distance import cdist
 from scipy.special import ndtr
 
@@ -19,10 +18,9 @@ from cornercase.evidence import (
 )
 from cornercase.optimizers.begun import BegunOptimizer
 from cornercase.optimizers.dips import below_dips
+from cornercase.optimizers.straddle import Round, gains
 from cornercase.optimizers.unseen import Unseen
 from cornercase.scenario import ParameterSpace
-
-Floats = npt.NDArray[np.floating[Any]]
 
 # Points before anything is learned; and candidates of greatest gain that are kept until more is learned.
 _INITIAL: Final = 24
@@ -106,7 +104,7 @@ class LevelSetOptimizer(BegunOptimizer):
         mean, deviation = self._process.predict(self._coordinates(candidates))
         likely = ndtr(-mean / np.hypot(deviation, self._process.kernel.noise))
         self._filling = min(self._least * float(np.interp(_open(likely), _OPEN, _TIMES)), 1.0)
-        best = np.argsort(-_gain(mean, deviation), kind="stable")
+        best = np.argsort(-gains(mean, deviation), kind="stable")
         if len(points) < self._learned:
             best = best[: 2 * _KEPT]
             best = best[self._runs(candidates[best])]
@@ -160,20 +158,16 @@ def _open(likely: FloatArray) -> float:
     return float(np.minimum(near, 1.0 - near).sum() / near.sum()) if len(near) else 0.0
 
 
-def _gain(mean: FloatArray, deviation: FloatArray) -> FloatArray:
-    return np.asarray(1.96 * deviation - np.abs(mean))
-
-
 def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArray, n: int) -> IntArray:
     """Choose `n` candidates, each with those before it and the `known` ones known."""
     mean, deviation, rows = process.predict_with_projections(np.concatenate([candidates, known]))
     variance, others = deviation**2, np.arange(len(candidates), len(mean))
-    gain = _gain(mean, np.sqrt(variance))[: len(candidates)]
+    gain = gains(mean, np.sqrt(variance))[: len(candidates)]
     falling, most = np.argsort(-gain, kind="stable"), max(_LIKELY, n)
     while True:
         some = np.sort(falling[:most])
         these = np.concatenate([some, others])
-        round_ = _Round(process, np.concatenate([candidates[some], known]), mean[these], variance[these], rows[these])
+        round_ = Round(process, np.concatenate([candidates[some], known]), mean[these], variance[these], rows[these])
         for i in range(len(some), len(these)):
             round_.learn(i)
         chosen, least = round_.choose(n, len(some))
@@ -181,39 +175,3 @@ def _straddle(process: GaussianProcess, candidates: FloatArray, known: FloatArra
         if most >= len(candidates) or least > gain[falling[most]]:
             return some[chosen]
         most *= 4
-
-
-class _Round:
-    """Points of a process, of which one after the other becomes known."""
-
-    def __init__(
-        self, process: GaussianProcess, places: FloatArray, mean: FloatArray, variance: FloatArray, rows: Floats
-    ) -> None:
-        self._process, self._places, self._rows = process, places, rows
-        self._mean, self._variance = mean, variance
-        # The process is computed in single precision, which cannot tell a lower variance from 0.
-        self._lowest, self._noise = 1e-5 * process.kernel.signal**2, process.kernel.noise**2
-        self._learned: list[FloatArray] = []
-
-    def learn(self, i: int) -> None:
-        """Make a point known."""
-        shared = self._process.covariance(self._places, self._rows, i)
-        for earlier in self._learned:
-            shared = shared - earlier * earlier[i]
-        step = shared / math.sqrt(max(self._variance[i], self._lowest) + self._noise)
-        # A point cannot explain more than the variance that is left; rounding errors are cut off.
-        most = np.sqrt(self._variance)
-        self._learned.append(np.clip(step, -most, most))
-        np.maximum(self._variance - self._learned[-1] ** 2, 0.0, out=self._variance)
-
-    def choose(self, n: int, among: int) -> tuple[IntArray, float]:
-        """Choose `n` of the first points, each of the largest gain with those before it known; and the least gain."""
-        chosen: list[int] = []
-        least = math.inf
-        while len(chosen) < n:
-            gain = _gain(self._mean, np.sqrt(self._variance))[:among]
-            gain[chosen] = -np.inf
-            chosen.append(int(np.argmax(gain)))
-            least = min(least, float(gain[chosen[-1]]))
-            self.learn(chosen[-1])
-        return np.array(chosen, dtype=np.int64), least
