@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import pdist
 
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet, Elsewhere, boundary_process
+from cornercase.exploration import chosen_blindly
 from cornercase.optimizers import OPTIMIZERS, LevelSetOptimizer, SobolOptimizer, create_optimizer
 from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
@@ -71,6 +73,31 @@ def test_a_coordinate_that_tells_a_little_is_left_out_however_many_scenarios_say
     for count in (30, 60, 100):
         process = boundary_process(np.column_stack([points, told])[:count], scores[:count], THRESHOLD, foretold=True)
         assert np.isinf(process.kernel.widths[-1])
+
+
+def begun_search(seed, scores):
+    optimizer = LevelSetOptimizer(CUBE, seed, THRESHOLD)
+    optimizer.begin_from(KNOWN, scores)
+    return optimizer
+
+
+@pytest.mark.parametrize("batch", [1, 5, 10, 40])
+def test_half_of_the_first_ten_are_where_the_other_study_has_the_boundary(batch):
+    for seed in range(3):
+        points = explored(begun_search(seed, two_regions(KNOWN)), max(batch, 10), batch=batch, function=moved)
+        sought = points[~chosen_blindly("level-set", CUBE, seed, points)]
+        assert len(sought) == 5
+        # That near are 26 % of the cube.
+        assert (np.abs(two_regions(sought) - THRESHOLD) < 0.4).sum() >= 4
+        assert pdist(sought).min() > 0.1
+
+
+def test_what_the_other_study_chose_is_made_up_for_by_points_that_fill_the_space():
+    points = explored(begun_search(0, two_regions(KNOWN)), 24, batch=1, function=moved)
+    # Ten and a fifth of the rest; and it had begun before the 24th.
+    assert chosen_blindly("level-set", CUBE, 0, points).sum() == 12
+    missed = explored(begun_search(0, np.random.default_rng(0).normal(size=200)), 24, batch=1, function=moved)
+    assert chosen_blindly("level-set", CUBE, 0, missed).sum() == 19
 
 
 @pytest.mark.parametrize("name", at_night(["level-set", "committee"], {"committee"}))
