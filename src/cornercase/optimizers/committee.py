@@ -38,8 +38,9 @@ class CommitteeOptimizer(BegunOptimizer):
     likewise while all are critical. Where scenarios fail, it learns where, and asks there less, the likelier they
     fail.
 
-    With another study to begin from, what it predicts is one more coordinate for all members (`Elsewhere`), and they
-    learn from fewer points where that predicts the first 10 of them, or more.
+    With another study to begin from, what it predicts is one more coordinate for all members (`Elsewhere`). Half of the
+    first 10 points are where it predicts the boundary, and the members learn from fewer points where it predicts the
+    first 10 of them, or more.
 
     The kernels of the committee are learned each time that there are ten scores more to learn from, or a quarter
     more where that is more.

@@ -57,8 +57,9 @@ class LevelSetOptimizer(BegunOptimizer):
     The kernel of the process is learned, and candidates are drawn, each time that ten scenarios more were told, or a
     tenth more where that is more. The 4096 candidates that are best then are those of the rounds until the next time.
 
-    With another study to begin from, what it predicts is one more coordinate of the process (`Elsewhere`), and the
-    process is learned from fewer points where that predicts the first 10 of them, or more.
+    With another study to begin from, what it predicts is one more coordinate of the process (`Elsewhere`). Half of the
+    first 10 points are where it predicts the boundary, and the process is learned from fewer points where it predicts
+    the first 10 of them, or more.
 
     Parameters
     ----------
