@@ -57,7 +57,7 @@ def test_show(folder):
     [
         ("--metric", "distance", "--pareto", "--optimizer", "random", "--asynchronous"),
         ("--critical-if", "collision and not reference:cautious", "--optimizer", "random"),
-        ("--optimizer", "random", "--repeats", "2"),
+        ("--optimizer", "random", "--repeats", "2", "--most-repeats", "5"),
         ("--optimizer", "random", "--other", "C"),
     ],
 )

@@ -17,7 +17,7 @@ SPACE = ParameterSpace.from_ranges(["a=0:10", "b=0:1:0.1"])
 PLAIN = about(SPACE, "distance")
 FULL = about(
     SPACE, "distance", "wttc", settings={"drivers": {"Ego": "normal"}}, critical=0.5, weights={"wttc": 2.0}, seed=3,
-    repeats=4, files=("a.csv", "b.csv"),
+    repeats=4, most_repeats=9, files=("a.csv", "b.csv"),
 )  # fmt: skip
 
 
@@ -34,6 +34,7 @@ def test_what_was_written_is_read_back(meta):
         ({"metrics": ("wttc", "distance")}, "other metrics"),
         ({"settings": {}}, "other simulator settings"),
         ({"repeats": 1}, "another number of repeats"),
+        ({"most_repeats": None}, "another largest number of repeats"),
         ({"simulator": "other:host=a"}, "another simulator"),
         ({"critical": 0.6}, r"the threshold 0.5"),
     ],

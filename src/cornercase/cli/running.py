@@ -116,6 +116,16 @@ def explore(
     repeats: Annotated[
         int, typer.Option(metavar="N", help="Run each scenario N times; its score is the median.", min=1)
     ] = 1,
+    most_repeats: Annotated[
+        int | None,
+        typer.Option(
+            "--most-repeats",
+            metavar="M",
+            help="Run a scenario N times more, up to M times in all, while it is open whether it is critical: while"
+            " the 90 % interval of the probability that a run is critical contains 0.5.",
+            min=1,
+        ),
+    ] = None,
     audit: Annotated[
         float,
         typer.Option(
@@ -189,6 +199,7 @@ def explore(
         timeout=timeout,
         retries=retries,
         repeats=repeats,
+        most_repeats=most_repeats,
         audit=audit,
         time_step=time_step,
         duration=duration,

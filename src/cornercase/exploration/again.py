@@ -76,6 +76,7 @@ def configuration_of(
         asynchronous=meta.asynchronous,
         seed=meta.seed,
         repeats=meta.repeats,
+        most_repeats=meta.most_repeats,
         audit=meta.audit,
         simulator=meta.simulator.partition(":")[0] if simulator is None else simulator,
         drivers=known,

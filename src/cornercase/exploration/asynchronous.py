@@ -17,6 +17,7 @@ from cornercase.exploration.deciding import Undecided
 from cornercase.exploration.explorer import ScenarioExplorer
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.proposing import turns_of
+from cornercase.exploration.repeated import RepeatedScenario
 from cornercase.optimizers import Optimizer
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator, SimulatorStream
@@ -79,8 +80,10 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._simulators = {"": simulator, **(references or {})}
         if configuration.patience is not None:
             self._patience, self._things = configuration.patience * configuration.batch, "scenarios"
-        # On their way, those of them that hang on a reference, and what came since the search was told of others.
+        # On their way, their runs, those of them that hang on a reference, and what came since the search was told of
+        # others.
         self._pending: dict[int, Row] = {}
+        self._begun: dict[int, RepeatedScenario] = {}
         self._undecided: dict[int, Undecided] = {}
         self._came: list[Row] = []
         self._scores: dict[int, Any] = {}
@@ -146,14 +149,18 @@ class AsynchronousExplorer(ScenarioExplorer):
     def _give(self, stream: SimulatorStream, rows: Sequence[Row]) -> None:
         for row in rows:
             self._pending[row.id] = row
-            stream.give(row.id, partial(self._outcomes, self._runner.concretes(row)))
+            self._run_on(stream, self._runner.begun(row))
+
+    def _run_on(self, stream: SimulatorStream, one: RepeatedScenario) -> None:
+        self._begun[one.row.id] = one
+        stream.give(one.row.id, partial(self._outcomes, self._runner.concretes(one)))
 
     def _outcomes(self, concretes: Sequence[ConcreteScenario], simulator: Simulator) -> list[Any]:
         """Run in a thread of its own; nothing else of the search is touched there."""
         return list(self._runner.outcomes(simulator, concretes))
 
     def _take(self, stream: SimulatorStream, check_interrupt: Callable[[], None]) -> None:
-        """Wait for what has ended next, and store it; or have it run again with the reference that it hangs on."""
+        """Wait for what has ended next, and store it; or have it run again, maybe with a reference that it hangs on."""
         with self._clock("simulate"):
             key, outcomes = stream.take(check_interrupt)
         row = self._pending[key]
@@ -161,10 +168,13 @@ class AsynchronousExplorer(ScenarioExplorer):
             found: Any = self._undecided.pop(row.id)
             self._runner.again(found, outcomes[0])
         else:
-            found = self._runner.settled(row, outcomes)
+            found = self._runner.settled(self._begun.pop(row.id), outcomes)
+        if isinstance(found, RepeatedScenario):
+            self._run_on(stream, found)
+            return
         if isinstance(found, Undecided) and found.wanted is not None:
             self._undecided[row.id] = found
-            stream.give(row.id, partial(self._outcomes, self._runner.concretes(row)), found.wanted)
+            stream.give(row.id, partial(self._outcomes, self._runner.concretes(self._runner.begun(row))), found.wanted)
             return
         score = self._runner.stored(found) if isinstance(found, Undecided) else found
         if score is not None:

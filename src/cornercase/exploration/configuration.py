@@ -17,7 +17,7 @@ from cornercase.metrics import EVERYBODY, METRICS, CriticalIf, name_others
 from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import MOST_WORKERS
-from cornercase.study import MOST_AUDITS, StudyMeta
+from cornercase.study import FEWEST_CLEAR_RUNS, MOST_AUDITS, StudyMeta
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -72,6 +72,9 @@ class Configuration:
         How often a scenario is run again after the simulator died or hung.
     repeats : int
         How often each scenario is run, for a simulator that does not give the same twice; the median counts.
+    most_repeats : int or None
+        How often a scenario is run at most: `repeats` times more while it is open on which side of the threshold it is.
+        None where each is run `repeats` times, also where as many are given.
     audit : float
         Share of the scenarios that are drawn at random to judge the search, and that it is never told.
     time_step, duration : float
@@ -110,6 +113,7 @@ class Configuration:
     timeout: float | None = None
     retries: int = 1
     repeats: int = 1
+    most_repeats: int | None = None
     audit: float = 0.0
     time_step: float = 0.05
     duration: float = 60.0
@@ -154,6 +158,7 @@ class Configuration:
         taken["drivers"] = {name: _driver(name, driver) for name, driver in by_name("drivers", self.drivers).items()}
         for name, value in taken.items():
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "most_repeats", self._most_repeats())
         self.criteria()
 
     @property
@@ -166,8 +171,34 @@ class Configuration:
         says_too = {"critical": self.critical is not None, "weights": self.weights, "pareto": self.pareto}
         for name in filter(says_too.get, says_too):
             raise InputError(f"`critical_if` says what is critical, and is searched; leave `{name}` out.")
-        if self.repeats != 1:
-            raise InputError("`critical_if` is decided by one run of each scenario; leave `repeats` out.")
+        for name, given in {"repeats": self.repeats, "most_repeats": self.most_repeats}.items():
+            if given not in (None, 1):
+                raise InputError(f"`critical_if` is decided by one run of each scenario; leave `{name}` out.")
+
+    def _most_repeats(self) -> int | None:
+        """Take how often a scenario is run at most, where that is more than each is."""
+        if self.most_repeats is None:
+            return None
+        most = whole_number("most_repeats", self.most_repeats, 1)
+        if most == self.repeats:
+            return None
+        if self.pareto or self.weights:
+            other = "pareto" if self.pareto else "weights"
+            raise InputError(
+                f"`most_repeats` {most}: whether a run is critical is told by one metric; leave it or `{other}` out."
+            )
+        if self.repeats == 1:
+            raise InputError(
+                f"`most_repeats` {most}: adds to scenarios that are run several times; give `repeats` of 2 or more."
+            )
+        if most < self.repeats:
+            raise InputError(f"`most_repeats` {most}: is less than `repeats` {self.repeats}; give more.")
+        if most < FEWEST_CLEAR_RUNS:
+            raise InputError(
+                f"`most_repeats` {most}: fewer than {FEWEST_CLEAR_RUNS} runs leave each scenario open; give"
+                f" {FEWEST_CLEAR_RUNS} or more, or `repeats` {most} alone."
+            )
+        return most
 
     def require_entities(self) -> None:
         """Refuse an ego, other or driven entity that the scenario does not have.
@@ -248,9 +279,9 @@ class Configuration:
         Raises
         ------
         InputError
-            Nothing says it, but the optimizer or a criterion to stop needs it.
+            Nothing says it, but the optimizer, a criterion to stop or `most_repeats` needs it.
         """
-        if self.stop_when or "threshold" in optimizer_needs(self.optimizer):
+        if self.stop_when or self.most_repeats is not None or "threshold" in optimizer_needs(self.optimizer):
             return objective.threshold(self.critical)
         return objective.known_threshold(self.critical)
 
@@ -290,6 +321,7 @@ class Configuration:
             batch=self.batch,
             asynchronous=self.asynchronous,
             repeats=self.repeats,
+            most_repeats=self.most_repeats,
             audit=self.audit,
             elsewhere=elsewhere or {},
         )

@@ -162,6 +162,7 @@ def _configuration(
         batch=Configuration.batch,
         asynchronous=False,
         repeats=1,
+        most_repeats=None,
         audit=0.0,
     )
 

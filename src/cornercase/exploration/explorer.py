@@ -240,12 +240,14 @@ class ScenarioExplorer:
     def _simulate(self, rows: list[Row], bar: ProgressBar | None) -> dict[int, Any]:
         """Run scenarios; the oriented scores of those that did not fail, by id."""
         scores: dict[int, Any] = {}
-        best = copy(self._best)
+        best, farthest = copy(self._best), 0
         for number, score in self._runner.run(rows):
             scores[number] = score
             best.add(score[None])
+            # One that needed more runs ends after later ones.
+            farthest = max(farthest, number)
             if bar is not None:
-                bar.update(number, best.text)
+                bar.update(farthest, best.text)
         return scores
 
     def _tell(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> None:

@@ -59,6 +59,7 @@ def explore(
     timeout: float | None = None,
     retries: int = 1,
     repeats: int = 1,
+    most_repeats: int | None = None,
     audit: float = 0.0,
     time_step: float = 0.05,
     duration: float = 60.0,
@@ -131,6 +132,10 @@ def explore(
         How often a scenario is run again after the simulator died or hung.
     repeats : int, default 1
         How often each scenario is run; its score is the median.
+    most_repeats : int, optional
+        How often a scenario is run at most: it is run `repeats` times more, again and again, while it is open on which
+        side of the threshold it is, that is while the 90 % interval of the probability that a run is critical
+        (`cornercase.study.Study.critical_runs`) holds 0.5. By default each is run `repeats` times.
     audit : float, default 0.0
         Share of the scenarios, up to 0.5, that are drawn at random and kept from the search, to judge what it found.
     time_step, duration : float
@@ -192,6 +197,7 @@ def explore(
         timeout=timeout,
         retries=retries,
         repeats=repeats,
+        most_repeats=most_repeats,
         audit=audit,
         time_step=time_step,
         duration=duration,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -14,7 +15,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.deciding import SecondRuns, Undecided
 from cornercase.exploration.objective import Objective
-from cornercase.metrics import measured
+from cornercase.exploration.repeated import RepeatedScenario, Repetition
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator, outcomes_of
@@ -57,7 +58,7 @@ class ScenarioRunner:
     configuration : Configuration
         Where each scenario is run several times, the run with the median of what is searched is stored (of an even
         number the more critical of the two in the middle), and the scores of all. Runs that failed are left out,
-        unless all did.
+        unless all did. What needs more runs gets them once each scenario of the round had its first ones.
     simulator : Simulator
     objective : Objective
         Its metrics are measured.
@@ -80,6 +81,7 @@ class ScenarioRunner:
     ) -> None:
         self._configuration, self._simulator, self._objective = configuration, simulator, objective
         self._study, self._clock = study, clock
+        self._repetition = Repetition(configuration, objective)
         condition = configuration.condition()
         self._second = None
         if condition is not None:
@@ -106,68 +108,95 @@ class ScenarioRunner:
         """
         if not rows:
             return
-        repeats = self._configuration.repeats
-        concretes = [one for row in rows for one in self.concretes(row)]
-        results, waiting = self.outcomes(self._simulator, concretes), list[Undecided]()
-        for row in rows:
-            with self._clock("simulate"):
-                outcomes = [next(results) for _ in range(repeats)]
-            found = self.settled(row, outcomes)
-            if isinstance(found, Undecided):
-                waiting.append(found)
-            elif found is not None:
-                yield row.id, found
+        waiting, left = list[Undecided](), deque(self.begun(row) for row in rows)
+        while left:
+            needy = deque[RepeatedScenario]()
+            for one, outcomes in self._batch(left):
+                found = self.settled(one, outcomes)
+                if isinstance(found, RepeatedScenario):
+                    needy.append(found)
+                elif isinstance(found, Undecided):
+                    waiting.append(found)
+                elif found is not None:
+                    yield one.row.id, found
+            left = needy
         if self._second is not None and waiting:
             with self._clock("simulate"):
                 decided = list(self._second.decide(waiting))
-            for one in sorted(decided, key=lambda one: one.row.id):
-                score = self.stored(one)
+            for ready in sorted(decided, key=lambda one: one.row.id):
+                score = self.stored(ready)
                 if score is not None:
-                    yield one.row.id, score
+                    yield ready.row.id, score
 
-    def concretes(self, row: Row) -> list[ConcreteScenario]:
-        """Make the concrete scenarios of a row: one, or the same as often as each is run.
+    def _batch(
+        self, scenarios: deque[RepeatedScenario]
+    ) -> Iterator[tuple[RepeatedScenario, list[Recording | SimulationError]]]:
+        """Run each scenario as often as is wanted, all in one batch; those that came are taken out."""
+        results = self.outcomes(self._simulator, [each for one in scenarios for each in self.concretes(one)])
+        while scenarios:
+            one = scenarios.popleft()
+            with self._clock("simulate"):
+                outcomes = [next(results) for _ in range(one.wanted)]
+            yield one, outcomes
+        # All are taken, so that the simulator clears up before the next batch.
+        for _ in results:
+            pass
+
+    def begun(self, row: Row) -> RepeatedScenario:
+        """Begin with a scenario that has to be run.
 
         Parameters
         ----------
         row : Row
+
+        Returns
+        -------
+        RepeatedScenario
+        """
+        return self._repetition.begin(row)
+
+    def concretes(self, one: RepeatedScenario) -> list[ConcreteScenario]:
+        """Make the concrete scenarios that have to be run next of one: the same as often as is wanted.
+
+        Parameters
+        ----------
+        one : RepeatedScenario
 
         Returns
         -------
         list of ConcreteScenario
         """
-        return [self._configuration.logical.concrete(row.values) for _ in range(self._configuration.repeats)]
+        return [self._configuration.logical.concrete(one.row.values) for _ in range(one.wanted)]
 
-    def settled(self, row: Row, outcomes: Sequence[Recording | SimulationError]) -> Any:
-        """Measure the runs of a scenario, and store what came of it unless that hangs on a reference.
+    def settled(self, one: RepeatedScenario, outcomes: Sequence[Recording | SimulationError]) -> Any:
+        """Measure runs of a scenario, and store what came of it unless it needs more, or hangs on a reference.
 
         Parameters
         ----------
-        row : Row
+        one : RepeatedScenario
         outcomes : sequence of Recording or SimulationError
-            Of all its runs.
+            Of the runs that were wanted.
 
         Returns
         -------
-        float, ndarray of float64, shape (metrics,), Undecided or None
-            Its oriented score or scores; None where it failed.
+        float, ndarray of float64, shape (metrics,), RepeatedScenario, Undecided or None
+            Its oriented score or scores; what has to be run again; None where it failed.
         """
-        about = self._configuration
+        row = one.row
         with self._clock("measure"):
-            runs = [
-                (one, measured(self._objective.metrics, one, about.ego, about.others))
-                for one in outcomes
-                if not isinstance(one, SimulationError)
-            ]
-        if not runs:
-            self._study.fail(row.id, next(one for one in outcomes if isinstance(one, SimulationError)))
+            self._repetition.take(one, outcomes)
+        if one.wanted:
+            return one
+        if not one.runs:
+            assert one.error is not None
+            self._study.fail(row.id, one.error)
             return None
-        scores = self._objective.oriented(np.array([[each.score for each in one.values()] for _, one in runs]))
+        scores = self._repetition.scores(one)
         middle = _middle(scores)
-        recording, courses = runs[middle]
+        recording, courses = one.runs[middle]
         repeats = None
-        if about.repeats > 1:
-            repeats = {name: [one[name].score for _, one in runs] for name in courses}
+        if self._configuration.repeats > 1:
+            repeats = {name: [run[name].score for _, run in one.runs] for name in courses}
         if self._second is None:
             with self._clock("store"):
                 self._study.finish(row.id, recording, courses, repeats)

@@ -177,7 +177,7 @@ def of_scores(data: ReportData, metric: Metric) -> str:
     if one.spread is not None:
         median, largest = (with_unit(f"{value:.3g}", metric.unit) for value in one.spread)
         said += (
-            f" Each was run {data.summary.meta.repeats} times; its scores differ by {median} in the median"
+            f" Each was run {data.summary.meta.runs_of_each} times; its scores differ by {median} in the median"
             f" scenario, and by {largest} at most."
         )
     return said

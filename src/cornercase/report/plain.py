@@ -23,6 +23,7 @@ from cornercase.report.words import (
     tell_chosen,
     tell_unforetold,
 )
+from cornercase.study import StudyMeta
 
 NAMED: Final = {
     "parameters": 1, "metrics": 1, "at": 1, "clusters": 1, "collisions not measured against": 1, "scenarios against": 1,
@@ -87,7 +88,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "pending": summary.pending,
         "collisions": summary.collisions,
         **_beside(summary),
-        "metrics": {name: _metric(one, meta.repeats) for name, one in summary.metrics.items()},
+        "metrics": {name: _metric(one, meta) for name, one in summary.metrics.items()},
         "clusters": {name: _clusters(one, summary.run) for name, one in summary.analyses.items()},
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
         "searched": summary.searched,
@@ -119,7 +120,7 @@ def _beside(summary: Summary) -> dict[str, Any]:
     return {"collisions not measured against": dict(summary.beside), "note": tell_beside(summary)}
 
 
-def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
+def _metric(one: MetricSummary, meta: StudyMeta) -> dict[str, Any]:
     plain: dict[str, Any] = {
         "unit": one.unit,
         "critical is": "low" if one.lower_is_critical else "high",
@@ -131,7 +132,8 @@ def _metric(one: MetricSummary, repeats: int) -> dict[str, Any]:
         plain |= {"against": one.against, "scenarios against": dict(one.counts)}
     if one.spread is not None:
         plain |= {
-            "runs of each": repeats,
+            "runs of each": meta.repeats,
+            **({} if meta.most_repeats is None else {"runs of each, at most": meta.most_repeats}),
             "spread of the runs, median": one.spread[0],
             "spread of the runs, largest": one.spread[1],
         }

@@ -163,6 +163,8 @@ def _search(meta: StudyMeta) -> Iterator[str]:
         yield "--pareto"
     if meta.repeats > 1:
         yield from ("--repeats", str(meta.repeats))
+    if meta.most_repeats is not None:
+        yield from ("--most-repeats", str(meta.most_repeats))
     if meta.audit:
         yield from ("--audit", _plain(meta.audit))
     if meta.asynchronous:

@@ -17,6 +17,8 @@ from .opening import open_study as open_study
 from .rebuilding import Remains as Remains
 from .rebuilding import rebuild as rebuild
 from .rebuilding import require_alone as require_alone
+from .repeated_runs import FEWEST_CLEAR_RUNS as FEWEST_CLEAR_RUNS
+from .repeated_runs import are_open as are_open
 from .store import Study as Study
 from .table import Row as Row
 from .verifying import Verification as Verification

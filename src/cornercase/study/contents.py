@@ -268,11 +268,12 @@ class StudyContents(ScenarioContents):
         DataFrame
             A row for each scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
             ``audit`` where there are audits; a column for each parameter; for each metric one of the score, and
-            ``lowest …`` and ``highest …`` of its runs where each scenario was run several times, and ``critical runs``
-            as in `critical_runs`; of several others ``other by …`` for each metric, whom the score is against;
-            ``cluster by …`` for each aspect that the study was analysed by, -1 for noise;
-            ``outcome`` once it was analysed; ``note`` where there are notes; ``error``. Empty where there is no value.
-            A parameter that is called like another column is found as ``parameter …``.
+            ``lowest …`` and ``highest …`` of its runs where each scenario was run several times, ``critical runs`` as
+            in `critical_runs`, and ``runs``, how many did not fail, where some may have more than others; of several
+            others ``other by …`` for each metric, whom the score is against; ``cluster by …`` for each aspect that the
+            study was analysed by, -1 for noise; ``outcome`` once it was analysed; ``note`` where there are notes;
+            ``error``. Empty where there is no value. A parameter that is called like another column is found as
+            ``parameter …``.
         """
         with self.snapshot():
             scores = {}
@@ -295,9 +296,15 @@ class StudyContents(ScenarioContents):
                     require(whole and set(each[0].tolist()) <= ids, f"its clusters by {name} are of other scenarios")
                 audits = [self.meta.is_audit(row.id) for row in rows] if self.meta.audit else None
                 against = {name: self.against(name) for name in self.meta.metrics if len(self.meta.others) > 1}
+                counts = self._counts_of_runs() if self.meta.most_repeats is not None else None
                 return scenario_table(
-                    rows, self.space, scores, clusters, self.outcomes(), audits, self.notes(), against
+                    rows, self.space, scores, clusters, self.outcomes(), audits, self.notes(), against, counts
                 )
+
+    def _counts_of_runs(self) -> dict[int, int]:
+        """Count the runs of each scenario that was run, without those that failed."""
+        runs = self._runs(self.meta.metrics[0]) or []
+        return {row.id: len(each) for row, each in zip(self.done(), runs, strict=True)}
 
     def export(self, folder: Path | str, parquet: bool = False) -> None:
         """Write everything as CSV: one table of scenarios, and recording and courses of each.

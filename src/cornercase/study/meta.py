@@ -30,6 +30,7 @@ _DIFFERENT: Final = {
     "asynchronous": "another kind of search, in rounds or asynchronous",
     "settings": "other simulator settings",
     "repeats": "another number of repeats",
+    "most_repeats": "another largest number of repeats",
     "audit": "another share of audits",
     "elsewhere": "a search that began from another study, from none, or from one that has changed since",
     "suite": "other files, or files that have changed since",
@@ -38,7 +39,7 @@ _DIFFERENT: Final = {
 
 _TYPES: Final[dict[str, Any]] = (
     dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
-    | dict.fromkeys(("seed", "budget", "batch", "repeats"), int)
+    | dict.fromkeys(("seed", "budget", "batch", "repeats", "most_repeats"), int)
     | dict.fromkeys(("elsewhere", "settings", "weights"), dict)
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
     | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
@@ -46,7 +47,7 @@ _TYPES: Final[dict[str, Any]] = (
 # Characters of a setting in a message.
 _LONGEST_SETTING: Final = 60
 # What only later versions write.
-_LATER: Final = ("asynchronous", "elsewhere", "kinds", "origin", "requirements", "suite")
+_LATER: Final = ("asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "requirements", "suite")
 _YES_OR_NO: Final = ("asynchronous", "pareto")
 
 
@@ -104,6 +105,9 @@ class StudyMeta:
         Seed of the search, number of scenarios in all, and in each round.
     repeats : int
         How often each scenario is run.
+    most_repeats : int or None
+        How often a scenario is run at most while it is open on which side of the threshold it is; None where each is
+        run `repeats` times.
     audit : float
         Share of the scenarios that are drawn at random to judge the search, and that it is never told.
     asynchronous : bool
@@ -142,6 +146,7 @@ class StudyMeta:
     budget: int = 0
     batch: int = 0
     repeats: int = 1
+    most_repeats: int | None = None
     audit: float = 0.0
     asynchronous: bool = False
     elsewhere: Mapping[str, Any] = field(default_factory=dict)
@@ -156,6 +161,11 @@ class StudyMeta:
     def others(self) -> tuple[str, ...]:
         """Names of all entities that the ego is measured against."""
         return (self.other,) if isinstance(self.other, str) else self.other
+
+    @property
+    def runs_of_each(self) -> str:
+        """How often each scenario is run, in words."""
+        return str(self.repeats) if self.most_repeats is None else f"{self.repeats} to {self.most_repeats}"
 
     @property
     def file_name(self) -> str:
@@ -175,8 +185,13 @@ class StudyMeta:
         dict of str to object
             By the name of the field; None stands for an empty or a plain one.
         """
-        # A study is written as before there were searches without rounds, or from other studies, unless it is of one.
-        later = {"asynchronous": self.asynchronous, "elsewhere": bool(self.elsewhere)}
+        # A study is written as before there were searches without rounds, or from other studies, or with more runs
+        # where they are needed, unless it is of one.
+        later = {
+            "asynchronous": self.asynchronous,
+            "elsewhere": bool(self.elsewhere),
+            "most_repeats": self.most_repeats is not None,
+        }
         written = [one.name for one in fields(self) if later.get(one.name, True)]
         return {name: getattr(self, name) for name in written} | {
             "space": self.space.to_json(),
@@ -246,6 +261,8 @@ class StudyMeta:
         known = given.get("elsewhere", {})
         if known and not all(isinstance(known.get(key), str) for key in ("sha256", "simulator", "study")):
             raise ValueError("it does not say what its search began from")
+        if given.get("most_repeats", math.inf) <= given.get("repeats", 1):
+            raise ValueError("its most_repeats are no more than its repeats")
         if not 0.0 <= given.get("audit", 0.0) <= MOST_AUDITS:
             raise ValueError("its audit is no share")
         if not isinstance(given.get("settings", {}).get("drivers", {}), dict):

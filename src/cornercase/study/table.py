@@ -50,6 +50,7 @@ def scenario_table(
     audits: Sequence[bool] | None = None,
     notes: Mapping[int, str] | None = None,
     against: Mapping[str, Mapping[int, str | None]] | None = None,
+    runs: Mapping[int, int] | None = None,
 ) -> pd.DataFrame:
     """Put together what is known of each scenario, a row for each.
 
@@ -69,6 +70,8 @@ def scenario_table(
         By id.
     against : mapping of str to mapping of int to (str or None), optional
         By metric and id, whom of several others a score is against.
+    runs : mapping of int to int, optional
+        By id, how many runs of each scenario did not fail, where that is not the same of all.
 
     Returns
     -------
@@ -84,6 +87,8 @@ def scenario_table(
     for name, values in scores.items():
         found[name] = np.full(len(rows), np.nan)
         found[name][done] = values
+    if runs is not None:
+        found["runs"] = pd.array([runs.get(row.id) for row in rows], dtype="Int64")
     for name, whom in (against or {}).items():
         found[f"other by {name}"] = pd.Series([whom.get(row.id) for row in rows], dtype=object)
     for name, (members, labels) in clusters.items():

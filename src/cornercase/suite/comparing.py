@@ -24,7 +24,7 @@ from cornercase.suite.comparing_tests import FEWEST, correct, moved_by, tests_of
 from cornercase.suite.verdicts import verdicts_of
 
 # What is named where it differs; seed and search say which scenarios were run, not what with.
-_NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "repeats": "runs of each scenario"}
+_NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "runs_of_each": "runs of each scenario"}
 
 
 def compare(
