@@ -1,12 +1,12 @@
 """How often what is said of a critical set is so: functions whose critical sets are known, one judgement after another.
 
-python benchmarks/calibration.py [--half test] [--cases 45] [--first 0] [--audit 0] [--json FILE]
+python benchmarks/calibration.py [--half test] [--cases 45] [--first 0] [--search NAME]… [--sizes N …] [--audit 0]
 python benchmarks/calibration.py --hidden 20
 
 A case is a function of a family, a number of dimensions, a critical share between 0.5 and 40 %, and a space that is
 continuous or has steps and choices. Each search runs on each case. The families of the two halves differ: constants may
-be chosen with one of them, and what the docs say is of the other. Each search is judged once, after 80 or 160
-scenarios. What it says of a region that was overlooked is compared with whether one was.
+be chosen with one of them, and what the docs say is of the other. Each search is judged once, after one of the
+sizes. What it says of a region that was overlooked is compared with whether one was.
 
 With --hidden: of how many seeds `level-set` stops by `missed<0.05` while more is missed, of a ball of 8 % of a cube
 beside one of 1 % that nothing points to. It is looked at after each round, as an exploration does.
@@ -42,6 +42,7 @@ Floats = npt.NDArray[np.float64]
 Function = Callable[[Floats], Floats]
 
 SEARCHES: Final = ("sobol", "random", "bayes", "bayes:filling=0", "level-set", "evolutionary")
+SIZES: Final = (80, 160)
 SHARES: Final = (0.005, 0.01, 0.03, 0.1, 0.2, 0.4)
 BELIEFS: Final = (0.0, 0.05, 0.2, 0.5, 0.8, 1.01)
 ROUND: Final = 10
@@ -306,6 +307,8 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=45)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--dims", type=int, nargs="+", default=[1, 2, 3, 6, 10])
+    parser.add_argument("--search", action="append", help="as of --optimizer; may be repeated")
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="numbers of scenarios, which take turns")
     parser.add_argument("--audit", type=float, default=0.0)
     parser.add_argument("--hidden", type=int, default=0)
     parser.add_argument("--budget", type=int, default=300)
@@ -316,8 +319,8 @@ def main() -> None:
         return
     rows = []
     for case in cases(given.half, given.cases, given.dims, given.first):
-        budget = 160 if (case.seed // 3) % 2 else 80
-        for search in SEARCHES:
+        budget = given.sizes[(case.seed // 3) % len(given.sizes)]
+        for search in given.search or SEARCHES:
             row = judged(case, search, *explored(case, search, budget), given.audit)
             rows += [] if row is None else [row]
         if given.json:
