@@ -1,6 +1,6 @@
 """Scenarios that were run, and which of several classifiers tells best from them what is critical.
 
-What a search is said to find hangs on who tells what is critical from its runs. So each search is judged by the
+What a search is said to find depends on who tells what is critical from its runs. So each search is judged by the
 classifier that tells its own runs best: the one with the least log loss of each run as told by others, in five folds.
 It never sees the truth. The classifiers are the same for all:
 

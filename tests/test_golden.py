@@ -1,12 +1,12 @@
 """The results of three small studies and the choices of the searches, number by number.
 
 They stay the same while the code around them changes, and on every kind of processor. Machines differ in the last
-digits of sums, so nothing here may hang on those: the studies run scenarios that are chosen without looking at scores
+digits of sums, so nothing here may depend on those: the studies run scenarios that are chosen without looking at scores
 (a search that fits a surrogate round after round magnifies the last digits until it runs other scenarios), and each
 search that looks at scores chooses once, from scores that are given.
 
 What follows from recordings, clusters and kept scenarios are held to 1e-6: with the BLAS, numpy and C library set to
-three kinds of processors (from before AVX, AVX2, AVX512) they were the same to 1e-13. Numbers that hang on a fitted
+three kinds of processors (from before AVX, AVX2, AVX512) they were the same to 1e-13. Numbers that depend on a fitted
 surrogate are held to 3e-4: they differed by 2e-5 at most, those below 0.02 by 1e-6. A kernel with 2.25 for the root of
 5 in it moves them by 2e-3. Of 400 drawn critical sets two may fall on the other side.
 

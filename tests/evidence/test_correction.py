@@ -24,5 +24,5 @@ def test_ten_times_as_many_predictions_are_not_ten_times_as_sure():
     t, critical = record(160)
     few = np.std(Correction(t, critical).draws(400, np.random.default_rng(1))[0])
     many = np.std(Correction(np.tile(t, 10), np.tile(critical, 10)).draws(400, np.random.default_rng(1))[0])
-    # Ten that hang together are not ten that stand alone: those would narrow it with the root.
+    # Ten correlated ones are not ten independent ones: those would narrow it with the root.
     assert few / many == pytest.approx(10.0**0.25, rel=0.15)

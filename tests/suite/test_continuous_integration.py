@@ -92,7 +92,7 @@ def test_the_commands_make_the_suite_again(repository):
     shutil.rmtree("suite")
     assert [run(one) for one in commands] == [0, 0, 0]
     after = {file.name: file.read_bytes() for file in Path("suite").iterdir()}
-    # Of which a few numbers come from a surrogate, whose fit hangs on the last digits of the processor's sums.
+    # Of which a few numbers come from a surrogate, whose fit depends on the last digits of the processor's sums.
     same(json.loads(after.pop("manifest.json")), json.loads(before.pop("manifest.json")), "manifest")
     assert after == before
     with Study.open("study.db", readonly=True) as study:

@@ -1,6 +1,6 @@
 """Arrays that kernels read where they lie, by their addresses.
 
-The types of a kernel must not hang on how many arrays there are, or it is compiled anew for each number. A table of
+The types of a kernel must not depend on how many arrays there are, or it is compiled anew for each number. A table of
 addresses is one array, whatever it leads to.
 """
 

@@ -84,7 +84,7 @@ class Meetings:
         return found
 
     def places(self) -> list[Meetings]:
-        """Split them into those that hang together, where a pair hangs together with the eight pairs around it.
+        """Split them into connected groups, in which each pair is connected with the eight pairs around it.
 
         Returns
         -------

@@ -31,7 +31,7 @@ from cornercase.drivers.traffic import (
 
 _VULNERABLE_KINDS = ("pedestrian", "bicycle")
 
-# By path that is the same in all scenarios, and what of a behaviour it hangs on.
+# By path that is the same in all scenarios, and what of a behaviour it depends on.
 _PLANNED: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArray, FloatArray]]] = WeakKeyDictionary()
 
 

@@ -33,7 +33,7 @@ class Correction:
     critical : ndarray of bool, shape (n,)
         What they were.
     worth : float, default 1.0
-        What one prediction counts: less than 1 as those of neighbours hang together.
+        What one prediction counts: less than 1 if those of neighbours are correlated.
 
     Notes
     -----

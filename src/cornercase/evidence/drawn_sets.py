@@ -36,7 +36,7 @@ class DrawnSets:
     some : tuple of (ndarray of int64, shape (m,), ndarray of float64, shape (m,))
         Places on which sets are drawn together, and the share of the space that each of them stands for.
     normal : ndarray of float64, shape (m, `DRAWS`)
-        Standard normal numbers for these places, which hang together as their scores do.
+        Standard normal numbers for these places, with the correlation of their scores.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class DrawnSets:
         other : DrawnSets
             On the same places.
         normal : ndarray of float64, shape (m, `DRAWS`)
-            As this one's, as the scores of the other hang together.
+            As this one's, with the correlation of the scores of the other.
         order : ndarray of int64, shape (draws,)
             Which draw of the other goes with each draw here.
 

@@ -29,7 +29,7 @@ _WHOLE = 2.0
 _LOWEST = 0.1
 # How much the process matters far from the threshold.
 _FAR = 0.02
-# Log-probability of what is left out, the process, and the number of coordinates that it may hang on.
+# Log-probability of what is left out, the process, and the number of coordinates that it may use.
 _Tried = tuple[float, "GaussianProcess", int]
 # Logarithms of the factors by which what another study predicts has to make scores likelier: all together, and each.
 _FORETOLD, _EACH = float(np.log(100.0)), float(np.log(2.0))
@@ -244,7 +244,7 @@ class GaussianProcess:
         rare : ndarray of bool, shape (n,), optional
             Values that must not be lost where only some of many are learned from.
         used : int, optional
-            Number of coordinates, the first ones, that the process may hang on; by default all.
+            Number of coordinates, the first ones, that the process may use; by default all.
 
         Returns
         -------
@@ -252,7 +252,7 @@ class GaussianProcess:
             Itself.
         """
         self._mean = float(values.mean())
-        # Sums in one order, whatever the number of threads: the points that follow hang on the last digits.
+        # Sums in one order, whatever the number of threads: the points that follow depend on the last digits.
         with one_thread():
             left = points.shape[1] - (points.shape[1] if used is None else used)
             start = None if near is None else near.kernel

@@ -44,7 +44,7 @@ def left_out(
         return process.leave_one_out(some)
     values, critical = near_threshold(scores, threshold, process.near), scores <= threshold
     rare = critical if 2 * critical.sum() < count else ~critical
-    # A coordinate that the process does not hang on has an infinite width.
+    # A coordinate that the process ignores has an infinite width.
     used = int(np.isfinite(process.kernel.widths).sum())
     mean, deviation = np.empty(count), np.empty(count)
     for part in range(_PARTS):

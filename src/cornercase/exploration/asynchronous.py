@@ -80,7 +80,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._simulators = {"": simulator, **(references or {})}
         if configuration.patience is not None:
             self._patience, self._things = configuration.patience * configuration.batch, "scenarios"
-        # On their way, their runs, those of them that hang on a reference, and what came since the search was told of
+        # On their way, their runs, those of them that depend on a reference, and what came since the search was told of
         # others.
         self._pending: dict[int, Row] = {}
         self._begun: dict[int, RepeatedScenario] = {}
@@ -160,7 +160,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         return list(self._runner.outcomes(simulator, concretes))
 
     def _take(self, stream: SimulatorStream, check_interrupt: Callable[[], None]) -> None:
-        """Wait for what has ended next, and store it; or have it run again, maybe with a reference that it hangs on."""
+        """Wait for what ends next, and store it; or have it run again, maybe with a reference."""
         with self._clock("simulate"):
             key, outcomes = stream.take(check_interrupt)
         row = self._pending[key]

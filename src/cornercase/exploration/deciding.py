@@ -1,4 +1,4 @@
-"""Scenarios run a second time, with references at the wheel, where a condition hangs on them."""
+"""Scenarios run a second time, with references at the wheel, where a condition depends on them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Run = Callable[[Simulator, Sequence[ConcreteScenario]], Iterator[Recording | Sim
 
 @dataclass(eq=False)
 class Undecided:
-    """A scenario that was run, and of which a condition may hang on references.
+    """A scenario that was run, and whose condition may depend on references.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class SecondRuns:
         return Undecided(row, recording, courses, self._condition.look(recording, self._about.ego, self._about.others))
 
     def decide(self, scenarios: Sequence[Undecided]) -> Iterator[Undecided]:
-        """Run references until nothing hangs on them any more.
+        """Run references until nothing depends on them any more.
 
         Parameters
         ----------

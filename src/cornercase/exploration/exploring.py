@@ -101,7 +101,7 @@ def explore(
     critical_if : str, optional
         Condition that says instead what is critical, and is searched: ``"collision and not reference:cc-human"``. It is
         made of ``collision`` (of the ego, with anybody), ``reference:NAME`` (the ego would collide with this driver at
-        the wheel), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets. Where it hangs on a
+        the wheel), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets. Where it depends on a
         reference, the scenario is run a second time.
     weights : mapping of str to float, optional
         By metric: search their weighted sum, in which what is critical when high counts with the opposite sign.

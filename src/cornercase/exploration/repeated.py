@@ -24,13 +24,13 @@ class RepeatedScenario:
     ----------
     row : Row
     wanted : int
-        How often it has to be run next; 0 where there is no need.
+        Number of runs that it needs next; 0 if it needs none.
     ran : int
-        How often it was run, with the runs that failed.
+        Number of runs so far, including those that failed.
     runs : list of (Recording, dict of str to Measured)
-        Of each run that did not fail, the recording, and course and score by metric.
+        The recording of each run that did not fail, and its course and score by metric.
     error : SimulationError or None
-        Why the first one failed that did.
+        Why the first of the failed runs failed.
     """
 
     row: Row
@@ -43,9 +43,9 @@ class RepeatedScenario:
 class Repetition:
     """Says how often scenarios are run.
 
-    Each is run `repeats` times. With `most_repeats`, one of which it is open on which side of the threshold it is, is
-    run as often again, and again, until it is open no more or was run `most_repeats` times. One of which all runs
-    failed is not run again.
+    Each is run `repeats` times. A scenario is open while its runs do not tell on which side of the threshold it is
+    (`are_open`). With `most_repeats`, an open scenario is run `repeats` times more, again and again, until it is no
+    longer open or has had `most_repeats` runs. A scenario whose runs all failed is not run again.
 
     Parameters
     ----------

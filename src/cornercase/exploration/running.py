@@ -56,9 +56,9 @@ class ScenarioRunner:
     Parameters
     ----------
     configuration : Configuration
-        Where each scenario is run several times, the run with the median of what is searched is stored (of an even
-        number the more critical of the two in the middle), and the scores of all. Runs that failed are left out,
-        unless all did. What needs more runs gets them once each scenario of the round had its first ones.
+        If each scenario is run several times, the run whose score is the median is stored (with an even number of
+        runs, the more critical of the two in the middle), and the scores of all runs. Failed runs are left out, unless
+        all failed. Scenarios that need more runs get them once each scenario of the round has had its first ones.
     simulator : Simulator
     objective : Objective
         Its metrics are measured.
@@ -66,8 +66,8 @@ class ScenarioRunner:
         Open for writing.
     clock : StageClock
     references : mapping of str to Simulator, optional
-        With the references of the configuration's condition at the wheel of the ego, by name. What hangs on them is
-        stored when all scenarios have ended, and those that hang on them have been run again.
+        With the references of the configuration's condition at the wheel of the ego, by name. What depends on them is
+        stored when all scenarios have ended, and those that depend on them have been run again.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class ScenarioRunner:
         return [self._configuration.logical.concrete(one.row.values) for _ in range(one.wanted)]
 
     def settled(self, one: RepeatedScenario, outcomes: Sequence[Recording | SimulationError]) -> Any:
-        """Measure runs of a scenario, and store what came of it unless it needs more, or hangs on a reference.
+        """Measure runs of a scenario, and store what came of it unless it needs more, or depends on a reference.
 
         Parameters
         ----------
@@ -206,7 +206,7 @@ class ScenarioRunner:
         return self.stored(looked) if looked.wanted is None else looked
 
     def again(self, one: Undecided, outcome: Recording | SimulationError) -> None:
-        """Take the run of a scenario with the reference that it hung on.
+        """Take the run of a scenario with the reference that it depends on.
 
         Parameters
         ----------

@@ -33,7 +33,7 @@ _FOLLOWING: Final = 0.15
 _MOST_FAILING, _MORE = 0.25, 1.25
 # Probability of being critical below which a candidate says nothing of the boundary of what is known.
 _REMOTE: Final = 0.05
-# Share of the known critical set of which it is open where it ends, and times what the points are that fill the space.
+# Share of the known critical set whose boundary is still unknown, and times what the points are that fill the space.
 _OPEN, _TIMES = (0.03, 0.08), (2.5, 1.0)
 
 

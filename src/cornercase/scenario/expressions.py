@@ -215,6 +215,6 @@ class _Parser:
 
 def rounded(value: Any) -> Any:
     """Round the result of an expression to six decimals."""
-    # esmini hands the results of expressions on as texts with six decimals; events may hang on the last of them.
+    # esmini hands the results of expressions on as texts with six decimals; events may depend on the last of them.
     array = np.asarray(value)
     return np.round(array, 6)[()] if array.dtype.kind == "f" else value

@@ -123,7 +123,7 @@ def _repeats_itself(simulator: str) -> bool:
 def _tests(
     old: Side, new: Side, pairs: Sequence[Pair], metrics: Sequence[str], certain: bool
 ) -> tuple[ChangeTest, ...]:
-    """Test the pairs, and the fillings of both searches where these are too few; what is tested hangs on no score."""
+    """Test the pairs, or both fillings if these are too few: scenarios that were not chosen by their scores."""
     paired = [one for one in pairs if certain or one.unselected]
     found = tests_of_pairs(paired, metrics) if any(one.run != "in neither" for one in paired) else []
     filling = len(old.filling()), len(new.filling())

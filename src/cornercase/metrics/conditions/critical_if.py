@@ -41,7 +41,7 @@ class CriticalIf(Metric):
 
     The score is 0 or below where the condition holds. Of ``and`` the part counts that is farthest from holding, of
     ``or`` the nearest. A collision is as far away as the clearance to the other entity, a bound as the score is from
-    it; a reference decides without any distance, so where all hangs on it and it decides against, the score is the cap.
+    it; a reference decides without any distance, so where it alone decides, and decides against, the score is the cap.
     The course is how far it is from holding at each instant, if references decide for it.
 
     Searched by ``cornercase explore --critical-if``, which runs the references; a recording alone cannot be measured.

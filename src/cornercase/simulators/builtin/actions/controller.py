@@ -140,7 +140,7 @@ def _sampled(track: Trajectory) -> DrivenPath:
     """Samples of a trajectory that may run otherwise in each scenario.
 
     They are at the same distances in each, and go on further than a driver looks, so that what a driver sees in one
-    scenario does not hang on the others.
+    scenario does not depend on the others.
     """
     ends = np.minimum(track.lengths, _LONGEST)
     places = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
