@@ -195,6 +195,16 @@ def test_all_scenarios_of_a_space_leave_no_error():
     assert (found.value, found.low, found.high, found.error) == (0.25, 0.25, 0.25, 0.0)
 
 
+def test_some_scenarios_of_a_space_bound_what_all_of_them_would_say():
+    found = of_all(np.array([1.0, 0.5]), np.array([False, True]), total=2.0)
+    assert (found.low, found.high, found.error) == (0.25, 0.5, None)
+
+
+def test_an_interval_begins_below_one_where_weights_make_more_than_certainty():
+    found = of_weights(np.full(100, 1.3), np.ones(100, dtype=np.bool_))
+    assert found.low <= found.value == found.high == 1.0
+
+
 def test_a_quotient_is_as_unsure_as_both():
     found = quotient(of_counts(10, 1000), of_counts(100, 1000))
     assert found is not None

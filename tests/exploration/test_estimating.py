@@ -15,7 +15,7 @@ from cornercase.evidence import ImportanceSampling
 from cornercase.exploration import Configuration, ProbabilityEstimator, ScenarioExplorer
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Collision, Recording
-from cornercase.scenario import LogicalScenario, ParameterSpace
+from cornercase.scenario import Constraint, Declaration, LogicalScenario, ParameterSpace
 from cornercase.study import Study
 from fake_simulators import NoisySimulator
 from synthetic import LOGICAL, Synthetic, about
@@ -127,6 +127,54 @@ def test_of_a_small_space_all_is_run_and_nothing_is_unsure(tmp_path):
         found.critical.value,
         0.0,
     )
+
+
+SMALL = replace(LOGICAL, space=ParameterSpace.from_ranges(["a=0:1:0.05", "b=0:1:0.1"]))
+# Of 21 times 11 scenarios those with a of at most 0.9 and the same b.
+TRUTH = 10 / 231
+
+
+def test_what_was_drawn_before_all_of_a_small_space_is_run_counts_once(tmp_path):
+    with opened(tmp_path / "e.db", SMALL.space) as study:
+        drawn = estimator(study, budget=150, learn=60, logical=SMALL).run()
+        assert drawn.critical.error > 0.0
+        found = estimator(study, budget=600, learn=60, logical=SMALL).run()
+        arrays, _ = study.analysis("estimate")
+        assert found.scenarios == len(study.rows()) > 231
+        smaller = estimator(study, budget=150, learn=60, logical=SMALL).run()
+    assert found.critical.value == pytest.approx(TRUTH)
+    assert found.critical.error == 0.0
+    assert len(set(arrays["ids"].tolist())) == len(arrays["ids"]) == 231
+    assert smaller.critical == found.critical
+
+
+@pytest.mark.parametrize("after", [0, 550])
+def test_while_not_all_of_a_small_space_was_run_there_are_bounds(tmp_path, after):
+    logical = replace(LOGICAL, space=ParameterSpace.from_ranges(["a=0:1:0.05", "b=0:1:0.02"]))
+    with opened(tmp_path / "e.db", logical.space) as study:
+        some = estimator(study, Synthetic(interrupts=after), budget=2000, logical=logical).run()
+        if after:
+            with pytest.raises(InputError, match=r"runs all 1071 scenarios.*give `budget` 1071 or more"):
+                estimator(study, budget=900, logical=logical)
+        every = estimator(study, budget=2000, logical=logical).run()
+    assert some.interrupted
+    assert some.critical.error is None
+    assert some.critical.low < every.critical.value < some.critical.high
+    assert "only" in some.critical.method
+    assert every.critical.error == 0.0
+    assert every.scenarios == 1071
+
+
+def test_a_small_space_is_that_which_its_constraints_leave(tmp_path):
+    declarations = [
+        Declaration("a", "double", "0", ((Constraint("lessThan", "0.07"),),)),
+        Declaration("b", "double", "0", ()),
+    ]
+    space = ParameterSpace.from_ranges(["a=0:1:0.02", "b=0:1:0.02"]).constrained(declarations)
+    with opened(tmp_path / "e.db", space) as study:
+        found = estimator(study, budget=300, logical=replace(LOGICAL, space=space)).run()
+    assert (found.scenarios, found.critical.error) == (4 * 51, 0.0)
+    assert found.critical.value == pytest.approx(1 / 51)
 
 
 @pytest.fixture(scope="module")

@@ -118,6 +118,8 @@ def _tell(found: Estimation) -> None:
 
 def _words(one: Probability) -> str:
     """Say a probability, how sure it is, and what plain Monte Carlo would need for the same."""
+    if one.error is None and one.met:
+        return f"between {one.low:.3g} and {one.high:.3g} ({one.method})"
     if one.error is None:
         return f"not met; 0 to {one.high:.3g} (95 %, {one.method})"
     text = f"{one.value:.3g}, {one.low:.3g} to {one.high:.3g} (95 %), {one.low_90:.3g} to {one.high_90:.3g} (90 %)"

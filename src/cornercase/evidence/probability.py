@@ -30,7 +30,7 @@ class Probability:
     method : str
         How it was found, in words.
     error : float or None
-        Relative standard error; None where the event was not met.
+        Relative standard error; None where the event was not met, or where of a finite space not all was run yet.
     scenarios, met : int
         Scenarios that it was found from, and those of them in which the event happened.
     effective : float
@@ -127,38 +127,44 @@ def of_weights(weights: FloatArray, met: BoolArray, error: float = 0.0) -> Proba
     total, count = float(parts.sum()), len(parts)
     if total <= 0.0:
         return of_counts(0, 0)
-    value = total / count
+    # Weights are 1 in the mean only: what nearly always happens may come out as more than certain.
+    value = min(total / count, 1.0)
     spread = float(parts.std(ddof=1)) if count > 1 else value
     relative = float(np.hypot(spread / np.sqrt(count) / value, error))
     effective = total**2 / float((parts**2).sum())
     bounds = _of_logarithm(value, relative, effective)
     largest = float(parts.max()) / total
     return Probability(
-        min(value, 1.0), *bounds, "importance sampling, log-normal", relative, count, int(met.sum()), effective, largest
+        value, *bounds, "importance sampling, log-normal", relative, count, int(met.sum()), effective, largest
     )
 
 
-def of_all(shares: FloatArray, met: BoolArray) -> Probability:
-    """Probability from all scenarios of a finite space, which has no error.
+def of_all(shares: FloatArray, met: BoolArray, total: float | None = None) -> Probability:
+    """Probability from all scenarios of a finite space, which has no error; from some of them, bounds of it.
 
     Parameters
     ----------
     shares : ndarray of float64, shape (n,)
-        Probability of each scenario; they need not sum to 1.
+        Probability of each scenario that was run; those of all need not sum to 1.
     met : ndarray of bool, shape (n,)
+    total : float, optional
+        What the probabilities of all scenarios sum to; by default all were run.
 
     Returns
     -------
     Probability
+        Its bounds hold whatever the scenarios are that were not run; the value is in the middle.
     """
-    weights = shares / shares.sum()
-    value = min(float(weights[met].sum()), 1.0)
-    effective = value**2 / float((weights[met] ** 2).sum()) if met.any() else 0.0
-    largest = float(weights[met].max()) / value if met.any() else 0.0
-    bounds = (value, value, value, value)
-    return Probability(
-        value, *bounds, "all scenarios of the space were run", 0.0, len(shares), int(met.sum()), effective, largest
-    )
+    whole = float(shares.sum()) if total is None else total
+    weights = shares / whole
+    least = min(float(weights[met].sum()), 1.0)
+    most = least if total is None else max(1.0 - float(weights[~met].sum()), least)
+    effective = least**2 / float((weights[met] ** 2).sum()) if met.any() else 0.0
+    largest = float(weights[met].max()) / least if met.any() else 0.0
+    method = f"{'all' if total is None else f'only {len(shares)}'} scenarios of the space were run"
+    error = 0.0 if total is None else None
+    bounds = (least, most, least, most)
+    return Probability(0.5 * (least + most), *bounds, method, error, len(shares), int(met.sum()), effective, largest)
 
 
 def quotient(both: Probability, given: Probability) -> Probability | None:

@@ -8,9 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.errors import InputError
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.progress import ProgressBar
-from cornercase._common.typing import BoolArray, FloatArray
+from cornercase._common.rows import row_keys
+from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence import ImportanceSampling, Probability, of_all, of_weights, quotient
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.estimation import Estimation, Outcomes, of_law, warnings_of
@@ -22,6 +24,8 @@ from cornercase.study import Row, Study
 
 # Scenarios in a round once it is known where to draw; of a kill at most what was running is lost all the same.
 _ROUND: Final = 500
+# Scenarios of a space up to which it is looked at whether all that its constraints leave may be run.
+_MOST_LISTED: Final = 100_000
 
 
 class ProbabilityEstimator:
@@ -56,9 +60,34 @@ class ProbabilityEstimator:
         self._clock = StageClock(study)
         self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock)
         self._stages: list[tuple[str, list[Row], Outcomes]] = []
-        # All scenarios of a space that has no more than may be run say it without error.
-        self._whole = self._space.size is not None and self._space.size <= configuration.budget
+        # All scenarios of the space where all are run, and those of them that were not yet.
+        self._every = self._rest = np.zeros((0, self._space.dimension))
+        self._whole = self._runs_all()
+        self._total = len(study.rows()) + len(self._rest) if self._whole else None
         self._word = ""
+
+    def _runs_all(self) -> bool:
+        """Whether the budget is for all scenarios of a small space: then they say it without error."""
+        rows, budget, size = self._study.rows(), self._about.budget, self._space.size
+        if size is None or size > max(budget, _MOST_LISTED):
+            return False
+        every = self._space.lattice()
+        every = every[self._space.admits(every)]
+        keys, begun = row_keys(self._space.snap(every)), self._keys(rows)
+        ran = set(begun)
+        rest = every[[key not in ran for key in keys]]
+        if not len(rest) or len(rows) + len(rest) <= budget:
+            self._every, self._rest = every, rest
+            return True
+        if rows and begun == keys[: len(rows)]:
+            raise InputError(
+                f"{self._study.path}: runs all {len(every)} scenarios of the space one after the other; give `budget`"
+                f" {len(every)} or more."
+            )
+        return False
+
+    def _keys(self, rows: Sequence[Row]) -> list[bytes]:
+        return row_keys(self._space.snap(np.array([row.point for row in rows]).reshape(-1, self._space.dimension)))
 
     def run(self, progress: bool = False) -> Estimation:
         """Draw and run scenarios until the budget is used up.
@@ -89,12 +118,20 @@ class ProbabilityEstimator:
 
     def _save(self, found: Estimation) -> None:
         """Keep the result, and how much each scenario that it was found from counts."""
-        stages = ("whole",) if self._whole else ("estimate",)
-        rows = [row.id for stage, members, _ in self._stages if stage in stages for row in members]
-        points, _ = self._of(*stages)
+        counting = "whole" if self._whole else "estimate"
+        rows = [row for stage, members, _ in self._stages if stage == counting for row in members]
+        points, _ = self._of(counting)
         if rows:
+            ids = np.array([row.id for row in rows])
             weights = self._space.shares(points) if self._whole else self._sampling.weights(points)
-            self._study.save_analysis("estimate", {"ids": np.array(rows), "weights": weights}, found.to_json())
+            if self._whole:
+                once = self._once(rows)
+                ids, weights = ids[once], weights[once]
+            self._study.save_analysis("estimate", {"ids": ids, "weights": weights}, found.to_json())
+
+    def _once(self, rows: Sequence[Row]) -> IntArray:
+        """Where each scenario is for the first time: what was drawn before all were run may have come again."""
+        return np.sort(np.unique(np.array(self._keys(rows)), return_index=True)[1])
 
     def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> None:
         rows = self._study.rows()
@@ -104,7 +141,7 @@ class ProbabilityEstimator:
         while True:
             check_interrupt()
             if bar is not None:
-                bar.update(done, self._word, self._space.size if self._whole else None)
+                bar.update(done, self._word, self._total)
             with self._clock("optimize"):
                 points = self._points(done)
             if len(points) == 0:
@@ -119,8 +156,8 @@ class ProbabilityEstimator:
     def _points(self, done: int) -> FloatArray:
         """Points of the next round; none once all are run."""
         if self._whole:
-            every = self._space.lattice()
-            return every[self._space.admits(every)][done : done + _ROUND]
+            new, self._rest = self._rest[:_ROUND], self._rest[_ROUND:]
+            return new
         most = min(_ROUND, self._about.budget - done)
         return self._sampling.ask(most) if most > 0 else np.zeros((0, self._space.dimension))
 
@@ -138,7 +175,10 @@ class ProbabilityEstimator:
             with self._clock("optimize"):
                 self._sampling.tell(points, outcomes.scores, outcomes.events)
         found = self._probability(lambda one: one.critical)
-        self._word = f"critical {found.value:.2g}" if found.met else "looking for critical ones"
+        if found.met and found.error is None:
+            self._word = f"critical {found.low:.2g} to {found.high:.2g}"
+        else:
+            self._word = f"critical {found.value:.2g}" if found.met else "looking for critical ones"
 
     def _outcomes(self, rows: Sequence[Row]) -> Outcomes:
         """Read what came out of scenarios."""
@@ -170,7 +210,9 @@ class ProbabilityEstimator:
         """Probability of an event, from what was drawn for it."""
         points, outcomes = self._of("whole" if self._whole else "estimate")
         if self._whole:
-            return of_all(self._space.shares(points), event(outcomes))
+            once = self._once([row for _, rows, _ in self._stages for row in rows])
+            others = float(self._space.shares(self._every).sum()) if len(once) < len(self._every) else None
+            return of_all(self._space.shares(points)[once], event(outcomes)[once], others)
         if not len(points) or not event(outcomes).any():
             # What the law itself brought is the only bound there is.
             _, outcomes = self._of("law")
