@@ -15,6 +15,7 @@ from contextlib import closing, suppress
 from dataclasses import replace
 from multiprocessing import current_process
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -137,6 +138,24 @@ def test_a_batch_that_costs_its_worker_is_run_one_by_one(on_cluster, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_simulator_goes_to_no_others_after_the_workers_that_offer_it_were_lost(client, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_client, "_FIRST_WORKER", 1.0)
+    command = [sys.executable, "-m", "dask", "worker", client.scheduler.address, "--resources", "inside=1"]
+    place = dict(os.environ, DASK_DISTRIBUTED__WORKER__DAEMON="False", DASK_TEMPORARY_DIRECTORY=str(tmp_path))
+    place["PYTHONPATH"] = os.pathsep.join(sys.path)
+    with subprocess.Popen([*command, "--nthreads", "1", "--no-nanny", "--no-dashboard"], env=place) as special:
+        client.wait_for_workers(3, timeout=60)
+        plan = Plan(tmp_path, {1: ["hang"]})
+        with ClusterSimulator("inside", {"plan": plan}, client) as simulator:
+            assert places(simulator.run(fakes(1))) == [0]
+            # Lost while it runs the next one.
+            threading.Timer(2.0, special.kill).start()
+            for scenarios in (fakes(2)[1:], fakes(1)):
+                with pytest.raises(InputError, match="has no workers that offer inside; start some"):
+                    list(simulator.run(scenarios))
+
+
+@pytest.mark.slow
 def test_more_retries_are_more_workers(on_cluster, tmp_path):
     with on_cluster("inside", {"plan": Plan(tmp_path, {0: ["kill", "kill", "well"]})}, retries=2) as simulator:
         assert places(simulator.run(fakes(1))) == [0]
@@ -184,6 +203,27 @@ def test_an_analysis_and_a_reduced_set_are_those_of_one_process(client, tmp_path
 def analysed(path):
     with closing(sqlite3.connect(path)) as study:
         return study.execute("SELECT analysis, name, data FROM arrays ORDER BY analysis, name, part").fetchall()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="nothing can be kept there")
+def test_an_interrupt_waits_until_a_local_cluster_has_ended():
+    class Local:
+        ended = False
+
+        def close(self):
+            signal.raise_signal(signal.SIGINT)
+            self.ended = True
+
+    class Connection:
+        cluster = Local()
+
+        def close(self):
+            pass
+
+    connection: Any = Connection()
+    with pytest.raises(KeyboardInterrupt):
+        dask_client.leave(connection)
+    assert connection.cluster.ended
 
 
 def test_processes_of_no_cluster_are_refused(tmp_path):
@@ -256,6 +296,15 @@ def test_another_program_that_listens_is_no_scheduler():
         threading.Thread(target=answer, daemon=True).start()
         with pytest.raises(InputError, match="no scheduler answers there"):
             start_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
+
+
+def test_another_program_that_listens_and_is_silent_is_no_scheduler(monkeypatch):
+    monkeypatch.setattr(dask_client, "_ANSWERS", 0.5)
+    with (
+        socket.create_server(("127.0.0.1", 0)) as other,
+        pytest.raises(InputError, match="no scheduler answers there"),
+    ):
+        start_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
 
 
 def test_a_worker_of_another_version_is_told():

@@ -119,14 +119,33 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
     if cluster == LOCAL:
         return _begin_here(workers)
     try:
-        address = json.loads(read_file(cluster))["address"] if there else cluster
-        return Client(str(address), timeout=_ANSWERS)
+        address = str(json.loads(read_file(cluster))["address"] if there else cluster)
+        _require_answer(address)
+        return Client(address, timeout=_ANSWERS)
     # Another program's answer is taken for the length of a message.
     except (OSError, ValueError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise InputError(
             f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
             " as tcp://host:8786, or the file that a scheduler wrote."
         ) from error
+
+
+def _require_answer(address: str) -> None:
+    """Wait for the first words of a scheduler; a client would wait without end for those of another program."""
+    from distributed.comm import connect as greet
+    from distributed.security import Security
+    from distributed.utils import LoopRunner, sync
+
+    async def greeted() -> None:
+        line = await greet(address, timeout=_ANSWERS, **Security().get_connection_args("client"))
+        line.abort()
+
+    runner = LoopRunner()
+    runner.start()
+    try:
+        sync(runner.loop, greeted, callback_timeout=_ANSWERS)
+    finally:
+        runner.stop()
 
 
 def _concerns_others(record: logging.LogRecord) -> bool:
@@ -236,13 +255,17 @@ def leave(client: Client) -> None:
     client : distributed.Client
     """
     local: Any = client.cluster
-    # One that is lost has nothing to be closed.
-    with suppress(OSError, TimeoutError):
-        client.close()
-    if local is not None:
-        local.close()
-    if (held := _HELD.pop(client, None)) is not None:
-        held.close()
+    with ExitStack() as stack:
+        if local is not None:
+            # What is interrupted while it ends Dask waits for in vain, for 10 s, when this process ends.
+            stack.enter_context(interrupts_kept())
+        # One that is lost has nothing to be closed.
+        with suppress(OSError, TimeoutError):
+            client.close()
+        if local is not None:
+            local.close()
+        if (held := _HELD.pop(client, None)) is not None:
+            held.close()
 
 
 @contextmanager
@@ -298,12 +321,14 @@ def name_cluster(client: Client) -> str:
     return str(known.address) if known is not None else "of Dask"
 
 
-def workers_of(client: Client) -> list[dict[str, Any]]:
+def workers_of(client: Client, resource: str | None = None) -> list[dict[str, Any]]:
     """Wait until a cluster has workers, and tell of them.
 
     Parameters
     ----------
     client : distributed.Client
+    resource : str, optional
+        Only workers that offer it.
 
     Returns
     -------
@@ -315,18 +340,26 @@ def workers_of(client: Client) -> list[dict[str, Any]]:
     InputError
         There are none for two minutes.
     """
-    try:
-        found: list[dict[str, Any]] = []
-        # One that has come may be lost before it is told of.
-        while not found:
+    since = time.monotonic()
+    while True:
+        try:
             client.wait_for_workers(1, timeout=_FIRST_WORKER)
-            found = list(client.scheduler_info(n_workers=-1)["workers"].values())
-        return found
-    except TimeoutError as error:
-        raise _without_workers(client) from error
+        except TimeoutError as error:
+            raise _without_workers(client, resource) from error
+        # One that has come may be lost before it is told of.
+        if found := _offering(client, resource):
+            return found
+        if time.monotonic() - since > _FIRST_WORKER:
+            raise _without_workers(client, resource)
+        time.sleep(_LOOKS)
 
 
-def ended(client: Client, running: Collection[Future[Any]]) -> list[Future[Any]]:
+def _offering(client: Client, resource: str | None) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = list(client.scheduler_info(n_workers=-1)["workers"].values())
+    return [one for one in found if resource is None or one["resources"].get(resource, 0.0) >= 1.0]
+
+
+def ended(client: Client, running: Collection[Future[Any]], resource: str | None = None) -> list[Future[Any]]:
     """Wait for the first tasks that have ended.
 
     Parameters
@@ -334,6 +367,8 @@ def ended(client: Client, running: Collection[Future[Any]]) -> list[Future[Any]]
     client : distributed.Client
     running : collection of distributed.Future
         At least one.
+    resource : str, optional
+        What of a worker each of them takes.
 
     Returns
     -------
@@ -358,10 +393,10 @@ def ended(client: Client, running: Collection[Future[Any]]) -> list[Future[Any]]
         try:
             wait(list(running), timeout=_LOOKS, return_when="FIRST_COMPLETED")
         except TimeoutError:
-            if client.scheduler_info(n_workers=1)["workers"]:
+            if _offering(client, resource):
                 since = time.monotonic()
             elif time.monotonic() - since > _FIRST_WORKER:
-                raise _without_workers(client) from None
+                raise _without_workers(client, resource) from None
 
 
 def take(client: Client, future: Future[Any]) -> tuple[Any, Exception | None]:
@@ -399,9 +434,10 @@ def take(client: Client, future: Future[Any]) -> tuple[Any, Exception | None]:
         future.release()
 
 
-def _without_workers(client: Client) -> InputError:
+def _without_workers(client: Client, resource: str | None) -> InputError:
+    which = "" if resource is None else f" that offer {resource}"
     return InputError(
-        f"`cluster` {name_cluster(client)}: has no workers; start some, and run the same command again to go on."
+        f"`cluster` {name_cluster(client)}: has no workers{which}; start some, and run the same command again to go on."
     )
 
 

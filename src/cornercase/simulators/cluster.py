@@ -86,6 +86,8 @@ class ClusterSimulator(SimulatorElsewhere):
 
         self._job = Job(uuid.uuid4().hex, __version__, name, cloudpickle.dumps(options), timeout, retries)
         self._retries, self._lost = retries, 0
+        # The resource that its workers offer.
+        self._bound: str | None = None
         # What other threads wait for.
         self._given: WeakSet[Future[Any]] = WeakSet()
 
@@ -135,7 +137,7 @@ class ClusterSimulator(SimulatorElsewhere):
                 while waiting:
                     task = waiting.popleft()
                     running[self._submit(task, concretes, resources)] = task
-                for future in ended(self._client, list(running)):
+                for future in ended(self._client, list(running), next(iter(resources), None)):
                     self._take(future, running.pop(future), waiting, done)
                 while given in done:
                     yield done.pop(given)
@@ -179,12 +181,13 @@ class ClusterSimulator(SimulatorElsewhere):
 
     def _slots(self) -> tuple[int, dict[str, float]]:
         """How many tasks may run at once, and what each takes of a worker's resources."""
-        workers = workers_of(self._client)
         kind = self.name.partition(":")[0]
-        offered = [worker["resources"].get(kind, 0.0) for worker in workers]
-        if any(offered):
-            return max(1, int(sum(offered))), {kind: 1.0}
-        return len(offered) if self._batches else sum(worker["nthreads"] for worker in workers), {}
+        workers = workers_of(self._client, self._bound)
+        if offered := sum(int(worker["resources"].get(kind, 0.0)) for worker in workers):
+            # Also after all who offer it were lost: others may lack what it stands for.
+            self._bound = kind
+            return offered, {kind: 1.0}
+        return len(workers) if self._batches else sum(worker["nthreads"] for worker in workers), {}
 
     def _task(self, indices: tuple[int, ...]) -> _Task:
         # A batch that has cost one worker is run one by one, and each of its scenarios has one life less.
