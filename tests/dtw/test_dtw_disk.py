@@ -1,6 +1,8 @@
 import os
+import shutil
 import subprocess
 import sys
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -176,6 +178,35 @@ def test_refuses_what_it_cannot_fill(tmp_path):
         with pytest.raises(InputError, match=words):
             distance_matrix(series, out=out)
     assert sorted(os.listdir(tmp_path)) == ["raw"]
+
+
+def test_a_full_disk_is_told_before_anything_is_computed(tmp_path, monkeypatch):
+    series, path = random_walks(40), tmp_path / "matrix.npy"
+    with monkeypatch.context() as full:
+        full.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+        with pytest.raises(InputError, match=r"needs .* kB more on this disk, of which 1 kB are free"):
+            distance_matrix(series, out=path)
+        assert os.listdir(tmp_path) == []
+        # One that is there already needs no more.
+        raw = tmp_path / "raw"
+        np.zeros((40, 40)).tofile(raw)
+        distance_matrix(series, out=np.memmap(raw, np.float64, "r+", shape=(40, 40)))
+    raw.unlink()
+    assert np.array_equal(distance_matrix(series, out=path, resume=True), distance_matrix(series))
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="what is written into a map cannot be reserved")
+def test_space_is_taken_before_it_is_written_into(tmp_path, monkeypatch):
+    path, taken = tmp_path / "matrix.npy", []
+
+    def distances(*given):
+        taken.append(path.stat().st_blocks * 512)
+        return computed(*given)
+
+    computed = pairs.distances
+    monkeypatch.setattr(pairs, "distances", distances)
+    distance_matrix(random_walks(200), out=path)
+    assert taken[0] >= path.stat().st_size
 
 
 def test_names_the_pair_that_is_too_large(tmp_path):

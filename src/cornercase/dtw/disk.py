@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import mmap
 import os
+import shutil
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -21,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
+from cornercase._common.memory import size_in_words
 from cornercase.dtw import pairs
 from cornercase.dtw.pairs import Settings
 from cornercase.dtw.tiles import Tiles
@@ -69,7 +71,8 @@ def distance_matrix(
     Raises
     ------
     InputError
-        `out` does not fit, exists although not to be resumed, or was begun from other series or settings.
+        `out` does not fit, exists although not to be resumed, or was begun from other series or settings, or there is
+        no space for it.
     """
     size = len(series)
     path = Path(_file_of(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
@@ -84,9 +87,17 @@ def distance_matrix(
         raise InputError(f"{path}: {journal.name} is not beside it, so what it holds is unknown; give another path.")
     elif not path.exists():
         journal.unlink(missing_ok=True)
+    was_there = path.exists()
     try:
         noted = _begun(journal, fingerprint)
         view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not noted)
+        try:
+            _reserve(path)
+        except (InputError, OSError):
+            if not was_there:
+                path.unlink()
+                journal.unlink()
+            raise
         _fill(view, series, journal, noted, settings, advance, client)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
@@ -179,6 +190,22 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
     if view.shape != (size, size) or view.dtype != dtype or not view.flags.c_contiguous:
         raise InputError(f"{path}: holds {view.dtype} of shape {view.shape}, which is another matrix.")
     return view
+
+
+def _reserve(path: Path) -> None:
+    """Take the space of the whole file now: who writes into a map when the disk is full is ended by the system."""
+    status = path.stat()
+    # Windows makes no files with holes.
+    lacking = status.st_size - 512 * getattr(status, "st_blocks", status.st_size)
+    free = shutil.disk_usage(path).free
+    if lacking > free:
+        raise InputError(
+            f"{path}: needs {size_in_words(lacking)} more on this disk, of which {size_in_words(free)} are free; free"
+            " some space, or give a path on another one."
+        )
+    if lacking > 0 and hasattr(os, "posix_fallocate"):
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, status.st_size)
 
 
 def _header_size(path: Path) -> int:
