@@ -18,7 +18,7 @@ from cornercase.metrics import METRICS
 from cornercase.report import summarize
 from cornercase.scenario import LogicalScenario
 from cornercase.study import Study, StudyMeta
-from sealed import reseal
+from sealed import changed, reseal
 
 WHOLE = LogicalScenario.read(X, SPACE)
 
@@ -80,6 +80,34 @@ def test_scores_and_points_are_those_of_the_other_study(other):
     assert known.about["simulator"] == "builtin"
 
 
+def test_a_study_that_is_being_written_is_read_as_it_is_at_one_moment(tmp_path, other, monkeypatch):
+    def end_one(*given):
+        monkeypatch.setattr(Study, "scores", scores)
+        changed(tmp_path / "growing.db", "UPDATE scenarios SET state = 'done' WHERE id = 3")
+        return scores(*given)
+
+    (tmp_path / "growing.db").write_bytes(other.read_bytes())
+    changed(tmp_path / "growing.db", "UPDATE scenarios SET state = 'pending' WHERE id = 3")
+    scores = Study.scores
+    monkeypatch.setattr(Study, "scores", end_one)
+    found, every = beginning(tmp_path / "growing.db", WHOLE.space, "wttc"), beginning(other, WHOLE.space, "wttc")
+    np.testing.assert_array_equal(found.points, np.delete(every.points, 2, axis=0))
+    np.testing.assert_array_equal(found.scores, np.delete(every.scores, 2))
+
+
+def test_a_study_that_is_being_written_is_replayed_as_it_is_at_one_moment(tmp_path, monkeypatch):
+    def go_on(*given):
+        monkeypatch.setattr(Objective, "oriented_of", oriented_of)
+        searched(tmp_path / "growing.db", budget=30)
+        return oriented_of(*given)
+
+    searched(tmp_path / "growing.db")
+    oriented_of = Objective.oriented_of
+    monkeypatch.setattr(Objective, "oriented_of", go_on)
+    found = searched(tmp_path / "growing.db", replay=True)
+    assert (found.same, found.done) == (True, 20)
+
+
 def test_a_metric_that_it_lacks_is_measured_from_its_recordings(tmp_path, other):
     searched(
         tmp_path / "lacks.db",
@@ -136,6 +164,8 @@ def test_another_study_to_begin_from_is_another_search(tmp_path, other):
     searched(tmp_path / "third.db", driver="normal", optimizer="sobol", seed=5)
     with pytest.raises(InputError, match="a search that began from another study"):
         searched(tmp_path / "new.db", from_study=tmp_path / "third.db", budget=30)
+    with pytest.raises(InputError, match="a search that began from another study"):
+        searched(tmp_path / "new.db", from_study=tmp_path / "third.db", replay=True)
     with Study.open(tmp_path / "new.db", readonly=False) as study:
         assert len(study.done()) == 20
 
@@ -175,3 +205,4 @@ def test_it_is_replayed_and_goes_without_rounds(tmp_path, other):
     searched(tmp_path / "new.db", from_study=other, budget=16, batch=8, asynchronous=True)
     found = searched(tmp_path / "new.db", budget=16, batch=8, asynchronous=True, replay=True)
     assert found.same
+    assert searched(tmp_path / "new.db", from_study=other, budget=16, batch=8, asynchronous=True, replay=True).same

@@ -67,7 +67,8 @@ def read_beginning(
         There is no such study, its parameters are others, its recordings cannot be measured, or fewer than 10 different
         scores are left.
     """
-    with Study.open(path, readonly=True) as study:
+    # An explorer may be writing to it.
+    with Study.open(path, readonly=True) as study, study.snapshot():
         _require_same_parameters(path, study.space, space)
         ended = study.rows()
         every = [row for row in ended if row.state == "done"]

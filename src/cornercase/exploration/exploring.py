@@ -16,7 +16,7 @@ from cornercase._common.files import require_other_file
 from cornercase._common.ledger import Notice, warn_of
 from cornercase.drivers import Driver, told_driver
 from cornercase.exploration.asynchronous import AsynchronousExplorer
-from cornercase.exploration.beginning import read_beginning
+from cornercase.exploration.beginning import Beginning, read_beginning
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration.objective import Objective
@@ -213,8 +213,9 @@ def explore(
 def _replay(one: Configuration, study: Path) -> ExplorationResult:
     one.require_entities()
     objective, optimizer = _searched_by(one)
+    known = _known(one, study, objective, optimizer)
     with Study.open(study, readonly=True) as opened:
-        meta = one.meta(objective, opened.meta.settings, opened.meta.elsewhere)
+        meta = one.meta(objective, opened.meta.settings, opened.meta.elsewhere if known is None else known.about)
     return replay_proposals(study, meta, objective, optimizer)
 
 
@@ -226,6 +227,16 @@ def _searched_by(one: Configuration) -> tuple[Objective, Optimizer]:
     if one.pareto and not optimizer.takes_several:
         raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     return objective, optimizer
+
+
+def _known(one: Configuration, study: Path, objective: Objective, optimizer: Optimizer) -> Beginning | None:
+    """What the search begins from, if it is given another study."""
+    if one.from_study is None:
+        return None
+    require_other_file(study, one.from_study, "study")
+    if not optimizer.begins_from_studies:
+        raise InputError(f"`from_study`: {one.optimizer} learns nothing from a study; use level-set or committee.")
+    return read_beginning(Path(one.from_study), one.logical.space, objective, one.ego, one.others)
 
 
 def explore_configuration(
@@ -266,12 +277,7 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
     begun = time.monotonic()
     one.require_entities()
     objective, optimizer = _searched_by(one)
-    known = None
-    if one.from_study is not None:
-        require_other_file(path, one.from_study, "study")
-        if not optimizer.begins_from_studies:
-            raise InputError(f"`from_study`: {one.optimizer} learns nothing from a study; use level-set or committee.")
-        known = read_beginning(Path(one.from_study), one.logical.space, objective, one.ego, one.others)
+    known = _known(one, path, objective, optimizer)
     with (
         _on_one_cluster(one) as there,
         configured_simulator(there) as simulator,

@@ -40,7 +40,7 @@ def replay_proposals(path: Path, meta: StudyMeta, objective: Objective, optimize
     InputError
         There is no such study, it is of another exploration, or it is read while an explorer writes to it.
     """
-    with Study.open(path, readonly=True) as study:
+    with Study.open(path, readonly=True) as study, study.snapshot():
         study.meta.require_same(meta, path, same_budget="budget" in optimizer.needs)
         other = _first_other(study, objective, optimizer)
         count = len(study.rows())
