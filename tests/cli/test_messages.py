@@ -19,6 +19,12 @@ def test_parameters_become_options_and_functions_become_commands():
     )
 
 
+def test_the_connection_with_a_cluster_is_what_was_given_for_it():
+    assert in_words_of_the_command_line("`client`: a worker has cornercase 0.0.1.") == (
+        "--cluster: a worker has cornercase 0.0.1."
+    )
+
+
 def test_what_is_neither_stays():
     assert in_words_of_the_command_line("The file `a.csv` has no column `speed`.") == (
         "The file `a.csv` has no column `speed`."

@@ -23,6 +23,7 @@ _PARAMETERS: Final = (
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {
+    "client": "--cluster",
     "drivers": "--driver",
     "folder": "-o",
     "from_study": "--from",
