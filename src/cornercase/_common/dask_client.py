@@ -132,7 +132,7 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
 
 def _require_answer(address: str) -> None:
     """Wait for the first words of a scheduler; a client would wait without end for those of another program."""
-    from distributed.comm import connect as greet
+    from distributed.comm.core import connect as greet
     from distributed.security import Security
     from distributed.utils import LoopRunner, sync
 

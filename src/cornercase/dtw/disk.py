@@ -12,6 +12,7 @@ import hashlib
 import mmap
 import os
 import shutil
+import sys
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -195,15 +196,17 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
 def _reserve(path: Path) -> None:
     """Take the space of the whole file now: who writes into a map when the disk is full is ended by the system."""
     status = path.stat()
-    # Windows makes no files with holes.
-    lacking = status.st_size - 512 * getattr(status, "st_blocks", status.st_size)
+    if sys.platform == "win32":
+        # It makes no files with holes.
+        return
+    lacking = status.st_size - 512 * status.st_blocks
     free = shutil.disk_usage(path).free
     if lacking > free:
         raise InputError(
             f"{path}: needs {size_in_words(lacking)} more on this disk, of which {size_in_words(free)} are free; free"
             " some space, or give a path on another one."
         )
-    if lacking > 0 and hasattr(os, "posix_fallocate"):
+    if lacking > 0 and sys.platform == "linux":
         with path.open("r+b") as file:
             os.posix_fallocate(file.fileno(), 0, status.st_size)
 
