@@ -115,6 +115,29 @@ def test_of_a_space_that_was_run_whole_all_is_known():
     assert known.overlooked() == 0.0
 
 
+@pytest.mark.parametrize(("threshold", "share"), [(0.5, 1 / 12), (-1.0, 0.0), (99.0, 1.0)])
+def test_of_few_scenarios_that_were_all_run_all_is_known(threshold, share):
+    space = ParameterSpace([Parameter("a", 0, 3, 1.0), Parameter("b", 0, 2, 1.0)])
+    points = space.lattice()
+    scores = np.arange(12.0)
+    # A search chose them, and the least scores first: that does not matter once there are no others.
+    known = CriticalSet(space, points, scores, threshold, filling=np.zeros(12, dtype=np.bool_))
+    assert known.doubt is known.missed_doubt is None
+    assert (known.share.low, known.share.value, known.share.high) == pytest.approx((share, share, share))
+    assert (known.missed.value, known.missed.high) == (0.0, 0.0)
+    scores[0] = np.nan
+    assert "only 0" in (CriticalSet(space, points, scores, threshold, filling=np.zeros(12, dtype=np.bool_)).doubt or "")
+
+
+def test_no_more_can_be_critical_than_what_was_not_run():
+    space = ParameterSpace([Parameter("a", 0, 4, 1.0), Parameter("b", 0, 5, 1.0)])
+    points = SobolOptimizer(space, 0).ask(29)
+    scores = points.sum(axis=1)
+    none, every = (CriticalSet(space, points, scores, threshold) for threshold in (-1.0, 9.0))
+    assert none.share.high == pytest.approx(1 / 30)
+    assert every.share.low == pytest.approx(29 / 30)
+
+
 def test_failed_scenarios_do_not_count_and_too_few_say_nothing():
     points = qmc.Sobol(3, seed=0).random(64)
     scores = two_regions(points)
@@ -176,6 +199,15 @@ def test_before_anything_critical_was_met_the_share_is_bounded_by_what_was_run()
     for text in ("interval<0.05", "overlooked<0.05", "missed<0.05"):
         one = Criterion.parse(text)
         assert one.value(known) >= one.below
+
+
+def test_while_all_that_was_met_is_critical_the_share_is_bounded_by_what_was_run():
+    # All is critical but for a corner that nothing points to, of 3 % of the cube.
+    points = SobolOptimizer(CUBE, 0).ask(40)
+    known = CriticalSet(CUBE, points, points.sum(axis=1), 9.0)
+    assert known.share.value == known.share.high == 1.0
+    assert known.share.low == pytest.approx(1.0 - 3 / 40, rel=0.05)
+    assert Criterion.parse("interval<0.05").value(known) >= 0.05
 
 
 def test_two_sets_are_drawn_independently():

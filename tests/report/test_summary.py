@@ -25,10 +25,10 @@ from cornercase.report.figures.parameter_space import draw_clusters
 from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
 from cornercase.report.tables import tell_choices
 from cornercase.report.words import judge_clusters, name_cluster, name_criterion, name_kind, name_range
-from cornercase.scenario import Parameter
+from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
 from meetings import PASSES, entity, recording
-from synthetic import SPACE, about, explorer, opened
+from synthetic import LOGICAL, SPACE, about, explorer, opened
 
 
 @pytest.fixture
@@ -273,3 +273,23 @@ def test_in_a_drawn_example_both_are_to_be_seen():
             assert axis.get_xlim()[0] < x.min() < x.max() < axis.get_xlim()[1]
             assert axis.get_ylim()[0] < y.min() < y.max() < axis.get_ylim()[1]
         assert len(axis.patches) == 2
+
+
+def test_of_a_space_that_was_run_whole_the_page_claims_no_bound(tmp_path):
+    space = ParameterSpace.from_ranges(["a=0:0.8:0.2", "b=0:0.9:0.3"])
+    with opened(tmp_path / "s.db", space, critical=-1.0) as study:
+        logical = replace(LOGICAL, space=space)
+        explorer(study, metrics=("distance", "wttc"), optimizer="sobol", logical=logical, critical=-1.0).run()
+    critical = put_in_words(summarize(tmp_path / "s.db"))["critical"]
+    assert critical["share"] == critical["missed"] == {"value": 0.0, "low": 0.0, "high": 0.0}
+    page = write_report(tmp_path / "s.db", tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "These are all scenarios of the space." in page
+    assert "Nothing: all scenarios of the space were run, and none is critical." in page
+
+
+def test_where_all_scores_are_the_same_it_is_said_that_they_tell_nothing(tmp_path):
+    with Study.create(tmp_path / "s.db", about(SPACE, "delta-v", critical=1.0)) as study:
+        explorer(study, metrics=("delta-v",), optimizer="sobol", critical=1.0).run()
+    critical = put_in_words(summarize(tmp_path / "s.db"))["critical"]
+    assert critical["scenarios"] == 0
+    assert "too few different scores" in critical["note"]

@@ -220,6 +220,11 @@ class CriticalSet:
         """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""
         return np.array([self._outcome.get(key, 0.0) for key in row_keys(self._space.snap(points))])
 
+    @cached_property
+    def exhausted(self) -> bool:
+        """Whether all scenarios of a finite space were run, so that `share` is exact and nothing is missed."""
+        return self._places.complete and bool((self._certain != 0.0).all())
+
     @property
     def doubt(self) -> str | None:
         """Why no interval can be given of `share` and `missed`; None where one can.
@@ -227,7 +232,7 @@ class CriticalSet:
         What a search chose by scores tells nothing of how often it is wrong elsewhere.
         """
         drawn = int(self._filling.sum()) + len(self._audits)
-        if drawn >= _FEWEST:
+        if drawn >= _FEWEST or self.exhausted:
             return None
         return f"only {drawn} scenarios were chosen without looking at scores; {_FEWEST} are needed, audits are such"
 
@@ -235,7 +240,7 @@ class CriticalSet:
     def missed_doubt(self) -> str | None:
         """Why no interval can be given of `missed`; None where one can."""
         hits = int(self._critical[self._filling].sum() + self._audited.sum())
-        if self.doubt is not None or hits >= _FEWEST_HITS:
+        if self.doubt is not None or hits >= _FEWEST_HITS or self.exhausted:
             return self.doubt
         return (
             f"only {hits} of the scenarios that were chosen without looking at scores are critical; {_FEWEST_HITS} are"
@@ -244,17 +249,21 @@ class CriticalSet:
 
     @cached_property
     def share(self) -> Estimate:
-        """Critical share of the space; before anything critical was met, as bounded by what was run at random."""
-        if not self._critical.any():
-            known = bounds_of_share(int(self._audited.sum()), int(self._filling.sum()) + len(self._audited))
-            return Estimate(min(max(float(self._whole.all.mean()), known.low), known.high), known.low, known.high)
-        return Estimate.of_draws(self._whole.all)
+        """Critical share of the space; while all that was met is alike, as bounded by what was run at random."""
+        if self._critical.any() and not self._critical.all():
+            return Estimate.of_draws(self._whole.all)
+        hits = int(self._critical[self._filling].sum() + self._audited.sum())
+        known = bounds_of_share(hits, int(self._filling.sum()) + len(self._audited))
+        # Whatever the scenarios are that were not run.
+        least, others = (float(self._places.weights[at].sum()) for at in (self._certain > 0.0, self._certain < 0.0))
+        low, high = max(known.low, min(least, 1.0)), min(known.high, max(1.0 - others, 0.0))
+        return Estimate(min(max(float(self._whole.all.mean()), low), high), low, high)
 
     @cached_property
     def missed(self) -> Estimate:
-        """Share of the critical set that is not found; all of it while no critical scenario was run."""
+        """Share of the critical set that is not found; all of it while nothing critical was run of what there is."""
         if not self._critical.any():
-            return Estimate(1.0, 1.0, 1.0)
+            return Estimate(*[float(not self.exhausted)] * 3)
         with one_thread():
             unseen = np.clip(self._parts.shares(~self._is_found), 0.0, self._parts.all)
         there = self._parts.all > 0.0

@@ -33,11 +33,14 @@ class Places:
         For a kernel.
     weights : ndarray of float64, shape (n,)
         They add up to 1.
+    complete : bool
+        Whether they are all scenarios of the space that have a probability.
     """
 
     points: FloatArray
     encoded: FloatArray
     weights: FloatArray
+    complete: bool
 
     @classmethod
     def of(cls, space: ParameterSpace, seed: int) -> Places:
@@ -63,9 +66,10 @@ class Places:
         first = np.unique(of, return_index=True)[1]
         points, weights = points[first], np.bincount(of) / len(of)
         sizes = [one.size for one in space.parameters]
-        if None not in sizes and math.prod(one or 1 for one in sizes) <= _PLACES:
+        complete = None not in sizes and math.prod(one or 1 for one in sizes) <= _PLACES
+        if complete:
             points, weights = _every(space, points, seed)
-        return cls(points, encoded(space, points), weights)
+        return cls(points, encoded(space, points), weights, complete)
 
     def chosen(self, matters: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
         """Choose some of the places, those above all that matter, so that sums over them stand for all.

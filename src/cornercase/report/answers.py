@@ -25,6 +25,7 @@ from cornercase.report.words import (
     tell_front,
     tell_roles,
     tell_unforetold,
+    tell_unknown,
     with_signs,
     with_unit,
 )
@@ -181,15 +182,15 @@ def _of_share(data: ReportData) -> Answer:
     if asked := tell_asked(summary):
         ran += f" {asked}"
     if of_set is None:
-        return Answer(
-            name, question, f"{ran} There are too few different scores to say anything about all other scenarios."
-        )
+        return Answer(name, question, f"{ran} {tell_unknown()}")
     space = "the space, as far as it can be run," if data.failed else "the space"
     if of_set.share_doubt is not None:
         about = f"{_about(of_set.share.value)} of {space} is critical. " if known.scenarios else ""
         return Answer(name, question, f"{about}{ran} There is no interval: {of_set.share_doubt}.")
     if not known.scenarios:
         bound = f"At most {percent(of_set.share.high)} of {space} is critical (upper end of a 90 % interval)."
+        if of_set.missed_doubt is None:
+            bound = "These are all scenarios of the space."
         return Answer(name, question, f"{ran} {bound}")
     share = f"{_about(of_set.share.value)} of {space} is critical ({_interval(of_set.share)})."
     return Answer(name, question, f"{share} {ran}")
@@ -199,6 +200,8 @@ def _of_missed(known: CriticalKnowledge) -> Answer:
     said, found = [], known.known
     if found is None:
         said.append("That is unknown: there are too few different scores.")
+    elif not known.scenarios and found.missed_doubt is None:
+        said.append("Nothing: all scenarios of the space were run, and none is critical.")
     elif not known.scenarios:
         said.append("Nothing critical was found, so whatever is critical was missed.")
     elif found.missed_doubt is not None:

@@ -22,6 +22,7 @@ from cornercase.report.words import (
     tell_beside,
     tell_chosen,
     tell_unforetold,
+    tell_unknown,
 )
 from cornercase.study import StudyMeta
 
@@ -203,6 +204,8 @@ def _knowledge(summary: Summary) -> dict[str, Any]:
                 "overlooked": {"value": of_set.overlooked, "size": of_set.region},
                 "unvisited": {"value": of_set.unvisited, "size": of_set.region},
             }
+        else:
+            plain["critical"]["note"] = tell_unknown()
         if (audit := known.critical.audit) is not None:
             plain["critical"]["audit"] = {
                 "scenarios": audit.scenarios,

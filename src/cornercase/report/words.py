@@ -475,6 +475,11 @@ def tell_front(count: int) -> str:
     return f"{count} scenarios: no other is at least as critical in every metric and more critical in one."
 
 
+def tell_unknown() -> str:
+    """Say that nothing is known of scenarios that were not run."""
+    return "There are too few different scores to say anything about all other scenarios."
+
+
 def tell_unforetold() -> str:
     """Say that nothing is known of the influence of parameters."""
     return "The model predicts almost nothing of the scores, so it is unknown which parameter matters."
