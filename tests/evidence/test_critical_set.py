@@ -11,7 +11,7 @@ from cornercase.evidence import CriticalSet, GaussianProcess
 from cornercase.exploration.stopping import Criterion
 from cornercase.metrics import Feature
 from cornercase.optimizers import LevelSetOptimizer, SobolOptimizer
-from cornercase.scenario import Parameter, ParameterSpace
+from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
 from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 TRUE = two_regions(EVERYWHERE) <= THRESHOLD
@@ -127,6 +127,16 @@ def test_of_few_scenarios_that_were_all_run_all_is_known(threshold, share):
     assert (known.missed.value, known.missed.high) == (0.0, 0.0)
     scores[0] = np.nan
     assert "only 0" in (CriticalSet(space, points, scores, threshold, filling=np.zeros(12, dtype=np.bool_)).doubt or "")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_constraints_that_leave_little_leave_enough_places(seed):
+    strip = ((Constraint("greaterThan", "0.49"), Constraint("lessThan", "0.51")),)
+    declarations = [Declaration("x", "double", "0.5", strip), Declaration("y", "double", "0.5", ())]
+    space = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]).constrained(declarations)
+    points = SobolOptimizer(space, seed).ask(60)
+    known = CriticalSet(space, points, points.sum(axis=1), 0.7, seed)
+    assert known.share.value == pytest.approx(0.2, abs=0.001)
 
 
 def test_no_more_can_be_critical_than_what_was_not_run():

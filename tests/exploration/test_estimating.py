@@ -243,6 +243,15 @@ def test_what_cannot_be_estimated_is_refused(explored, tmp_path, given, words):
     assert not (tmp_path / "e.db").exists()
 
 
+def test_a_study_that_cannot_be_estimated_is_named_without_the_option_of_the_output(tmp_path):
+    file = tmp_path / "front.db"
+    Study.create(file, about(LOGICAL.space, "distance", "wttc", pareto=True)).close()
+    with pytest.raises(InputError) as refused:
+        estimate(file, tmp_path / "e.db")
+    # On the command line `study` is what -o names.
+    assert str(refused.value).startswith(f"{file}: was searched for a Pareto front")
+
+
 def test_of_repeated_runs_is_told_how_many_are_critical_and_how_open_that_is(tmp_path):
     meta = about(LOGICAL.space, "distance", critical=30.0, repeats=6)
     with Study.create(tmp_path / "s.db", meta) as study:

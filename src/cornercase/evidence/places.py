@@ -14,6 +14,8 @@ from cornercase.evidence.gaussian_process import encoded
 from cornercase.scenario import ParameterSpace
 
 _PLACES: Final = 2**14
+# Constraints leave some of them; where that is fewer, as many are drawn again, at most so often.
+_FEWEST, _MOST_TIMES = 2**12, 16
 # Places around which balls are laid, and how many of the others say how large these are.
 _CENTRES, _AROUND = 512, 8192
 _SAME: Final = 1e-6
@@ -58,15 +60,19 @@ class Places:
         # The package takes half a second to load.
         from scipy.stats import qmc
 
-        points = space.snap(qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])).random(_PLACES))
-        points = points[space.admits(points)]
+        sizes = [one.size for one in space.parameters]
+        complete = None not in sizes and math.prod(one or 1 for one in sizes) <= _PLACES
+        sequence, points = qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])), np.zeros((0, len(sizes)))
+        for _ in range(1 if complete else _MOST_TIMES):
+            more = space.snap(sequence.random(_PLACES))
+            points = np.concatenate([points, more[space.admits(more)]])
+            if len(points) >= _FEWEST:
+                break
         # Of a space of steps and choices the same scenario comes again: it is one place, which counts that often.
         number: dict[bytes, int] = {}
         of = np.array([number.setdefault(key, len(number)) for key in row_keys(points)])
         first = np.unique(of, return_index=True)[1]
         points, weights = points[first], np.bincount(of) / len(of)
-        sizes = [one.size for one in space.parameters]
-        complete = None not in sizes and math.prod(one or 1 for one in sizes) <= _PLACES
         if complete:
             points, weights = _every(space, points, seed)
         return cls(points, encoded(space, points), weights, complete)

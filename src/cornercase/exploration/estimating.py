@@ -115,7 +115,7 @@ def estimate(
     flag("progress", progress)
     with Study.open(file, readonly=True) as source:
         if _NAME.fullmatch(source.meta.optimizer):
-            raise InputError(f"`study` {file}: is an estimate itself; name the study that it was made from.")
+            raise InputError(f"{file}: is an estimate itself; name the study that it was made from.")
         about = _configuration(source, scenario, budget, critical, seed, simulator, drivers or {})
         about = replace(about, workers=workers, cluster=cluster, timeout=timeout, retries=retries)
         learn, known = _agreed(made, round(_LEARN_SHARE * budget))
@@ -150,7 +150,7 @@ def _configuration(
 ) -> Configuration:
     """What the study was explored with, with another budget and seed."""
     if study.meta.pareto:
-        raise InputError(f"`study` {study.path}: was searched for a Pareto front, so nothing says what is critical.")
+        raise InputError(f"{study.path}: was searched for a Pareto front, so nothing says what is critical.")
     about = configuration_of(study, study.path, scenario, simulator, drivers)
     # What else the search was, new draws are not.
     return replace(
