@@ -281,15 +281,16 @@ def test_patience_counts_rounds_without_news(tmp_path, rounds, told):
 
 @pytest.mark.parametrize("asynchronous", [False, True])
 def test_all_of_a_space_was_run_only_where_it_was(asynchronous, tmp_path):
-    def ended(optimizer, space):
-        logical = replace(LOGICAL, space=space)
-        with opened(tmp_path / f"{optimizer} {len(space.declarations)}.db", space, asynchronous=asynchronous) as study:
-            one = explorer(study, optimizer=optimizer, budget=40, logical=logical, asynchronous=asynchronous)
-            return one.run().reason
+    def ended(optimizer, space, **more):
+        logical, given = replace(LOGICAL, space=space), {"asynchronous": asynchronous, **more}
+        with opened(tmp_path / f"{optimizer} {len(space.declarations)} {more}.db", space, **given) as study:
+            return explorer(study, optimizer=optimizer, budget=40, logical=logical, **given).run().reason
 
     finite = ParameterSpace.from_ranges(["a=0:1:0.25", "b=0:1:0.5"])
     falling = [Declaration("a", "double", "0"), Declaration("b", "double", "0", ((Constraint("lessThan", "$a"),),))]
     assert ended("sobol", finite) == "all 15 scenarios of the space were run"
+    # Some of the 15 are audits, and run twice.
+    assert ended("sobol", finite, audit=0.2) == "all 15 scenarios of the space were run"
     some = ParameterSpace(finite.parameters, falling)
     assert ended("sobol", some) == "all 6 scenarios of the space were run"
     grid = "the search proposes no more than these 36 scenarios"

@@ -15,6 +15,7 @@ import numpy as np
 
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.progress import ProgressBar
+from cornercase._common.rows import row_keys
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.alike import tell_alike
 from cornercase.exploration.configuration import Configuration
@@ -213,10 +214,13 @@ class ScenarioExplorer:
     def _used_up(self, done: int) -> str:
         """Say why a search ends that proposes nothing more: it may be a grid, or find nothing within constraints."""
         size = self._space.size
-        if size is not None and done < size <= _MOST_COUNTED:
+        # Audits may be scenarios that the search runs, too.
+        points = np.array([row.point for row in self._study.rows()]).reshape(-1, self._space.dimension)
+        ran = len(set(row_keys(self._space.snap(points))))
+        if size is not None and ran < size <= _MOST_COUNTED:
             size = int(self._space.admits(self._space.lattice()).sum())
-        if size is not None and done >= size:
-            return f"all {done} scenarios of the space were run"
+        if size is not None and ran >= size:
+            return f"all {size} scenarios of the space were run"
         return f"the search proposes no more than these {done} scenarios"
 
     def _enough(self) -> str | None:
