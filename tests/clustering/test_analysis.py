@@ -6,6 +6,8 @@ import json
 import shutil
 import sqlite3
 from dataclasses import asdict, fields, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from scipy.spatial.distance import pdist, squareform
 
 from conftest import at_night
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.memory import MemoryLimit
 from cornercase.clustering import Candidate, analyze, compare_clusterings, read_analyses, read_analysis, read_distances
+from cornercase.clustering.analyzing import _require_memory
 from cornercase.study import Study
 from sealed import reseal
 from synthetic import Synthetic, explorer, opened
@@ -209,3 +213,10 @@ def test_what_divides_nothing_agrees_with_nothing_else_that_divides_nothing(path
     with Study.open(path, readonly=True) as study:
         assert [len(one.sizes) > 1 for one in read_analyses(study).values()] == [False, True, False]
         assert set(compare_clusterings(study)) == {("ego-speed", "distance"), ("distance", "wttc")}
+
+
+@pytest.mark.parametrize(("count", "aspects", "taken"), [(2000, 5, "982 MB"), (2000, 1, "697 MB"), (1500, 5, "691 MB")])
+def test_less_memory_than_analyze_was_seen_to_take_is_refused(count, aspects, taken):
+    study: Any = SimpleNamespace(path="study.db")
+    with pytest.raises(InputError, match=f"the series of {count} scenarios need up to"):
+        _require_memory(study, {}, aspects, count, MemoryLimit.of(taken))

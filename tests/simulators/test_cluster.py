@@ -226,6 +226,18 @@ def test_an_interrupt_waits_until_a_local_cluster_has_ended():
     assert connection.cluster.ended
 
 
+def test_a_scheduler_that_is_lost_between_two_rounds_is_told():
+    class Lost:
+        cluster = scheduler = None
+
+        def wait_for_workers(self, *_, **__):
+            raise OSError("Timed out trying to connect to tcp://127.0.0.1:9 after 20 s")
+
+    lost: Any = Lost()
+    with pytest.raises(InputError, match="the connection to its scheduler is lost"):
+        dask_client.workers_of(lost)
+
+
 def test_processes_of_no_cluster_are_refused(tmp_path):
     configuration = replace(demonstration("x-intersection", budget=2), duration=2.0)
     explore_configuration(configuration, tmp_path / "study.db")

@@ -338,20 +338,20 @@ def workers_of(client: Client, resource: str | None = None) -> list[dict[str, An
     Raises
     ------
     InputError
-        There are none for two minutes.
+        There are none for two minutes, or the scheduler is lost.
     """
     since = time.monotonic()
-    while True:
+    while time.monotonic() - since <= _FIRST_WORKER:
         try:
-            client.wait_for_workers(1, timeout=_FIRST_WORKER)
-        except TimeoutError as error:
-            raise _without_workers(client, resource) from error
-        # One that has come may be lost before it is told of.
-        if found := _offering(client, resource):
-            return found
-        if time.monotonic() - since > _FIRST_WORKER:
-            raise _without_workers(client, resource)
+            with suppress(TimeoutError):
+                client.wait_for_workers(1, timeout=_FIRST_WORKER)
+            # One that has come may be lost before it is told of.
+            if found := _offering(client, resource):
+                return found
+        except OSError as error:
+            raise disconnected(client) from error
         time.sleep(_LOOKS)
+    raise _without_workers(client, resource)
 
 
 def _offering(client: Client, resource: str | None) -> list[dict[str, Any]]:

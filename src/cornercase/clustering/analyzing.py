@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 _LOOKED_AT: Final = 100
 # Bytes: of a pair in the matrix and in what is made of it, of a pair by an aspect that is not stored yet, and of a
 # scenario beside its series.
-_OF_A_PAIR: Final = 60
-_OF_A_STORED_PAIR: Final = 8
+_OF_A_PAIR: Final = 80
+_OF_A_STORED_PAIR: Final = 20
 _OF_A_SCENARIO: Final = 8_000
 
 
