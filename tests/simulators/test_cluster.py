@@ -217,7 +217,7 @@ def test_an_interrupt_waits_until_a_local_cluster_has_ended():
     class Connection:
         cluster = Local()
 
-        def close(self):
+        def close(self, timeout):
             pass
 
     connection: Any = Connection()

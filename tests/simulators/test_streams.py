@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from functools import partial
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import pytest
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import SimulatorStream, WorkerSimulator, outcomes_of
+from cornercase.simulators import Simulator, SimulatorStream, WorkerSimulator, outcomes_of, streams
 from fake_simulators import FailingSimulator, Plan
 from waiting import lives, until
 
@@ -93,3 +95,23 @@ def test_one_of_this_process_runs_when_its_result_is_taken(tmp_path):
     assert not (tmp_path / "tries-1").exists()
     assert taken(stream, 2) == {1: 1, 2: 2}
     stream.close()
+
+
+def test_what_never_ends_is_waited_for_no_longer(monkeypatch):
+    class Deaf(Simulator):
+        name = "deaf"
+
+        def run(self, concretes):
+            return iter(())
+
+        def beside(self):
+            return [self]
+
+    ends = threading.Event()
+    monkeypatch.setattr(streams, "_ENDS", 0.2)
+    stream = SimulatorStream({"": Deaf()})
+    stream.give(1, lambda _: ends.wait(60.0))
+    begun = time.monotonic()
+    stream.close()
+    assert time.monotonic() - begun < 10.0
+    ends.set()

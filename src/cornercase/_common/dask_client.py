@@ -29,6 +29,8 @@ LOCAL: Final = "local"
 
 # s in which a scheduler has to answer, for which a cluster may be without workers, and between two looks at both.
 _ANSWERS, _FIRST_WORKER, _LOOKS = 20.0, 120.0, 1.0
+# s for which one says goodbye to a scheduler that may be cut off.
+_CLOSES: Final = 10.0
 # How often a local cluster is started whose workers are ended meanwhile.
 _STARTS: Final = 5
 # Those of clusters whose start was interrupted.
@@ -261,7 +263,7 @@ def leave(client: Client) -> None:
             stack.enter_context(interrupts_kept())
         # One that is lost has nothing to be closed.
         with suppress(OSError, TimeoutError):
-            client.close()
+            client.close(timeout=_CLOSES)
         if local is not None:
             local.close()
         if (held := _HELD.pop(client, None)) is not None:

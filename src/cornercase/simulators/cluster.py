@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 # If so many scenarios in a row cost their workers, the simulator is at fault, not they; and so it is if Dask gives a
 # scenario up so often.
 _MOST_LOST: Final = 5
+# s that workers have to end their simulators; a scheduler that is cut off never answers.
+_CLOSES: Final = 10.0
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,8 @@ class ClusterSimulator(SimulatorElsewhere):
         # A cluster that is lost has nothing to be closed.
         with suppress(OSError, CancelledError, TimeoutError):
             if self._client.status == "running":
-                self._client.run(close_job, self._job.key, on_error="ignore")
+                client: Any = self._client
+                client.sync(client._run, close_job, self._job.key, on_error="ignore", callback_timeout=_CLOSES)
         if self._owned:
             leave(self._client)
 

@@ -16,6 +16,8 @@ from cornercase.simulators.base import Simulator
 # s between two looks at how many places there are, and for which one waits before a signal is looked for.
 _LOOKS: Final = 5.0
 _WAITS: Final = 0.5
+# s that what is given up has to end; what waits for a cluster that is cut off never does.
+_ENDS: Final = 10.0
 
 Work = Callable[[Simulator], Any]
 """Has a simulator run something."""
@@ -148,7 +150,10 @@ class SimulatorStream:
             for _ in desk.threads:
                 desk.waiting.put(None)
         busy = [one for desk in self._desks.values() for one in desk.threads]
+        deadline = time.monotonic() + _ENDS
         while busy := [(thread, simulator) for thread, simulator in busy if thread.is_alive()]:
+            if time.monotonic() > deadline:
+                return
             busy[0][0].join(0.1)
             for thread, simulator in busy:
                 if thread.is_alive():
