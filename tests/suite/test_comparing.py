@@ -192,6 +192,18 @@ def test_pairs_that_fill_the_space_bound_what_is_critical_in_one_only(tmp_path):
     assert binom.cdf(gained, 64, space.gained.high) == pytest.approx(0.05)
 
 
+def test_no_change_of_a_critical_set_is_given_whose_end_was_not_met(tmp_path):
+    points = SobolOptimizer(SPACE, 0).ask(40)
+    gaps = 0.5 + points[:, 0]
+    some = written(tmp_path / "some.db", gaps, points, optimizer="sobol")
+    every = written(tmp_path / "every.db", 0.5 * gaps, points, optimizer="sobol")
+    space = compared(some, every).space
+    assert space.sets is None
+    assert "all scenarios of every.db are critical" in space.sets_doubt
+    assert space.gained.low > 0.3
+    assert space.lost.value == 0.0
+
+
 def test_a_scenario_that_one_version_could_not_run_is_a_change(tmp_path):
     old = written(tmp_path / "old.db", GAPS, failed={7})
     new = written(tmp_path / "new.db", GAPS, failed={7, 8})

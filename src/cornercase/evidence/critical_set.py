@@ -226,6 +226,11 @@ class CriticalSet:
         return self._places.complete and bool((self._certain != 0.0).all())
 
     @property
+    def met_both(self) -> bool:
+        """Whether critical scenarios were run, and others."""
+        return bool(self._critical.any() and not self._critical.all())
+
+    @property
     def doubt(self) -> str | None:
         """Why no interval can be given of `share` and `missed`; None where one can.
 
@@ -250,7 +255,7 @@ class CriticalSet:
     @cached_property
     def share(self) -> Estimate:
         """Critical share of the space; while all that was met is alike, as bounded by what was run at random."""
-        if self._critical.any() and not self._critical.all():
+        if self.met_both:
             return Estimate.of_draws(self._whole.all)
         hits = int(self._critical[self._filling].sum() + self._audited.sum())
         known = bounds_of_share(hits, int(self._filling.sum()) + len(self._audited))

@@ -67,6 +67,8 @@ def _sets(old: Study, new: Study) -> tuple[SetDifference | None, str]:
             return None, f"{study.path.name} has fewer than 10 scores without audits, or all are the same"
         if one.missed_doubt is not None:
             return None, f"of {study.path.name}, {one.missed_doubt}"
+        if not (one.met_both or one.exhausted):
+            return None, f"all scenarios of {study.path.name} are critical, so nothing says where that ends"
         found.append(one)
     return SetDifference.between(*found), ""
 
