@@ -95,7 +95,7 @@ def estimate(
     else:
         _tell(found)
     if found.interrupted:
-        err.print(f"Interrupted; the same command goes on from the {found.scenarios} scenarios in {found.study}.")
+        err.print(f"Interrupted; the same command goes on where it stopped: {found.study} holds what has ended.")
         raise typer.Exit(exit_code())
 
 
