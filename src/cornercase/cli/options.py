@@ -158,11 +158,12 @@ def tell_ending(result: ExplorationResult) -> None:
     if result.same is not None:
         out.print(f"{result.study}: {result.reason}.")
         raise typer.Exit(0 if result.same else 1)
+    ended = "1 scenario" if result.ended == 1 else f"{result.ended} scenarios"
     if result.interrupted:
-        out.print(f"Interrupted; the same command goes on from the {result.ended} scenarios in {result.study}.")
+        out.print(f"Interrupted after {ended}; the same command goes on with {result.study}.")
         raise typer.Exit(exit_code())
     failed = f", {result.failed} of which failed" if result.failed else ""
-    out.print(f"{result.ended} scenarios in {result.study}{failed}; ended because {result.reason}.")
+    out.print(f"{ended} in {result.study}{failed}; ended because {result.reason}.")
     tell_reasons(result.reasons, "; 'show' tells all")
     for sentence in result.alike:
         out.print(sentence)
