@@ -395,3 +395,38 @@ def forgive_narrow_output() -> None:
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:
             reconfigure(errors="replace")
+
+
+def bytes_in_holes(path: Path) -> int:
+    """Return how many bytes of a file take no space on the disk yet.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    int
+        0 where files have no holes.
+    """
+    if sys.platform == "win32":
+        return 0
+    status = path.stat()
+    return max(status.st_size - 512 * status.st_blocks, 0)
+
+
+def fill_holes(path: Path) -> None:
+    """Let a file take its space on the disk, where the platform can.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    OSError
+        There is not enough space.
+    """
+    if sys.platform == "linux":
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)

@@ -12,7 +12,6 @@ import hashlib
 import mmap
 import os
 import shutil
-import sys
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -24,6 +23,7 @@ import numpy.typing as npt
 
 from cornercase._common.errors import InputError
 from cornercase._common.memory import size_in_words
+from cornercase._common.platform import bytes_in_holes, fill_holes
 from cornercase.dtw import pairs
 from cornercase.dtw.pairs import Settings
 from cornercase.dtw.tiles import Tiles
@@ -195,20 +195,15 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
 
 def _reserve(path: Path) -> None:
     """Take the space of the whole file now: who writes into a map when the disk is full is ended by the system."""
-    status = path.stat()
-    if sys.platform == "win32":
-        # It makes no files with holes.
-        return
-    lacking = status.st_size - 512 * status.st_blocks
+    lacking = bytes_in_holes(path)
     free = shutil.disk_usage(path).free
     if lacking > free:
         raise InputError(
             f"{path}: needs {size_in_words(lacking)} more on this disk, of which {size_in_words(free)} are free; free"
             " some space, or give a path on another one."
         )
-    if lacking > 0 and sys.platform == "linux":
-        with path.open("r+b") as file:
-            os.posix_fallocate(file.fileno(), 0, status.st_size)
+    if lacking > 0:
+        fill_holes(path)
 
 
 def _header_size(path: Path) -> int:
