@@ -16,6 +16,7 @@ from cornercase._common.files import portable_name, written_whole
 from cornercase._common.texts import plain_text, wrapped
 from cornercase.report.data import ReportData
 from cornercase.report.drawings import draw_all
+from cornercase.report.figures.style import default_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,12 +49,13 @@ def write_figures(data: ReportData, folder: Path) -> None:
     """
     captions: list[str] = []
     taken: set[str] = set()
-    for drawing in draw_all(data):
-        name = _another(portable_name(drawing.name), taken)
-        for ending, content in draw_files(drawing.figure).items():
-            with written_whole(folder / f"{name}.{ending}") as temporary:
-                temporary.write_bytes(content)
-        captions.append(f"{name}: {plain_text(drawing.caption)}\n")
+    with default_style():
+        for drawing in draw_all(data):
+            name = _another(portable_name(drawing.name), taken)
+            for ending, content in draw_files(drawing.figure).items():
+                with written_whole(folder / f"{name}.{ending}") as temporary:
+                    temporary.write_bytes(content)
+            captions.append(f"{name}: {plain_text(drawing.caption)}\n")
     with written_whole(folder / _CAPTIONS) as temporary:
         temporary.write_text("".join(captions), encoding="utf-8", newline="\n")
 

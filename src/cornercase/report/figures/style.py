@@ -11,6 +11,8 @@ from cornercase.report.words import name_axis, name_cluster
 from cornercase.scenario import Parameter
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from matplotlib.axis import Axis
 
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
@@ -19,6 +21,18 @@ GREY: Final = "#999999"
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "*", "X")
 _LONGEST: Final = 16
 _LINE, _LINES = 32, 8
+
+
+def default_style() -> AbstractContextManager[None]:
+    """Draw within the block as matplotlib does by default, whatever a user has set for figures.
+
+    Returns
+    -------
+    context manager
+    """
+    from matplotlib import style
+
+    return style.context("default")
 
 
 def look_of(cluster: int, names: Mapping[int, str] | None = None) -> tuple[str, str, str]:

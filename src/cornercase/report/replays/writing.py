@@ -120,15 +120,17 @@ def replay(
 
 
 def _write_film(footage: Footage, path: Path, ending: str, fps: float, speed: float, progress: bool) -> None:
+    from cornercase.report.figures.style import default_style
     from cornercase.report.replays.encoding import gif_rate, write_gif, write_mp4
     from cornercase.report.replays.film import Film
 
     rate = gif_rate(fps) if ending == ".gif" else fps
     times = _times(footage, speed / rate)
     bar = ProgressBar(len(times), "drawing", "frames") if progress else None
-    frames = _counted(Film(footage, dots=_DOTS[ending]).frames(times), bar)
     try:
-        (write_gif if ending == ".gif" else write_mp4)(frames, path, rate)
+        with default_style():
+            frames = _counted(Film(footage, dots=_DOTS[ending]).frames(times), bar)
+            (write_gif if ending == ".gif" else write_mp4)(frames, path, rate)
     finally:
         if bar is not None:
             bar.stop()
