@@ -1,9 +1,22 @@
 """Find, cluster and reduce the critical concrete scenarios of a logical scenario."""
 
+import sys as _sys
+
+# Python puts the current folder first for ``python -m``, and a stranger's modules may lie there.
+if (
+    ("-m", "cornercase") in zip(_sys.orig_argv, _sys.orig_argv[1:], strict=False)
+    and _sys.argv[:1] == ["-m"]
+    and not _sys.flags.safe_path
+):
+    del _sys.path[0]
+
 import lazy_loader as lazy
 
+from cornercase._common.current_folder import take_no_settings as _take_no_settings
 from cornercase._common.displays import DISPLAYS as _DISPLAYS
 from cornercase._common.version import __version__ as __version__
+
+_take_no_settings()
 
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
 

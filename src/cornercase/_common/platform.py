@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from cornercase._common.current_folder import kept_from_children
 
 if TYPE_CHECKING:
     from psutil import Process
@@ -218,11 +221,37 @@ def interrupts_kept(*others: signal.Signals) -> Iterator[None]:
     try:
         # Else it would be started with the first process, and let Ctrl-C through. If a terminal that is closed ended
         # it, who started it would miss it.
-        resource_tracker.ensure_running()
+        with kept_from_children():
+            resource_tracker.ensure_running()
         signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT, *others})
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:
+    """Find a program.
+
+    Windows would look in the current folder first, in which a stranger's program may lie; that is left out.
+
+    Parameters
+    ----------
+    name : str
+        Without its ending.
+    folders : sequence of str, optional
+        Where to look; by default where the environment variable PATH says.
+
+    Returns
+    -------
+    str or None
+        Its path.
+    """
+    places = [one for one in (os.get_exec_path() if folders is None else folders) if one]
+    if not _WINDOWS:
+        return shutil.which(name, path=os.pathsep.join(places))
+    endings = os.environ.get("PATHEXT", ".EXE").split(os.pathsep)
+    files = (Path(place, name + ending) for place in places for ending in endings)
+    return next((str(one) for one in files if one.is_file()), None)
 
 
 def started_apart() -> dict[str, Any]:

@@ -91,7 +91,8 @@ def two_compile() -> Iterator[None]:
     started: list[subprocess.Popen[bytes]] = []
 
     def start() -> None:
-        command, nothing = [sys.executable, "-c", _LATER], subprocess.DEVNULL
+        # The current folder may be a stranger's.
+        command, nothing = [sys.executable, "-P", "-c", _LATER], subprocess.DEVNULL
         # Its input ends with this process, however this one ends.
         started.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing))
 

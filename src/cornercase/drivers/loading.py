@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import inspect
-import sys
 from contextlib import suppress
-from pathlib import Path
 from types import ModuleType
 from typing import Protocol, TypeGuard, runtime_checkable
 
+from cornercase._common.current_folder import import_here
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.texts import in_one_line
 from cornercase._common.typing import FloatArray
@@ -142,10 +140,8 @@ def load_driver(name: str) -> Driver:
         raise InputError(f"There is no driver '{module_name}'; {suggestion(module_name, DRIVERS.names())}")
     if not all(part.isidentifier() for part in module_name.split(".")) or not class_name.isidentifier():
         raise InputError(f"The driver '{name}' is not of the form package.module:Class.")
-    here = str(Path.cwd())
-    sys.path.insert(0, here)
     try:
-        module = importlib.import_module(module_name)
+        module = import_here(module_name)
     except ModuleNotFoundError as error:
         raise InputError(
             f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
@@ -155,9 +151,6 @@ def load_driver(name: str) -> Driver:
         raise InputError(
             f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}."
         ) from error
-    finally:
-        if here in sys.path:
-            sys.path.remove(here)
     made = getattr(module, class_name, None)
     if not isinstance(made, type):
         raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")

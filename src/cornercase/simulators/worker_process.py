@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -13,6 +12,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from cornercase._common.current_folder import kept_from_children, unpickle_here
 from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError, is_of_the_machine
 from cornercase._common.guardian import Guardian
 from cornercase._common.interrupts import held_interrupts
@@ -123,7 +123,7 @@ class Worker:
             given = theirs, self._name, pickle.dumps(self._options), self._folder
             process = context.Process(target=_serve, args=given, daemon=True)
             # One that came in the middle would leave a process that nobody knows.
-            with held_interrupts(), interrupts_kept(*ending_signals()):
+            with held_interrupts(), interrupts_kept(*ending_signals()), kept_from_children():
                 process.start()
                 self._process = process
             self._guardian.watch(self._process.pid)
@@ -256,13 +256,7 @@ def unpickled_options(options: bytes) -> dict[str, Any]:
     -------
     dict
     """
-    # Last, so that the folder hides nothing.
-    here = str(Path.cwd())
-    sys.path.append(here)
-    try:
-        found: dict[str, Any] = pickle.loads(options)
-    finally:
-        sys.path.remove(here)
+    found: dict[str, Any] = unpickle_here(options)
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 from PIL import Image
 
 from cornercase._common.errors import InputError
+from cornercase._common.platform import find_program
 
 if TYPE_CHECKING:
     from cornercase.report.replays.film import Frame
@@ -78,7 +78,7 @@ def find_ffmpeg() -> str:
     InputError
         There is none.
     """
-    found = shutil.which("ffmpeg")
+    found = find_program("ffmpeg")
     if found is None:
         try:
             from imageio_ffmpeg import get_ffmpeg_exe

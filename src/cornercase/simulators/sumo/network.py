@@ -8,12 +8,11 @@ import tempfile
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
-from shutil import which
 from typing import Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file, written_whole
-from cornercase._common.platform import user_cache
+from cornercase._common.platform import find_program, user_cache
 from cornercase.scenario import Scenario, Value, parse_xml
 
 _PATIENCE: Final = 120.0
@@ -78,7 +77,8 @@ def _convert(roads: Path, content: bytes, target: Path) -> None:
         command = [program, "--opendrive", str(given), "--output-file", str(written)]
         command += ["--offset.disable-normalization", "true", "--xml-validation", "never"]
         try:
-            done = subprocess.run(command, capture_output=True, timeout=_PATIENCE, check=False)
+            # It looks for data of its projections in the current folder, too.
+            done = subprocess.run(command, capture_output=True, timeout=_PATIENCE, check=False, cwd=folder)
         except subprocess.TimeoutExpired:
             raise InputError(f"{roads}: netconvert did not convert it within {_PATIENCE:g} s.") from None
         if done.returncode != 0 or not written.exists():
@@ -89,11 +89,11 @@ def _convert(roads: Path, content: bytes, target: Path) -> None:
 
 
 def _netconvert() -> str:
-    found = which("netconvert")
+    found = find_program("netconvert")
     if found is None and find_spec("sumo") is not None:
         import sumo
 
-        found = which("netconvert", path=str(Path(sumo.SUMO_HOME) / "bin"))
+        found = find_program("netconvert", [str(Path(sumo.SUMO_HOME) / "bin")])
     if found is None:
         raise InputError(
             "netconvert, which makes SUMO's network from OpenDRIVE, is missing; pip install 'cornercase[sumo]'."
