@@ -140,7 +140,16 @@ def test_a_batch_that_costs_its_worker_is_run_one_by_one(on_cluster, tmp_path):
 @pytest.mark.slow
 def test_a_simulator_goes_to_no_others_after_the_workers_that_offer_it_were_lost(client, tmp_path, monkeypatch):
     monkeypatch.setattr(dask_client, "_FIRST_WORKER", 1.0)
+    security = client.security
+    for name, content in (
+        ("ca", security.tls_ca_file),
+        ("cert", security.tls_worker_cert),
+        ("key", security.tls_worker_key),
+    ):
+        (tmp_path / f"{name}.pem").write_text(content)
     command = [sys.executable, "-m", "dask", "worker", client.scheduler.address, "--resources", "inside=1"]
+    for option, name in (("--tls-ca-file", "ca"), ("--tls-cert", "cert"), ("--tls-key", "key")):
+        command += [option, str(tmp_path / f"{name}.pem")]
     place = dict(os.environ, DASK_DISTRIBUTED__WORKER__DAEMON="False", DASK_TEMPORARY_DIRECTORY=str(tmp_path))
     place["PYTHONPATH"] = os.pathsep.join(sys.path)
     with subprocess.Popen([*command, "--nthreads", "1", "--no-nanny", "--no-dashboard"], env=place) as special:

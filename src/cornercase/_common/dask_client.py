@@ -22,7 +22,7 @@ from cornercase._common.lifeline import keep_temporary_files_in
 from cornercase._common.platform import interrupts_kept
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, LocalCluster, WorkerPlugin
+    from distributed import Client, Future, SpecCluster, WorkerPlugin
 
 LOCAL: Final = "local"
 """The cluster that is started on this machine."""
@@ -191,26 +191,12 @@ def _leave_guardian(guardian: Guardian, kind: type[BaseException] | None) -> Non
         guardian.close()
 
 
-def _started_cluster(workers: int, guardian: Guardian) -> LocalCluster:
-    from distributed import LocalCluster, Nanny
-
-    class GuardedNanny(Nanny):
-        """Starts a worker, and another one where it was ended, which are ended with this process."""
-
-        async def instantiate(self) -> Any:
-            with guardian.watch_all():
-                return await super().instantiate()
+def _started_cluster(workers: int, guardian: Guardian) -> SpecCluster:
+    from cornercase._common.local_cluster import start
 
     for tries in range(_STARTS):
         try:
-            return LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                worker_class=GuardedNanny,
-                # Only a free port is none that somebody else may want.
-                dashboard_address="127.0.0.1:0",
-                silence_logs=logging.CRITICAL,
-            )
+            return start(workers, guardian)
         except KeyboardInterrupt:
             # What was being started fails now, one by one, which asyncio would tell.
             logging.getLogger("asyncio").setLevel(logging.CRITICAL)
