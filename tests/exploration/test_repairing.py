@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -12,7 +13,10 @@ import pytest
 
 import cornercase as cc
 from command_line import X, cornercase
+from cornercase._common.errors import InputError
+from cornercase.exploration import repairing
 from cornercase.study import Study, write_note
+from cornercase.study.lease import Lease
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +99,154 @@ def test_what_does_not_fit_into_memory_is_said_before(damaged, monkeypatch):
     assert result.returncode == 2
     assert "which is more than --memory 2 GB; give more." in result.stderr
     assert sorted(one.name for one in damaged.parent.iterdir()) == ["s.db"]
+
+
+@pytest.fixture
+def meanwhile(monkeypatch):
+    """Let something happen while scenarios are run again, or before another step of the repair."""
+
+    def let(action, step="configured_simulator"):
+        plain = getattr(repairing, step)
+
+        def after_action(*given):
+            action()
+            return plain(*given)
+
+        monkeypatch.setattr(repairing, step, after_action)
+
+    for patience in ("database._PATIENCE_BESIDE", "held_file._PATIENCE"):
+        monkeypatch.setattr(f"cornercase.study.{patience}", 0.1)
+    return let
+
+
+def repaired(path: Path):
+    return cornercase("verify", path, "--repair", "--scenario", X)
+
+
+def test_42_s3_nobody_writes_to_a_study_while_it_is_repaired(whole, damaged, meanwhile):
+    said = []
+
+    def write():
+        with pytest.raises(InputError) as error:
+            write_note(damaged, 1, "brakes late")
+        said.append(str(error.value))
+        # What every explorer does first, here without waiting half a minute for its turn.
+        with closing(sqlite3.connect(damaged, timeout=0.1)) as explorer, pytest.raises(sqlite3.Error, match="locked"):
+            Lease.take(damaged, explorer)
+        # Reading is allowed.
+        with Study.open(damaged) as reader:
+            assert len(reader.rows()) == 4
+        assert repaired(damaged).returncode == 2
+
+    meanwhile(write)
+    assert repaired(damaged).returncode == 0
+    assert "keeps it to itself, as `verify --repair` does" in said[0]
+    assert contents(damaged) == contents(whole)
+    write_note(damaged, 1, "brakes late")
+    assert sorted(one.name for one in damaged.parent.iterdir()) == ["s.db", "s.db.damaged"]
+
+
+@pytest.mark.parametrize("step", ["rebuild", "_require_runnable"])
+def test_42_s3_a_note_that_is_written_while_a_damaged_study_is_read_stays(damaged, meanwhile, step):
+    written = []
+
+    def write():
+        if step == "rebuild":
+            write_note(damaged, 1, "brakes late")
+        else:
+            with pytest.raises(InputError):
+                write_note(damaged, 1, "brakes late")
+        written.append(step)
+
+    meanwhile(write, step)
+    result = repaired(damaged)
+    assert written
+    if step == "rebuild":
+        assert result.returncode == 2
+        assert f"{damaged}: was written to while it was repaired, so nothing was replaced" in result.stderr
+        with Study.open(damaged) as study:
+            assert study.notes() == {1: "brakes late"}
+        assert [one.name for one in damaged.parent.iterdir()] == ["s.db"]
+    else:
+        assert result.returncode == 0
+
+
+def explored_further(whole: Path, damaged: Path) -> None:
+    """Thirty scenarios, in a sound copy that took the place of the study."""
+    other = damaged.with_name("other.db")
+    shutil.copy(whole, other)
+    os.replace(other, damaged)
+    cc.explore(
+        X, damaged, ego="Ego", other="Pedestrian", metrics=["wttc"], ranges=["ego_start=20:60"],
+        optimizer="sobol", budget=34, duration=4.0, time_step=0.2,
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files that are open cannot be written by others there")
+@pytest.mark.parametrize("readable", [True, False])
+@pytest.mark.parametrize("how", ["copied over", "renamed", "removed", "explored"])
+def test_42_s3_what_is_put_in_place_of_a_study_while_it_is_repaired_stays(whole, damaged, meanwhile, how, readable):
+    before = damaged.read_bytes()
+    if not readable:
+        damaged.write_bytes(bytes(100) + before[100:])
+    backup = whole.read_bytes()
+
+    def put():
+        if how == "copied over":
+            damaged.write_bytes(backup)
+        elif how == "explored":
+            explored_further(whole, damaged)
+        elif how == "removed":
+            damaged.unlink()
+        else:
+            other = damaged.with_name("backup.db")
+            other.write_bytes(backup)
+            os.replace(other, damaged)
+
+    meanwhile(put)
+    result = repaired(damaged)
+    assert result.returncode == 2
+    told = {"copied over": "was written to", "removed": "was removed"}.get(how, "another file has taken its place")
+    assert f"s.db: {told} while it was repaired, so nothing was replaced" in result.stderr
+    assert not damaged.with_name("s.db.damaged").exists()
+    if how == "removed":
+        assert not damaged.exists()
+    elif how == "explored":
+        with Study.open(damaged) as study:
+            assert len(study.done()) == 34
+    else:
+        with closing(sqlite3.connect(damaged)) as connection:
+            assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+        assert contents(damaged) == contents(whole)
+
+
+@pytest.mark.parametrize("step", ["configured_simulator", "_still_other", "_keep"])
+def test_42_s3_an_interrupted_repair_leaves_the_study_as_it_was(damaged, meanwhile, step):
+    before = damaged.read_bytes()
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    meanwhile(interrupt, step)
+    assert repaired(damaged).returncode == 130
+    assert damaged.read_bytes() == before
+    assert [one.name for one in damaged.parent.iterdir()] == ["s.db"]
+    write_note(damaged, 1, "nobody keeps it any more")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files that are open stay there")
+def test_42_s3_who_waited_for_a_study_that_was_replaced_does_not_write_to_the_earlier_file(whole, damaged, monkeypatch):
+    plain = Lease.take
+
+    def replaced_before(path, connection):
+        other = damaged.with_name("other.db")
+        shutil.copy(whole, other)
+        os.replace(damaged, damaged.with_name("s.db.damaged"))
+        os.replace(other, damaged)
+        return plain(path, connection)
+
+    monkeypatch.setattr(Lease, "take", replaced_before)
+    with pytest.raises(InputError, match="another file has taken its place just now"):
+        Study.open(damaged, readonly=False)
+    with closing(sqlite3.connect(damaged.with_name("s.db.damaged"))) as connection:
+        assert connection.execute("SELECT count(*) FROM lease").fetchone() == (0,)

@@ -92,6 +92,16 @@ def replace_file(source: Path, target: Path) -> None:
     os.replace(source, target)
 
 
+def renames_open_files() -> bool:
+    """Tell whether a file that a program has open can be renamed and replaced, which Windows refuses.
+
+    Returns
+    -------
+    bool
+    """
+    return not _WINDOWS
+
+
 def force_file(path: Path) -> None:
     """Wait until the content of a file is on the disk, where a power cut cannot reach it.
 

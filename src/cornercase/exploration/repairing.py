@@ -7,7 +7,7 @@ import os
 import shutil
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import count, groupby, takewhile
 from pathlib import Path
@@ -20,6 +20,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit, size_in_words, state_need
 from cornercase._common.pending_files import OF_SQLITE
+from cornercase._common.platform import alone_in, force_file
 from cornercase.drivers import Driver
 from cornercase.exploration.again import configuration_of, require_same_runs
 from cornercase.exploration.asynchronous import AsynchronousExplorer
@@ -28,7 +29,7 @@ from cornercase.exploration.exploring import configured_simulator, started_refer
 from cornercase.exploration.proposing import Proposer, Search
 from cornercase.optimizers import create_optimizer
 from cornercase.scenario import Scenario
-from cornercase.study import IMPORTED, Remains, Row, Study, rebuild, require_alone, verify
+from cornercase.study import IMPORTED, HeldFile, Remains, Row, Study, rebuild, verify
 
 _DAMAGED: Final = ".damaged"
 # Its rows, and those of a table that is read once more.
@@ -69,7 +70,8 @@ def repair(
 
     What is as it was written is kept. Scenarios of which something is lost are run again, with the simulator and the
     settings of the study; where it is lost which they were, its search is asked for them again, and where it is lost
-    how many, it goes on until its budget is used up. The damaged file is kept under another name.
+    how many, it goes on until its budget is used up. The damaged file is kept under another name. Until it is replaced
+    nobody else can write to it.
 
     Parameters
     ----------
@@ -93,8 +95,8 @@ def repair(
     Raises
     ------
     InputError
-        It cannot be brought back, what it takes is not here, another one writes to it, or it needs more memory; the
-        study is left as it is.
+        It cannot be brought back, what it takes is not here, another one writes to it, it changed meanwhile, or it
+        needs more memory; the study is left as it is.
 
     See Also
     --------
@@ -105,28 +107,35 @@ def repair(
     file = file.resolve()
     workers = whole_number("workers", workers, least=1)
     limit = MemoryLimit.of(memory)
-    with _said(file):
+    with _said(file), alone_in(file.parent):
         _take_back(file)
     if verify(file).sound:
         return Repaired(file, None, (), ())
-    require_alone(file)
-    size = file.stat().st_size
-    need = _COPIES * size
-    limit.require(need, f"the contents of a study of {size_in_words(size)}", "give more")
-    state_need("The contents of the study", need)
-    with _said(file), written_whole(file) as made:
-        made.unlink()
-        remains = rebuild(file, made)
-        lost = list(remains.lost)
-        if remains.again or not remains.counted:
-            _require_runnable(file, remains)
-            _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
-        if not remains.counted:
-            lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
-        lost += _still_other(made, remains)
-        # It may have taken long.
-        require_alone(file)
-        kept = _keep(file)
+    # What stands beside a temporary name is removed after it; what keeps others out ends when the file is replaced.
+    with _said(file), ExitStack() as ends, _undone(file), HeldFile(file) as held:
+        size = file.stat().st_size
+        need = _COPIES * size
+        limit.require(need, f"the contents of a study of {size_in_words(size)}", "give more")
+        state_need("The contents of the study", need)
+        with written_whole(file) as made:
+            made.unlink()
+            remains = rebuild(file, made)
+            lost = list(remains.lost)
+            held.lock()
+            if remains.again or not remains.counted:
+                _require_runnable(file, remains)
+                _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
+            if not remains.counted:
+                lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
+            lost += _still_other(made, remains)
+            # That takes time, and nothing may take time after it was looked whether the file is the same.
+            force_file(made)
+            # Another repair would undo what is half done.
+            ends.enter_context(alone_in(file.parent))
+            held.require_same()
+            held.release_to_rename()
+            kept = _keep(file)
+            held.moved(kept)
     return Repaired(file, kept, remains.again, tuple(lost))
 
 
@@ -138,6 +147,17 @@ def _said(file: Path) -> Iterator[None]:
     except (OSError, sqlite3.Error) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{file}: cannot be repaired ({why}); make room, or copy it elsewhere.") from error
+
+
+@contextmanager
+def _undone(file: Path) -> Iterator[None]:
+    """Take back the other name of a file that is not replaced after all."""
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            _take_back(file)
+        raise
 
 
 def _keep(file: Path) -> Path:
@@ -162,9 +182,12 @@ def _take_back(file: Path) -> None:
         if not kept.samefile(file):
             continue
         for ending in OF_SQLITE:
-            beside = kept.with_name(kept.name + ending)
-            if beside.exists():
-                os.replace(beside, file.with_name(file.name + ending))
+            beside, own = kept.with_name(kept.name + ending), file.with_name(file.name + ending)
+            if own.exists() and own.stat().st_size:
+                # Somebody has written to it since.
+                beside.unlink(missing_ok=True)
+            elif beside.exists():
+                os.replace(beside, own)
         kept.unlink()
 
 

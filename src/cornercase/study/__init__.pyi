@@ -4,6 +4,7 @@ from .damage import made as made
 from .damage import require as require
 from .elsewhere import digest_of_scores as digest_of_scores
 from .explored import explored_scenario as explored_scenario
+from .held_file import HeldFile as HeldFile
 from .importing import IMPORTED as IMPORTED
 from .importing import ImportResult as ImportResult
 from .importing import import_recordings as import_recordings
@@ -16,7 +17,6 @@ from .opening import begun_study as begun_study
 from .opening import open_study as open_study
 from .rebuilding import Remains as Remains
 from .rebuilding import rebuild as rebuild
-from .rebuilding import require_alone as require_alone
 from .repeated_runs import FEWEST_CLEAR_RUNS as FEWEST_CLEAR_RUNS
 from .repeated_runs import are_open as are_open
 from .store import Study as Study

@@ -6,7 +6,7 @@ import os
 import sqlite3
 import stat
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -79,8 +79,8 @@ def _unreachable(path: Path, error: sqlite3.Error) -> str:
             " beside it, where you may write."
         )
     return (
-        f"{path}: cannot be used as a study ({error}): another program keeps it to itself, or its file system knows no"
-        " locks; end that program, or copy the study elsewhere."
+        f"{path}: cannot be used as a study ({error}): another program keeps it to itself, as `verify --repair` does,"
+        " or its file system knows no locks; wait until that program has ended, or copy the study elsewhere."
     )
 
 
@@ -273,6 +273,42 @@ def connected(path: Path, patience: float = 30.0) -> sqlite3.Connection:
     # A reader of a file in WAL mode has to make its shared memory beside it. Where it cannot, nobody writes either.
     location = f"{path.resolve().as_uri()}?{'immutable=1' if is_out_of_reach(path) else 'mode=rw'}"
     return sqlite3.connect(location, uri=True, timeout=patience)
+
+
+def file_at(path: Path) -> tuple[int, int] | None:
+    """Tell which file a name leads to.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    tuple of (int, int) or None
+        None where there is none.
+    """
+    with suppress(OSError):
+        found = path.stat()
+        return found.st_dev, found.st_ino
+    return None
+
+
+def require_still(path: Path, file: tuple[int, int] | None) -> None:
+    """Refuse to write where a name leads to another file by now: who waits for a lock may get that of the earlier file.
+
+    Parameters
+    ----------
+    path : Path
+    file : tuple of (int, int) or None
+        What `file_at` said before the file was opened.
+
+    Raises
+    ------
+    InputError
+        It does.
+    """
+    if file_at(path) != file:
+        raise InputError(f"{path}: another file has taken its place just now; run the same command again.")
 
 
 def is_out_of_reach(path: Path) -> bool:

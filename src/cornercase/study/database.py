@@ -17,6 +17,7 @@ from cornercase._common.platform import alone_in
 from cornercase.study.connecting import (
     connected,
     damage_of,
+    file_at,
     is_out_of_reach,
     migrate_alone,
     of_today,
@@ -25,6 +26,7 @@ from cornercase.study.connecting import (
     require_intact,
     require_one_name,
     require_plain,
+    require_still,
     require_study,
     sentences,
 )
@@ -141,6 +143,7 @@ class Database:
     def _opened(cls, path: Path, writes: bool) -> Database:
         """Open for reading, or for writing with a lease."""
         lease = None
+        file = file_at(path)
         with sentences(path):
             connection = connected(path)
             try:
@@ -159,6 +162,7 @@ class Database:
                         with damage_told(path):
                             migrate_alone(path, connection)
                     lease = Lease.take(path, connection)
+                    require_still(path, file)
                 else:
                     with damage_told(path):
                         connection = of_today(connection)
@@ -471,10 +475,12 @@ def written_beside(path: Path) -> Iterator[sqlite3.Connection]:
     if not reads_itself:
         # Of an earlier version, or one that cannot be written, which is said.
         Database.open(path, readonly=False).close()
+    file = file_at(path)
     with sentences(path), damage_of(path), closing(connected(path, _PATIENCE_BESIDE)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
         require_plain(path, connection)
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("BEGIN IMMEDIATE")
         with connection:
+            require_still(path, file)
             yield connection

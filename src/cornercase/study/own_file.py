@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import StudyLostError
+from cornercase.study.connecting import file_at
 from cornercase.study.lease import Lease
 
 # Looks into the file, which another process may be in the middle of writing a page of, and s between them.
@@ -38,7 +39,7 @@ class OwnFile:
     def __init__(self, path: Path, connection: sqlite3.Connection, lease: Lease) -> None:
         self._path, self._connection, self._lease = path, connection, lease
         # Names may be changed while the file is open.
-        self._files = {one: _identity(one) for one in _files_of(path)}
+        self._files = {one: file_at(one) for one in _files_of(path)}
         self._seen: tuple[int, int] | None = None
         # The lease gets from the log into the file.
         with suppress(sqlite3.Error):
@@ -86,7 +87,7 @@ class OwnFile:
         )
 
     def _has_its_name(self) -> bool:
-        return _identity(self._path) == self._files[self._path]
+        return file_at(self._path) == self._files[self._path]
 
     def _is_copied_over(self, thorough: bool) -> bool:
         seen = _state(self._path)
@@ -130,7 +131,7 @@ class OwnFile:
         self._lease.forget()
         # What closes the file would write the log into what was copied over it.
         log = _files_of(self._path)[1]
-        if _identity(log) == self._files[log]:
+        if file_at(log) == self._files[log]:
             with suppress(OSError):
                 os.truncate(log, 0)
         self._connection.close()
@@ -139,7 +140,7 @@ class OwnFile:
     def _remove_beside(self) -> None:
         # What is beside it now would be taken for the log of what has its name now.
         for beside, known in self._files.items():
-            if beside != self._path and known is not None and _identity(beside) == known:
+            if beside != self._path and known is not None and file_at(beside) == known:
                 with suppress(OSError):
                     beside.unlink()
 
@@ -148,14 +149,6 @@ def _files_of(path: Path) -> tuple[Path, ...]:
     """The file of a study, and those that SQLite keeps beside it."""
     whole = path.resolve()
     return (path, *(whole.with_name(whole.name + ending) for ending in ("-wal", "-shm")))
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
-    try:
-        found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
 
 
 def _state(path: Path) -> tuple[int, int] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections import defaultdict
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
 from functools import reduce
 from operator import xor
@@ -12,10 +12,9 @@ from pathlib import Path
 
 from cornercase._common.errors import InputError
 from cornercase._common.texts import loaded_json
-from cornercase.study.connecting import connected, require_one_name
+from cornercase.study.connecting import require_one_name
 from cornercase.study.damage import damage_told
 from cornercase.study.database import make_tables
-from cornercase.study.lease import require_no_writer
 from cornercase.study.meta import StudyMeta
 from cornercase.study.salvaging import Rows, salvaged, tables_in_order
 from cornercase.study.schema import TABLES
@@ -104,22 +103,6 @@ def rebuild(damaged: Path, made: Path) -> Remains:
                 put(connection, name, found[name].values(), replace=False)
         connection.commit()
     return Remains(meta, rounds, again, tuple(lost), tallies, "scenarios" in tallies)
-
-
-def require_alone(path: Path) -> None:
-    """Refuse a study that another one writes to, as far as its lease can be read.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    InputError
-        Another one holds its lease.
-    """
-    with suppress(sqlite3.Error, UnicodeDecodeError), closing(connected(path)) as connection:
-        require_no_writer(path, connection)
 
 
 def _known_tallies(damaged: Path, found: dict[str, Rows]) -> dict[str, tuple[int, int]]:
