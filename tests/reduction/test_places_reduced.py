@@ -100,7 +100,7 @@ def test_a_study_of_many_is_reduced_within_a_memory(tmp_path, monkeypatch):
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
     found = analyze(path)
     assert all(one.inexact is not None for one in found.values())
-    monkeypatch.setattr(reducing, "explored_scenario", lambda study, scenario: None)
+    monkeypatch.setattr(reducing, "explored_scenario", lambda *given, **options: None)
     reduced = reduce(path, tmp_path / "kept", size=8)
     assert len(reduced) == 8
     assert reduced.coverage["distance"].largest_relative < 0.5

@@ -133,6 +133,44 @@ def quoted_name(name: str) -> str:
     return name if _ONE_WORD.fullmatch(name) else json.dumps(name, ensure_ascii=False)
 
 
+# Where an absolute path may begin, and what ends the name of a folder.
+_ROOT: Final = re.compile(r"(?<![\w./\\~])(?:/|[A-Za-z]:[/\\])(?=[^\s/\\])")
+_SEPARATOR: Final = re.compile(r"[/\\]")
+
+
+def without_folders(text: str) -> str:
+    """Leave out the folders of files that a text names by absolute paths: where they lie is nobody else's concern.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    str
+        The names of the files stay.
+    """
+    parts, at = [], 0
+    while root := _ROOT.search(text, at):
+        begin, end = root.start(), root.start()
+        # A folder's name may hold anything; where it ends is known as it is there.
+        for separator in _SEPARATOR.finditer(text, root.end()):
+            if not _is_folder(text[begin : separator.end()]):
+                break
+            end = separator.end()
+        parts.append(text[at:begin])
+        at = end if end > begin else root.end()
+        parts.append(text[end:at])
+    return "".join(parts) + text[at:]
+
+
+def _is_folder(path: str) -> bool:
+    try:
+        return Path(path).is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def in_one_line(error: Exception) -> str:
     """Say in a line what went wrong in code of another package.
 

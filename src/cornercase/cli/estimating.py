@@ -48,7 +48,10 @@ def estimate(
     seed: Seed = 0,
     scenario: Annotated[
         Path | None,
-        typer.Option(metavar="SCENARIO.xosc", help="Scenario that was explored; default: the file beside the study."),
+        typer.Option(
+            metavar="SCENARIO.xosc",
+            help="Scenario explored; default: as the study names it, beside it or here.",
+        ),
     ] = None,
     simulator: Annotated[
         str | None,

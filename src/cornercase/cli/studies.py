@@ -177,7 +177,8 @@ def reduce(
     scenario: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.xosc", help="Scenario that was explored; default: found beside the study or in this folder."
+            metavar="FILE.xosc",
+            help="Scenario explored; default: as the study names it, beside it or here.",
         ),
     ] = None,
     workers: LocalWorkers = 1,

@@ -27,7 +27,7 @@ def verify(
     ] = False,
     scenario: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Scenario file; default: found beside the study or here by its fingerprint."),
+        typer.Option(metavar="FILE", help="Scenario file; default: as the study names it, beside it or here."),
     ] = None,
     simulator: Annotated[
         str | None,

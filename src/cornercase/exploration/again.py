@@ -47,7 +47,7 @@ def configuration_of(
         The scenario file is not found, or a driver is not here.
     """
     meta, settings = study.meta, study.meta.settings
-    source = explored_scenario(study, scenario)
+    source = explored_scenario(study, scenario, where_named=True)
     if source is None:
         raise InputError(f"{file}: holds imported recordings, so no further scenario can be run.")
     known: dict[str, str | Driver] = dict(by_name("drivers", drivers))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 from cornercase._common.arguments import by_name, flag, number, path, shown, text, texts, whole_number
 from cornercase._common.dask_client import cluster_argument
 from cornercase._common.errors import InputError
+from cornercase._common.texts import without_folders
 from cornercase.drivers import Driver, is_driver
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
@@ -17,7 +18,7 @@ from cornercase.metrics import EVERYBODY, METRICS, CriticalIf, name_others
 from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import MOST_WORKERS
-from cornercase.study import FEWEST_CLEAR_RUNS, MOST_AUDITS, StudyMeta
+from cornercase.study import FEWEST_CLEAR_RUNS, MOST_AUDITS, StudyMeta, stored_path
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -286,7 +287,12 @@ class Configuration:
         return objective.known_threshold(self.critical)
 
     def meta(
-        self, objective: Objective, settings: Mapping[str, object], elsewhere: Mapping[str, object] | None = None
+        self,
+        objective: Objective,
+        settings: Mapping[str, object],
+        elsewhere: Mapping[str, object] | None = None,
+        *,
+        study: Path = Path("study.db"),
     ) -> StudyMeta:
         """What a study of this exploration is about.
 
@@ -297,6 +303,8 @@ class Configuration:
             Those of the simulator.
         elsewhere : mapping of str to object, optional
             As `StudyMeta` has it.
+        study : Path, optional
+            Where it is, or will be, as it names the scenario file from there; by default in the current folder.
 
         Returns
         -------
@@ -304,14 +312,15 @@ class Configuration:
         """
         threshold = self.threshold(objective)
         return StudyMeta(
-            scenario=str(self.logical.path.resolve()),
+            scenario=stored_path(self.logical.path, study),
             fingerprint=self.logical.fingerprint,
             space=self.logical.space,
             ego=self.ego,
             other=self.others[0] if len(self.others) == 1 else self.others,
             metrics=tuple(metric.name for metric in objective.metrics),
             optimizer=self.optimizer,
-            simulator=self.simulator,
+            # Its options may name files and programs.
+            simulator=without_folders(self.simulator),
             settings=settings,
             critical=None if threshold is None else objective.flip(threshold),
             weights=dict(self.weights),

@@ -77,8 +77,8 @@ def estimate(
     seed : int, default 0
         The same seed gives the same result.
     scenario : path or Scenario, optional
-        File that was explored. By default it is looked for beside the study and in the current folder, and known by its
-        fingerprint.
+        File that was explored. By default it is looked for where the study names it, beside the study and in the
+        current folder, and known by its fingerprint.
     simulator : str, optional
         By default that of the study, without options.
     drivers : mapping of str to str or Driver, optional
@@ -126,7 +126,7 @@ def estimate(
     points, scores = points[:known], scores[:known]
     begun = time.monotonic()
     with configured_simulator(about) as running:
-        meta = about.meta(objective, running.settings)
+        meta = about.meta(objective, running.settings, study=made)
         name = f"importance-sampling:learn={learn},known={known}-{_digest(points, scores)}"
         meta = replace(meta, critical=objective.flip(threshold), optimizer=name)
         require_same_runs(file, source.meta, running)

@@ -215,7 +215,8 @@ def _replay(one: Configuration, study: Path) -> ExplorationResult:
     objective, optimizer = _searched_by(one)
     known = _known(one, study, objective, optimizer)
     with Study.open(study, readonly=True) as opened:
-        meta = one.meta(objective, opened.meta.settings, opened.meta.elsewhere if known is None else known.about)
+        elsewhere = opened.meta.elsewhere if known is None else known.about
+        meta = one.meta(objective, opened.meta.settings, elsewhere, study=study)
     return replay_proposals(study, meta, objective, optimizer)
 
 
@@ -288,7 +289,7 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
         some = one.logical.space.values(one.logical.space.samples())
         simulator.require_runnable([one.logical.concrete(values) for values in some])
         warn_of(_notices(one))
-        meta = one.meta(objective, simulator.settings, None if known is None else known.about)
+        meta = one.meta(objective, simulator.settings, None if known is None else known.about, study=path)
         with begun_study(path, meta) as study:
             if known is None:
                 # What it began from is in the study.

@@ -77,8 +77,8 @@ def repair(
     ----------
     study : path
     scenario : path or Scenario, optional
-        File that was explored. By default it is looked for beside the study and in the current folder, and known by its
-        fingerprint.
+        File that was explored. By default it is looked for where the study names it, beside the study and in the
+        current folder, and known by its fingerprint.
     simulator : str, optional
         By default that of the study, without options.
     drivers : mapping of str to str or Driver, optional

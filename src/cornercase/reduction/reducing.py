@@ -105,8 +105,8 @@ def reduce(
         expose as many as possible are kept first, as in `cornercase.reduction.exposing.choose_exposing`, and then those
         that are kept without.
     scenario : path or Scenario, optional
-        File that was explored, from which the files are made. By default it is looked for beside the study and in the
-        current folder, and known by its fingerprint; the path that the study holds is never opened.
+        File that was explored, from which the files are made. By default it is looked for where the study names it,
+        beside the study and in the current folder, and known by its fingerprint.
     memory : str or float, default "4 GB"
         That the process may take, in bytes or in words.
     progress : bool, default False
@@ -152,7 +152,7 @@ def reduce(
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
         begun = time.monotonic()
         # Looked at before anything is written or takes time.
-        explored = explored_scenario(opened, scenario)
+        explored = explored_scenario(opened, scenario, where_named=True)
         opened.elapsed()
         _require_memory(opened, limit)
         ran = read_ran(opened)

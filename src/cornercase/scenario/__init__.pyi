@@ -11,6 +11,7 @@ from .declared_types import typed_value as typed_value
 from .declared_types import unusable_values as unusable_values
 from .declared_types import value_text as value_text
 from .finding import find_scenario as find_scenario
+from .finding import scenario_of as scenario_of
 from .logical import ConcreteScenario as ConcreteScenario
 from .logical import LogicalScenario as LogicalScenario
 from .openscenario import DRIVER_PROPERTY as DRIVER_PROPERTY

@@ -43,7 +43,7 @@ def find_scenario(
     for folder in folders:
         other = None
         for file in _candidates(name, folder):
-            if (scenario := _that_has(file, fingerprint, space)) is not None:
+            if (scenario := scenario_of(file, fingerprint, space)) is not None:
                 return scenario
             if other is None and file.name == name:
                 other = file
@@ -52,7 +52,22 @@ def find_scenario(
     return None
 
 
-def _that_has(file: Path, fingerprint: str, space: ParameterSpace) -> Scenario | None:
+def scenario_of(file: Path, fingerprint: str, space: ParameterSpace) -> Scenario | None:
+    """Read a file, where that is the scenario file of a fingerprint.
+
+    Parameters
+    ----------
+    file : Path
+    fingerprint : str
+        As `LogicalScenario.fingerprint`.
+    space : ParameterSpace
+        What is varied; it may name road files.
+
+    Returns
+    -------
+    Scenario or None
+        None where it has another one, or cannot be read.
+    """
     try:
         scenario = with_roads(Scenario(file), space)
         return scenario if scenario.fingerprint() == fingerprint else None

@@ -20,6 +20,7 @@ from .rebuilding import rebuild as rebuild
 from .repeated_runs import FEWEST_CLEAR_RUNS as FEWEST_CLEAR_RUNS
 from .repeated_runs import are_open as are_open
 from .store import Study as Study
+from .stored_paths import stored_path as stored_path
 from .table import Row as Row
 from .verifying import Verification as Verification
 from .verifying import verify as verify

@@ -26,6 +26,7 @@ from cornercase.scenario import Parameter, ParameterSpace, Value
 from cornercase.study.meta import StudyMeta
 from cornercase.study.opening import begun_study
 from cornercase.study.store import Study
+from cornercase.study.stored_paths import stored_path
 from cornercase.study.table import Row
 
 IMPORTED: Final = "imported"
@@ -122,7 +123,7 @@ def import_recordings(
         raise InputError("`metrics`: name at least one.")
     known = critical is not None or built[0].critical is not None
     meta = StudyMeta(
-        scenario=str(folder.resolve()),
+        scenario=stored_path(folder, path),
         fingerprint=_fingerprint(table, folder, files),
         space=_space(values),
         ego=ego,
@@ -130,7 +131,7 @@ def import_recordings(
         metrics=tuple(metric.name for metric in built),
         optimizer="none",
         simulator=IMPORTED,
-        settings={"table": str(table.resolve())},
+        settings={"table": stored_path(table, path)},
         critical=built[0].find_threshold(critical) if known else None,
         budget=len(files),
         batch=len(files),

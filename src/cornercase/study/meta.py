@@ -78,7 +78,8 @@ class StudyMeta:
     Attributes
     ----------
     scenario : str
-        Path of the scenario file, or of the folder of imported recordings or of a suite.
+        Path of the scenario file, or of the folder of imported recordings or of a suite, from the folder of the study
+        on, as `stored_path` gives it. Earlier versions stored an absolute one, of which only the name counts.
     fingerprint : str
         SHA-256 of the scenario and the files that it uses, or of the imported files; of a suite that of its first one.
     space : ParameterSpace

@@ -101,7 +101,7 @@ def begun_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
         except InputError:
             # Whatever keeps it from being removed is not what the command failed of.
             with suppress(InputError, OSError):
-                if not study.done():
+                if not study.done() and not study.notes():
                     study.close()
                     path.unlink()
                     remove_log(path)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.texts import require_whole
+from cornercase._common.texts import require_whole, without_folders
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import ReferenceOutcome
 from cornercase.metrics import Measured
@@ -285,7 +285,7 @@ class Study(StudyContents):
         error : SimulationError
         """
         with self._database.writing() as connection:
-            self._end(connection, scenario, "failed", str(error), None)
+            self._end(connection, scenario, "failed", without_folders(str(error)), None)
 
     def retry_failed(self) -> int:
         """Make scenarios that failed pending again.

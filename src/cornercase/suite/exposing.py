@@ -64,7 +64,8 @@ def find_exposure(
     seed : int, default 0
         The same seed gives the same mutants, as `cornercase.drivers.mutants_of` draws them.
     scenario : path or Scenario, optional
-        File that was explored; by default it is looked for beside the study and in the current folder.
+        File that was explored; by default it is looked for where the study names it, beside the study and in the
+        current folder.
     workers : int, default 1
         Processes of a local cluster.
     cluster : str or distributed.Client, optional
@@ -93,7 +94,7 @@ def find_exposure(
                 f"`require` {one}: is for some files or kinds of a suite; say what holds in all scenarios."
             )
     with open_study(study) as opened:
-        explored = explored_scenario(opened, scenario)
+        explored = explored_scenario(opened, scenario, where_named=True)
         meta = opened.meta
         require_builtin(meta.simulator)
         if explored is None or meta.suite:

@@ -147,7 +147,7 @@ class SuiteResult:
         same = sum(one.same for one in compared)
         far = [one.distance for one in compared if one.distance is not None and not one.same]
         most = f"; the ego is up to {max(far):.3g} m elsewhere" if far else ""
-        return f"{same} of {len(compared)} recordings are byte for byte those in {self.against}{most}"
+        return f"{same} of {len(compared)} recordings are byte for byte those in {self.against.name}{most}"
 
     def __repr__(self) -> str:
         return f"<SuiteResult: {self.text}, in {str(self.study)!r}>"

@@ -14,10 +14,11 @@ from cornercase._common.arguments import path as path_argument
 from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_apart, require_other_file, require_place
+from cornercase._common.texts import without_folders
 from cornercase.drivers import Driver, is_driver, told_driver
 from cornercase.metrics import EVERYBODY, METRICS, condition_of, name_others
 from cornercase.simulators import MOST_WORKERS, Simulator, start_simulator
-from cornercase.study import Study, StudyMeta
+from cornercase.study import Study, StudyMeta, stored_path
 from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
 from cornercase.suite.exposing import draw_mutants, expose_suite, require_builtin
@@ -163,7 +164,7 @@ def test(
         start = partial(start, workers=workers) if client is None else partial(start, cluster=client)
         with start(options) as started, ExitStack() as stack:
             references = {one: stack.enter_context(_with_reference(start, options, who[0], one)) for one in asked}
-            meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings)
+            meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings, path)
             side_by_side = workers if client is None else None
             before = run_suite(contents, meta, started, path, side_by_side, flag("progress", progress))
             if references:
@@ -316,19 +317,20 @@ def _meta(
     requirements: Sequence[Requirement],
     simulator: str,
     settings: Mapping[str, object],
+    study: Path,
 ) -> StudyMeta:
     kinds = tuple(one.kind for one in suite.scenarios)
     # The threshold is one of the first metric.
     critical = suite.critical if suite.metrics[:1] == metrics[:1] else METRICS.create(metrics[0]).critical
     return StudyMeta(
-        scenario=str(suite.folder.resolve()),
+        scenario=stored_path(suite.folder, study),
         fingerprint=suite.scenarios[0].scenario.fingerprint(),
         space=suite.space,
         ego=who[0],
         other=who[1][0] if len(who[1]) == 1 else who[1],
         metrics=metrics,
         optimizer="none",
-        simulator=simulator,
+        simulator=without_folders(simulator),
         settings=settings,
         critical=critical,
         budget=len(suite.scenarios),

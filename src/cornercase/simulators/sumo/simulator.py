@@ -11,6 +11,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError, suggestion
 from cornercase._common.ledger import Notice
+from cornercase._common.texts import without_folders
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import DRIVERS, Driver, Situation, is_registered
 from cornercase.recordings import Recording
@@ -76,7 +77,7 @@ class SumoSimulator(Simulator):
         self.settings: dict[str, object] = {
             **settings,
             "seed": checked_seed(seed, "SUMO"),
-            "network": network,
+            "network": None if network is None else without_folders(network),
             "sumo": version("libsumo"),
         }
 
