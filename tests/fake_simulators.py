@@ -125,6 +125,33 @@ class InsideSimulator(BatchSimulator):
     in_process = True
 
 
+class TellingSimulator(Simulator):
+    """Tells the values that it was given: an entity of the name of each parameter stands at its value."""
+
+    name = "named-values"
+
+    def __init__(self, *, plan):
+        self.settings = {}
+
+    def run(self, concretes):
+        for concrete in concretes:
+            names, values = zip(*concrete.values.items(), strict=True)
+            still, one = np.zeros((len(names), 2)), np.ones(len(names))
+            yield Recording(
+                time=np.arange(2) * 0.1,
+                names=names,
+                kinds=("car",) * len(names),
+                x=still + np.array(values)[:, None],
+                y=still,
+                heading=still,
+                speed=still,
+                acceleration=still,
+                length=one,
+                width=one,
+                center_x=0 * one,
+            )
+
+
 class NoisySimulator(Simulator):
     """Never gives the same twice: the other stands somewhere else in each run, and every fifth run fails."""
 
@@ -185,3 +212,4 @@ if "failing" not in SIMULATORS.names():
     SIMULATORS.register("failing", FailingSimulator)
     SIMULATORS.register("batches", BatchSimulator)
     SIMULATORS.register("inside", InsideSimulator)
+    SIMULATORS.register("named-values", TellingSimulator)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import socket
 import sys
@@ -16,15 +17,17 @@ import numpy as np
 import psutil
 import pytest
 
+import cornercase as cc
 import foreign_recordings as foreign
 from command_line import cornercase
-from conftest import ran
+from conftest import ran, same_recording
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMakerSimulator, WorkerSimulator
 from cornercase.simulators.carmaker.cmapi import CarMakerApi
 from cornercase.simulators.carmaker.port import CommandPort
 from cornercase.simulators.carmaker.port_run import PortRun
+from cornercase.study import Study
 
 SAMPLE = Path(__file__).parents[3] / "shared" / "reference" / "simulators" / "carmaker" / "example.erg"
 SCENARIO = """<?xml version="1.0"?>
@@ -364,6 +367,84 @@ def test_explores(project):
     assert done.returncode == 0, done.stderr
     assert sum(one.startswith("StartSim") for one in port.asked) == 4
     port.close()
+
+
+SHEET = SCENARIO.replace(
+    "</ParameterDeclarations>",
+    """  <ParameterDeclaration name="gap" parameterType="double" value="${$ego_speed / 3.6}"/>
+    <ParameterDeclaration name="lanes" parameterType="integer" value="2"/>
+    <ParameterDeclaration name="weather" parameterType="string" value="heavy rain"/>
+    <ParameterDeclaration name="lights" parameterType="boolean" value="true"/>
+  </ParameterDeclarations>""",
+)
+
+
+def sent(asked):
+    """Named values of each run."""
+    runs: list[list[str]] = []
+    for command in asked:
+        if command.startswith("LoadTestRun"):
+            runs.append([])
+        elif command.startswith("NamedValue"):
+            runs[-1].append(command)
+    return runs
+
+
+@pytest.mark.filterwarnings("ignore::cornercase._common.errors.NoticeWarning")
+def test_42_1_a_suite_sends_the_named_values_that_it_was_made_of(project, monkeypatch):
+    folder = project.parent
+    (folder / "s.xosc").write_text(SHEET)
+    port = Port(pieces=1000, course=(), write=lambda path, values: foreign.erg(path, speed=float(values["ego_speed"])))
+    port.project = project
+    monkeypatch.chdir(folder)
+    simulator = (
+        "--simulator",
+        f"carmaker:testrun=Crossing,project={project},hosts=127.0.0.1,port={port.number},via=port",
+    )
+    about = ("--ego", "Ego", "--other", "T00", "--metric", "distance", "--optimizer", "sobol", "--budget", "4")
+    ranges = ("--range", "ego_speed=30:60", "--range", "lanes=1:4")
+
+    def said(*words):
+        done = cornercase(*words, *(simulator if words[0] in ("explore", "test") else ()))
+        assert done.returncode == 0, done.stderr
+        asked, port.asked = sent(port.asked), []
+        return asked
+
+    explored = said("explore", "s.xosc", *ranges, *about, "-o", "s.db")
+    assert len(explored) == 4
+    assert {len(one) for one in explored} == {5}
+    assert "NamedValue set weather {heavy rain}" in explored[0]
+    said("analyze", "s.db", "--by", "ego-speed")
+    said("reduce", "s.db", "--by", "ego-speed", "-o", "set", "--size", "3")
+    manifest = json.loads((folder / "set" / "manifest.json").read_text())
+    made_of = [explored[one["id"] - 1] for one in manifest["scenarios"]]
+    assert len({tuple(one) for one in made_of}) == 3
+    assert said("test", "set", "-o", "run.db") == made_of
+    with Study.open(folder / "run.db", readonly=True) as again, Study.open(folder / "s.db", readonly=True) as before:
+        for row, one in zip(again.rows(), manifest["scenarios"], strict=True):
+            assert same_recording(again.recording(row.id), before.recording(one["id"]))
+    port.close()
+
+
+@pytest.mark.filterwarnings("ignore::cornercase._common.errors.NoticeWarning")
+def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
+    folder = project.parent
+    (folder / "s.xosc").write_text(SHEET)
+    simulator = f"carmaker:testrun=Crossing,project={project},via=cmapi"
+    cc.explore(
+        folder / "s.xosc", folder / "s.db", ranges=["ego_speed=30:60"], ego="Ego", other="T00", metrics=["distance"],
+        optimizer="sobol", budget=4, simulator=simulator,
+    )  # fmt: skip
+    cc.analyze(folder / "s.db", "ego-speed")
+    kept = cc.reduce(folder / "s.db", folder / "set", by="ego-speed", size=2)
+    ran = cc.test(folder / "set", folder / "run.db", simulator=simulator)
+    assert all(one.difference is not None and one.difference.same for one in ran.scenarios)
+    said = [json.loads(one) for one in (project / "said.txt").read_text().splitlines() if one.startswith("{")]
+    assert said[4:] == [said[one.id - 1] for one in kept.kept]
+    assert said[0] == {
+        "ego_speed": said[0]["ego_speed"], "gap": pytest.approx(said[0]["ego_speed"] / 3.6, abs=1e-6), "lanes": 2,
+        "weather": "heavy rain", "lights": "true",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

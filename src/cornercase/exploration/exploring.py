@@ -23,7 +23,7 @@ from cornercase.exploration.objective import Objective
 from cornercase.exploration.replaying import replay_proposals
 from cornercase.optimizers import Optimizer, create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario
-from cornercase.simulators import SIMULATORS, Simulator, start_simulator
+from cornercase.simulators import SIMULATORS, Simulator, start_simulator, with_values
 from cornercase.study import Study, begun_study
 
 if TYPE_CHECKING:
@@ -287,7 +287,7 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
         # Asked before a study is made, since without these means no scenario can be run.
         simulator.require_means(one.logical.scenario)
         some = one.logical.space.values(one.logical.space.samples())
-        simulator.require_runnable([one.logical.concrete(values) for values in some])
+        simulator.require_runnable(with_values(simulator, [one.logical.concrete(values) for values in some]))
         warn_of(_notices(one))
         meta = one.meta(objective, simulator.settings, None if known is None else known.about, study=path)
         with begun_study(path, meta) as study:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 from cornercase._common.arguments import flag, path, texts
 from cornercase._common.errors import InputError
 from cornercase.scenario.constraints import read_declarations
+from cornercase.scenario.named_values import named_values
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.space import ParameterSpace
@@ -54,6 +55,28 @@ class ConcreteScenario:
         """
         given = Scenario.read(self.path) if self.source is None else self.source
         return known if known is not None and known.is_same(given) else given
+
+    def by_name(self) -> ConcreteScenario:
+        """Give the same scenario with the values of all parameters that its file declares.
+
+        Returns
+        -------
+        ConcreteScenario
+            Each value has the type that the file declares. It stays as it is where the file was not read.
+
+        Raises
+        ------
+        InputError
+            A value is not of its type, or cannot be evaluated.
+
+        Examples
+        --------
+        >>> from cornercase.scenario import ConcreteScenario, Scenario
+        >>> scenario = Scenario.read("examples/r157/deceleration.xosc")
+        >>> ConcreteScenario(scenario.path, {"gap": 30.0}, scenario).by_name().values
+        {'ego_kmh': 90.0, 'gap': 30.0, 'deceleration': 0.5}
+        """
+        return self if self.source is None else replace(self, values=named_values(self.source, self.values))
 
 
 @dataclass(frozen=True)

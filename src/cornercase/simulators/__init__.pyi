@@ -11,6 +11,7 @@ from .carmaker.simulator import CarMakerSimulator as CarMakerSimulator
 from .cluster import ClusterSimulator as ClusterSimulator
 from .esmini.simulator import EsminiSimulator as EsminiSimulator
 from .outcomes import outcomes_of as outcomes_of
+from .outcomes import with_values as with_values
 from .registry import SIMULATORS as SIMULATORS
 from .registry import availabilities as availabilities
 from .simulating import simulate as simulate

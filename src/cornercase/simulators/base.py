@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 from cornercase._common.arguments import number, text
 from cornercase._common.errors import InputError, SimulationError
@@ -63,6 +63,10 @@ class Simulator(ABC):
     takes_batches : bool, default False
         Whether many scenarios in one call take less time than one after the other. Such a simulator is given as
         many at once as there are; any other gets them one by one.
+    values_by : {"name", "file"}, default "name"
+        How it takes the values of parameters. By name, ``concrete.values`` holds those of all parameters that the
+        scenario file declares, varied or not. By file, it reads the file, and ``concrete.values`` holds those that
+        differ from it: none, where the scenario is a file of its own, as in a suite.
 
     Examples
     --------
@@ -90,6 +94,7 @@ class Simulator(ABC):
     in_process: ClassVar[bool] = False
     repeats_itself: ClassVar[bool] = False
     takes_batches: ClassVar[bool] = False
+    values_by: Literal["name", "file"] = "name"
 
     @abstractmethod
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:

@@ -17,7 +17,7 @@ from cornercase._common.texts import in_one_line
 from cornercase._common.version import __version__
 from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel, Value
 from cornercase.simulators.base import Simulator
-from cornercase.simulators.outcomes import Outcome, outcomes_of
+from cornercase.simulators.outcomes import Outcome, outcomes_as_given
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.worker_process import unpickled_options
 from cornercase.simulators.workers import WorkerSimulator
@@ -195,7 +195,7 @@ def run_job(
             return None
         try:
             with site.simulator() as simulator:
-                found = list(outcomes_of(simulator, concretes))
+                found = list(outcomes_as_given(simulator, concretes))
         except InputError as error:
             raise InputError(_with_own_paths(str(error), places)) from None
     return [type(one)(_with_own_paths(str(one), places)) if isinstance(one, SimulationError) else one for one in found]

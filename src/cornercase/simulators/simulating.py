@@ -11,6 +11,7 @@ from cornercase._common.ledger import warn_of
 from cornercase.drivers import Driver, told_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
+from cornercase.simulators.outcomes import outcomes_of
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.starting import start_simulator
 
@@ -86,7 +87,7 @@ def simulate(
     }
     with start_simulator(simulator, options, ego=ego, timeout=timeout) as started:
         started.require_means(file)
-        (result,) = started.run([ConcreteScenario(file.path, given, file)])
+        (result,) = outcomes_of(started, [ConcreteScenario(file.path, given, file)])
     if isinstance(result, Exception):
         raise InputError(f"{file.path}: {result}.")
     warn_of(SIMULATORS.class_of(simulator).notices(file, given))

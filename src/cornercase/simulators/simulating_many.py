@@ -17,7 +17,7 @@ from cornercase._common.progress import ProgressBar
 from cornercase.drivers import Driver, told_driver
 from cornercase.scenario import FILE_COLUMN, ConcreteScenario, Scenario, Value, read_value_table
 from cornercase.simulators.base import Simulator
-from cornercase.simulators.outcomes import outcomes_of
+from cornercase.simulators.outcomes import outcomes_of, with_values
 from cornercase.simulators.recordings_folder import NOTES, TABLE, Planned, RecordingsFolder
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.starting import start_simulator
@@ -173,7 +173,7 @@ def simulate_many(
     with started:
         for one in read:
             started.require_means(one)
-        started.require_runnable([one.concrete for one in planned])
+        started.require_runnable(with_values(started, [one.concrete for one in planned]))
         whole = RecordingsFolder(folder, planned, {"simulator": simulator, **started.settings})
         notices = SIMULATORS.class_of(simulator).notices
         warn_of(distinct(notice for one in read for notice in notices(one, given)))

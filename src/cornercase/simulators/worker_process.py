@@ -28,7 +28,7 @@ from cornercase._common.platform import (
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.base import Simulator
-from cornercase.simulators.outcomes import Outcome, outcomes_of
+from cornercase.simulators.outcomes import Outcome, outcomes_as_given
 from cornercase.simulators.registry import SIMULATORS
 
 # s that a simulator may take to start, for its exit code to arrive, and to end by itself.
@@ -261,7 +261,7 @@ def unpickled_options(options: bytes) -> dict[str, Any]:
 
 
 def _answer(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
-    results = outcomes_of(simulator, concretes)
+    results = outcomes_as_given(simulator, concretes)
     while True:
         try:
             found: Outcome | InputError | Raised | None = next(results, None)

@@ -11,7 +11,7 @@ from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.ledger import distinct, warn_of
 from cornercase._common.progress import ProgressBar
 from cornercase.metrics import METRICS, Metric, measured
-from cornercase.simulators import SIMULATORS, Simulator, outcomes_of
+from cornercase.simulators import SIMULATORS, Simulator, outcomes_of, with_values
 from cornercase.study import Row, Study, StudyMeta, begun_study
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 
@@ -47,7 +47,7 @@ def run_suite(
     """
     for one in suite.scenarios:
         simulator.require_means(one.scenario)
-    simulator.require_runnable([one.concrete for one in suite.scenarios])
+    simulator.require_runnable(with_values(simulator, [one.concrete for one in suite.scenarios]))
     _warn(suite, simulator)
     metrics = [METRICS.create(name) for name in meta.metrics]
     with begun_study(path, meta) as study:

@@ -58,6 +58,7 @@ class BuiltinSimulator(Simulator):
     in_process = True
     repeats_itself = True
     takes_batches = True
+    values_by = "file"
 
     def __init__(
         self,

@@ -99,6 +99,7 @@ class CarlaSimulator(Simulator):
 
     name = "carla"
     needs = ("worker", "ego")
+    values_by = "file"
 
     def __init__(
         self,

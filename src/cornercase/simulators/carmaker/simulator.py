@@ -80,6 +80,7 @@ class CarMakerSimulator(Simulator):
 
     name = "carmaker"
     needs = ("worker",)
+    values_by = "name"
 
     def __init__(
         self,

@@ -60,6 +60,7 @@ class EsminiSimulator(Simulator):
 
     name = "esmini"
     repeats_itself = True
+    values_by = "file"
 
     def __init__(
         self,

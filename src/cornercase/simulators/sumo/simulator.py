@@ -57,6 +57,7 @@ class SumoSimulator(Simulator):
 
     name = "sumo"
     repeats_itself = True
+    values_by = "file"
 
     def __init__(
         self,
