@@ -15,6 +15,7 @@ import pytest
 import cornercase as cc
 from cornercase._common.errors import InputError
 from cornercase.exploration import demonstration, explore_configuration
+from cornercase.scenario import value_text
 
 
 def test_no_verdicts_of_another_run_are_left_where_nothing_can_be_run(reduced, tmp_path):
@@ -97,6 +98,19 @@ def test_a_suite_that_cannot_be_used_is_refused_in_a_sentence(case, reduced, tmp
         cc.test(reduced, tmp_path / "run.db")
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+    assert not (tmp_path / "run.db").exists()
+
+
+def test_42_2_values_that_the_file_does_not_have_are_refused(reduced, tmp_path):
+    first = json.loads((reduced / "manifest.json").read_text())["scenarios"][0]
+    name, value = next(iter(first["values"].items()))
+    spoilt_value(reduced, first["values"] | {name: value + 0.25})
+    with pytest.raises(cc.InputError) as error:
+        cc.test(reduced, tmp_path / "run.db")
+    assert str(error.value) == (
+        f"{reduced / 'manifest.json'}: says that {name} of {first['file']} is {value + 0.25}, and the file says {value_text(value)};"
+        " run `reduce` again."
+    )
     assert not (tmp_path / "run.db").exists()
 
 

@@ -178,6 +178,13 @@ class Scenario:
         return tuple(e.get("name", "") for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration"))
 
     @cached_property
+    def path_parameters(self) -> frozenset[str]:
+        """Names of the declared parameters that say where the road file or a folder of catalogs is."""
+        folders = (e.get("path", "") for e in self.root.iterfind("CatalogLocations//Directory"))
+        texts = {self.logic_file(), *folders}
+        return frozenset(name for name in self.parameters if f"${name}" in texts)
+
+    @cached_property
     def drivers(self) -> dict[str, str]:
         """Driver that a controller property asks for, by entity."""
         asked = {e.get("name", ""): self._driver_of(e) for e in self.root.iterfind("Entities/ScenarioObject")}

@@ -13,10 +13,10 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
-from cornercase._common.texts import loaded_json
+from cornercase._common.texts import loaded_json, plain_text
 from cornercase.metrics import METRICS
 from cornercase.reduction import MANIFEST, MANIFEST_FORMAT, finish_set
-from cornercase.scenario import ParameterSpace, Scenario
+from cornercase.scenario import Declaration, ParameterSpace, Scenario, Value, read_declarations, typed_value
 from cornercase.simulators import checked_settings
 from cornercase.study import IMPORTED
 from cornercase.suite.contents import SuiteContents, SuiteScenario
@@ -161,16 +161,38 @@ def _require_file(path: Path, place: str, digest: str) -> None:
 
 
 def _require_values(path: Path, space: ParameterSpace, scenarios: Sequence[SuiteScenario]) -> None:
-    """Refuse values that are none of the parameters that the manifest holds."""
+    """Refuse values that are none of the parameters that the manifest holds, and those that a file does not have."""
     for one in scenarios:
         try:
             found = space.points([one.values])
-            if set(one.values) != {parameter.name for parameter in space.parameters} or not np.isfinite(found).all():
+            if set(one.values) != set(space.assigns) or not np.isfinite(found).all():
                 raise ValueError("not those of the space")
         except _BROKEN as error:
             raise InputError(
                 f"{path}: the values of {one.file[:100]} do not fit the parameters of its space; run `reduce` again."
             ) from error
+        _require_same_values(path, one)
+
+
+def _require_same_values(path: Path, one: SuiteScenario) -> None:
+    declared = {each.name: each for each in read_declarations(one.scenario.root, str(one.scenario.path))}
+    one.scenario.require_parameters(list(one.values))
+    # What lies beside the file has another path there than beside the logical scenario.
+    moved = one.scenario.path_parameters
+    for name, value in one.values.items():
+        if name not in moved and _typed(value, declared[name]) != _typed(declared[name].value, declared[name]):
+            raise InputError(
+                f"{path}: says that {plain_text(name)} of {one.file[:100]} is {plain_text(str(value))[:60]}, and the"
+                f" file says {plain_text(declared[name].value)[:60]}; run `reduce` again."
+            )
+
+
+def _typed(value: Value, declaration: Declaration) -> Value:
+    try:
+        return typed_value(value, declaration.kind)
+    except ValueError:
+        # An expression, for one.
+        return str(value)
 
 
 def _text(value: object) -> str:
